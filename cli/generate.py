@@ -14,8 +14,9 @@ import click
 
 from synth3dlanes.production.events import LEVELS, Event, duration
 
-from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
+from .idle import refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
 from .options import (
+    KEYS_OF_ROADS,
     assets_option,
     camera_option,
     clip_options,
@@ -23,6 +24,7 @@ from .options import (
     json_option,
     lidar_option,
     open_assets,
+    open_map,
     open_shots,
     params_option,
     passes_option,
@@ -94,6 +96,14 @@ class PartOf(click.ParamType):
     callback=refuse_repeated,
     help="With --like: share of a parameter's range in which it varies; repeatable.  [default: 0.1]",
 )
+@click.option(
+    "--map",
+    "map_file",
+    metavar="FILE",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Place scenes on the roads of an OpenDRIVE file (docs/maps.md).",
+)
+@click.option("--at", metavar="ROAD:S:LANE", help="With --map: the host's place, in place of a random one.")
 @camera_option
 @rig_option
 @assets_option
@@ -146,6 +156,8 @@ def generate(
     changes: tuple[str, ...],
     like: Path | None,
     spreads: tuple[str, ...],
+    map_file: Path | None,
+    at: str | None,
     camera: str | None,
     rig: str | None,
     assets: Path | None,
@@ -178,6 +190,9 @@ def generate(
     from synth3dlanes.settings import RenderSettings
 
     refuse_idle(like is not None, ["spreads"], "without --like")
+    refuse_idle(map_file is not None, ["at"], "without --map")
+    refuse_together("like", "map_file")
+    refuse_idle_keys(map_file is None, changes, KEYS_OF_ROADS, "with --map")
     refuse_idle(executor == "ray", ["address"], "without --executor ray")
     refuse_idle_keys(image_format == "jpg", (*changes, *spreads), ["sensor.jpeg_quality"], "with --image-format png")
     library = open_assets(assets)
@@ -185,11 +200,13 @@ def generate(
     refuse_idle_changes((*changes, *spreads), shots)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
     given = read_like(given_scenes(like, params, library.assets), spreads) if like else None
-    scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given)
+    place = open_map(map_file, at) if map_file else None
+    scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given, map=place)
     recipe = Recipe(scenes, settings, image_format, library)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
     drawn_from += f", {given.text()}" if given else ""
+    drawn_from += f", {place.map.text()}" if place else ""
     drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
     if dry_run:
         plan = plan.resolved() if executor == "local" else plan

@@ -16,6 +16,7 @@ from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
+    from synth3dlanes.sampling.on_map import MapPlace
     from synth3dlanes.shots import Shots
 
     from .console import OutputConsole
@@ -110,6 +111,8 @@ KEYS_OF_CAMERA_FILES = (
     *("camera.height_m", "camera.pitch_deg", "camera.width_px", "camera.height_px", "camera.horizontal_fov_deg"),
     *("camera.roll_deg", "camera.principal_offset_px"),
 )
+# Parameters of what a given map has itself.
+KEYS_OF_ROADS = ("road.", "town.", "symbols.", "roadside.", "camera.lane", "camera.y_m", "cars.parked")
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -221,6 +224,16 @@ def open_assets(folder: Path | None) -> "Library":
     for warning in warnings:
         click.echo(f"--assets {folder}: {warning}", err=True)
     return library
+
+
+def open_map(path: Path, at: str | None) -> "MapPlace":
+    """What `--map` and `--at` say."""
+    from synth3dlanes.maps.given_map import read_map
+    from synth3dlanes.maps.places import read_place
+    from synth3dlanes.sampling.on_map import MapPlace
+
+    given = read_map(path)
+    return MapPlace(given, read_place(given, at) if at else None)
 
 
 def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":

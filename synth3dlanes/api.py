@@ -73,7 +73,7 @@ from synth3dlanes.settings import DEVICES, MAX_SAMPLES, MAX_SEED, QUALITY_SAMPLE
 from synth3dlanes.settings import PASSES as PASS_NAMES
 from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
-from synth3dlanes.sources import read_scene, scenes_of
+from synth3dlanes.sources import provenance_of, read_scene
 
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.
@@ -483,7 +483,7 @@ def dataset_stats(
         return Statistics(scene_statistics((_sample_scene(scenes, index) for index in range(n)), source))
     found = readers(str(source))
     shown = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
-    origin, labels = scenes_of(found[0]), (reader.labels(i) for reader, i in evenly_spaced(found, n))
+    origin, labels = provenance_of(found[0]), (reader.labels(i) for reader, i in evenly_spaced(found, n))
     return Statistics(scene_statistics(shown, origin.params, bool(origin.shots.cameras)), label_statistics(labels))
 
 

@@ -19,6 +19,8 @@ Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
 Width = Annotated[float, Field(ge=0, le=100)]
 GroundPoint = tuple[Number, Number]
+# Of a file, whose coordinates may be those of a UTM grid.
+Coordinate = Annotated[float, Field(ge=-1e8, le=1e8)]
 # A lane by ROAD.SECTION.NUMBER, such as `12.0.-1`.
 LaneName = Name
 
@@ -83,9 +85,26 @@ class MapSection(DocumentPart):
     lanes: Annotated[tuple[MapLane, ...], Field(max_length=2 * MAX_LANES + 1)]
 
 
+class MapShape(DocumentPart):
+    """Height of a road's surface over its banked plane at a station: a cubic of the distance to the left of `t_m` on
+    that plane, up to the next `t_m` of the station. Between stations it changes evenly."""
+
+    s_m: Station
+    t_m: Annotated[float, Field(ge=-1000, le=1000)]
+    a: Number
+    b: Number = 0.0
+    c: Number = 0.0
+    d: Number = 0.0
+
+
+def _is_empty(value: tuple[object, ...]) -> bool:
+    return not value
+
+
 class MapRoad(DocumentPart):
     """A road. Without `heights` it lies on the terrain; with them its reference line has these world heights. `banks`
-    are angles, positive where the right side is lower. `junction` is the junction that it connects roads in."""
+    are angles, positive where the right side is lower. `junction` is the junction that it connects roads in. Of a road
+    of a given map this is the part from station `given_from_m` on, with the sections from number `given_section` on."""
 
     id: Name
     plan: Annotated[tuple[PlanPiece, ...], Field(min_length=1, max_length=10_000)]
@@ -93,8 +112,11 @@ class MapRoad(DocumentPart):
     lane_offsets: tuple[Polynomial, ...] = ()
     heights: tuple[Polynomial, ...] = ()
     banks: tuple[Polynomial, ...] = ()
+    shapes: Annotated[tuple[MapShape, ...], Field(max_length=100_000, exclude_if=_is_empty)] = ()
     junction: Name | None = None
     keeps_left: bool = False
+    given_from_m: Station = 0.0
+    given_section: Annotated[int, Field(ge=0, le=1000)] = 0
 
     @property
     def length_m(self) -> float:
@@ -133,7 +155,8 @@ class MapIsland(DocumentPart):
 class RoadMap(DocumentPart):
     """The part of a map around a host. `links` are pairs of lanes (one, the next) as traffic drives. The host drives
     along `route`, lanes each linked to the next; its station is the length from the beginning of the first one.
-    `source` and `digest` name the file of a given map and its SHA-256."""
+    `source` and `digest` name the file of a given map and its SHA-256; `given_frame` is where the world's origin lies
+    in it: x, y, z and the heading of world x."""
 
     roads: Annotated[tuple[MapRoad, ...], Field(min_length=1, max_length=MAX_ROADS)]
     links: tuple[tuple[LaneName, LaneName], ...] = ()
@@ -143,6 +166,7 @@ class RoadMap(DocumentPart):
     route: Annotated[tuple[LaneName, ...], Field(min_length=1)]
     source: str = ""
     digest: str = ""
+    given_frame: tuple[Coordinate, Coordinate, Number, Number] | None = None
 
     @cached_property
     def road_ids(self) -> frozenset[str]:

@@ -9,12 +9,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
+from synth3dlanes.geometry.map_roads import map_network
 from synth3dlanes.geometry.paper_roads import is_wide_enough, paper_network
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
 from synth3dlanes.sampling.draws import DECIMALS, Draw, DrawsOf, draws_of
 from synth3dlanes.sampling.like import Neighbourhood
+from synth3dlanes.sampling.map_terrain import terrain_of
+from synth3dlanes.sampling.on_map import MapPlace, draw_map_cars, farthest, host_length, slowed
 from synth3dlanes.sampling.roadside import draw_roadside
 from synth3dlanes.sampling.rules import lane_of_host
 from synth3dlanes.sampling.symbols import draw_symbols
@@ -22,7 +25,7 @@ from synth3dlanes.sampling.town.draw import cars_of, draw_map, drive, parked_car
 from synth3dlanes.sampling.town.furniture import furnish, street_trees
 from synth3dlanes.sampling.traffic import check_way, on_its_road
 from synth3dlanes.sampling.traffic_elements import draw_elements
-from synth3dlanes.sampling.trees import draw_trees
+from synth3dlanes.sampling.trees import draw_trees, trees_with_room
 from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
@@ -66,6 +69,7 @@ class Scenes:
     assets: Assets = field(default=BUILT_IN.assets, kw_only=True)
     shots: Shots = field(default=SINGLE, kw_only=True)
     like: Neighbourhood | None = field(default=None, kw_only=True)
+    map: MapPlace | None = field(default=None, kw_only=True)
 
 
 def sample_scene(scenes: Scenes, index: int) -> Scene:
@@ -111,6 +115,8 @@ def draw_world(scenes: Scenes, index: int) -> World:
     first = draws_of(params, "weather", drawn, like)
     params = under(params, first("kind"), first("daytime"))
     of = DrawsOf(params, drawn, like)
+    if scenes.map is not None:
+        return _map_world(scenes, index, of)
     if params.is_town:
         return _town_world(scenes, index, of)
     check_way(params.motion, shots)
@@ -126,6 +132,23 @@ def draw_world(scenes: Scenes, index: int) -> World:
     trees = draw_trees(world, of("trees"), of("trees", "tree_places"))
     symbols = draw_symbols(world, of("symbols"))
     return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
+
+
+def _map_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
+    """Draw and resolve a place of the given map: the host's way, the ground that meets the roads, cars and trees."""
+    assert scenes.map is not None, "asked only of scenes on a map"
+    check_way(of.params.motion, scenes.shots)
+    part = scenes.map.draw(stream(scenes.seed, scenes.split, index, "map"))
+    terrain, at_m = terrain_of(part.map, _terrain(of("terrain"))), host_length(part)
+    network = map_network(part.map, terrain, at_m)
+    place = {"terrain": terrain, "road": None, "map": part.map}
+    camera = _camera(of("camera"), {"lane": 1, "y_m": at_m})
+    shot = slowed(network, at_m, _shot(scenes.shots, of("motion")))
+    bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot})
+    world = resolve(bare, network)
+    cars = draw_map_cars(world, of("cars", "map_cars"), of("motion", "car_speeds"), farthest(of.params.cars.s_m))
+    trees, _ = trees_with_room(world, of("trees"), of("trees", "tree_places"))
+    return world.furnished(bare.model_copy(update={"cars": cars, "trees": trees}))
 
 
 def _town_world(scenes: Scenes, index: int, of: DrawsOf) -> World:

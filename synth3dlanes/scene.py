@@ -45,9 +45,15 @@ MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
 # Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
 MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
 MAX_BEAMS = 256
+# Of a grid of heights.
+MAX_GRID = 200
 Seconds = Annotated[float, Field(ge=0, le=1e6)]
 Driven = Annotated[float, Field(ge=0, le=1e6)]
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
+
+
+def _is_none(value: object) -> bool:
+    return value is None
 
 
 class Gaussian(DocumentPart):
@@ -59,10 +65,30 @@ class Gaussian(DocumentPart):
     orientation_rad: Number
 
 
+class HeightGrid(DocumentPart):
+    """Smooth heights, by a bicubic B-spline: its coefficients (metres) in rows along x, the rows as y grows, `step_m`
+    apart from `corner_m` on; beyond its outer coefficients it is constant."""
+
+    corner_m: tuple[Number, Number]
+    step_m: Annotated[float, Field(ge=1, le=1000)]
+    rows: Annotated[
+        tuple[Annotated[tuple[Number, ...], Field(min_length=8, max_length=MAX_GRID)], ...],
+        Field(min_length=8, max_length=MAX_GRID),
+    ]
+
+    @model_validator(mode="after")
+    def _is_rectangle(self) -> "HeightGrid":
+        """Check that all rows are as long."""
+        if len({len(row) for row in self.rows}) > 1:
+            raise ValueError("rows: expected rows of one length")
+        return self
+
+
 class Terrain(DocumentPart):
-    """A sum of Gaussians."""
+    """A sum of Gaussians; of a given map with heights, over a ground that meets these."""
 
     gaussians: Annotated[tuple[Gaussian, ...], Field(max_length=100)]
+    base: Annotated[HeightGrid | None, Field(exclude_if=_is_none)] = None
 
 
 class PaperRoad(DocumentPart):
@@ -185,10 +211,6 @@ class Symbol(DocumentPart):
     s_m: Metres
 
 
-def _is_none(value: object) -> bool:
-    return value is None
-
-
 def _is_empty(value: tuple[object, ...]) -> bool:
     return not value
 
@@ -255,7 +277,7 @@ class Camera(DocumentPart):
     counter-clockwise seen from above, roll about the viewing axis is positive clockwise as the driver sees it."""
 
     lane: Annotated[int, Field(ge=1, le=8)]
-    y_m: Metres
+    y_m: Station
     offset_m: Metres
     height_m: Annotated[float, Field(gt=0, le=1000)]
     pitch_rad: Number

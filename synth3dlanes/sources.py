@@ -168,6 +168,13 @@ def _in_order(document: Any) -> Any:
     return {kind: tuple(own.values()) if isinstance(own, dict) else own for kind, own in document.items()}
 
 
+class GivenFile(Excerpt):
+    """The map file that scenes were drawn on, and its SHA-256."""
+
+    file: str
+    digest: str
+
+
 class Provenance(Excerpt):
     """The part of a dataset.json that says how its scenes were drawn."""
 
@@ -176,19 +183,28 @@ class Provenance(Excerpt):
     assets: Annotated[Assets, BeforeValidator(_in_order)] = Assets()
     shots: Shots = SINGLE
     like: Neighbourhood | None = None
+    map: GivenFile | None = None
 
     def scenes(self, split: str) -> Scenes:
-        """The scenes of a split."""
+        """The scenes of a split. Raises InputError for scenes on a map, whose file a data set does not keep."""
+        if self.map is not None:
+            raise InputError(f"expected scenes that can be drawn again, got those of the map {self.map.file}")
         return Scenes(self.params, self.seed, split, assets=self.assets, shots=self.shots, like=self.like)
 
 
-def scenes_of(reader: Reader) -> Scenes:
-    """How the scenes of a split were drawn, from its dataset.json. Raises FormatError with a line for every problem."""
+def provenance_of(reader: Reader) -> Provenance:
+    """How the scenes of a data set were drawn, from its dataset.json. Raises FormatError with a line for every
+    problem."""
     try:
-        provenance = Provenance.model_validate(reader.description)
+        return Provenance.model_validate(reader.description)
     except ValidationError as error:
         raise FormatError("\n".join(validation_problems(error, f"{reader.url}: {DESCRIPTION}"))) from None
-    return provenance.scenes(reader.url.rpartition("/")[2])
+
+
+def scenes_of(reader: Reader) -> Scenes:
+    """The scenes of a split, to be drawn again. Raises FormatError like `provenance_of`, and InputError for scenes on a
+    map."""
+    return provenance_of(reader).scenes(reader.url.rpartition("/")[2])
 
 
 def some_samples(folder: str, n: int, shuffle: int | None, where: str | None) -> list[tuple[Reader, int]]:

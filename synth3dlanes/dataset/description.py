@@ -62,6 +62,7 @@ class Description(DocumentPart):
     assets: dict[str, Any] = Field(default_factory=dict)
     shots: ShotsPart = ShotsPart()
     like: dict[str, Any] | None = None
+    map: dict[str, Any] | None = None
     shard_size: Annotated[int, Field(ge=1, le=MAX_SHARD_SIZE)]
     splits: Annotated[dict[SplitName, Split], Field(max_length=1000)]
     derived: dict[str, Any] | None = None

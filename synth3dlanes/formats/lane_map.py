@@ -86,9 +86,7 @@ def _map_segments(
 ) -> Iterator[LaneSegment]:
     """Those of a map: as wide as its lanes are, and those through a junction named as connectors."""
     points = {line: network.sampled_xy(line) for line in network.delimiters}
-    delimiters = {
-        line: xy for line, xy in points.items() if (np.linalg.norm(xy - at_xy, axis=1) < reach_m).any()
-    }
+    delimiters = {line: xy for line, xy in points.items() if (np.linalg.norm(xy - at_xy, axis=1) < reach_m).any()}
     for index, segment in enumerate(segments):
         lane = network.lanes[segment.id]
         first_m, last_m = lane.driven

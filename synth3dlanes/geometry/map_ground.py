@@ -43,6 +43,8 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
+# Smaller areas are slivers.
+LEAST_AREA_M2 = 0.02
 # Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
 BERM_M = 1.5
 
@@ -159,11 +161,12 @@ class MapGround(Ground):
         """The surfaces of junctions and islands."""
         found = []
         for at in self.map.junctions:
-            paved, raised = self._junction(at)
-            found.append(GroundArea(paved, 0.0, "road"))
+            paved, raised = map(_solid, self._junction(at))
+            if not paved.is_empty:
+                found.append(GroundArea(paved, 0.0, "road"))
             found += [GroundArea(part, KERB_M, "walkway") for part in _polygons(raised)]
         for island in self.islands:
-            polygon = shapely.make_valid(shapely.Polygon(island.outline))
+            polygon = _solid(shapely.Polygon(island.outline))
             found += [GroundArea(part, island.height_m, island.surface) for part in _polygons(polygon)]
         return found
 
@@ -355,6 +358,13 @@ class MapGround(Ground):
             if len(xy) > 1:
                 found.append(np.column_stack([xy, self.under(xy) + KERB_M]))
         return found
+
+
+def _solid(area: BaseGeometry) -> BaseGeometry:
+    """The polygons of an area, without slivers."""
+    parts = shapely.get_parts(shapely.make_valid(area))
+    polygons = [part for part in parts if shapely.get_dimensions(part) == 2 and shapely.area(part) > LEAST_AREA_M2]
+    return shapely.MultiPolygon([at for part in polygons for at in shapely.get_parts(part)])
 
 
 def _polygon(left: Points2, right: Points2) -> BaseGeometry:

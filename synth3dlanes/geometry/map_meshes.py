@@ -115,7 +115,7 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
 def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
     """Upright faces around a raised area."""
     quads = []
-    for ring in shapely.get_rings(area.polygon):
+    for ring in shapely.get_rings(shapely.get_parts(area.polygon)):
         ring = shapely.segmentize(ring, 1.0)
         xy = shapely.get_coordinates(ring)
         top = np.column_stack([xy, ground.area_height(area, xy)])
@@ -190,13 +190,29 @@ def _cut(
     return np.array([columns, rows], dtype=int).reshape(2, -1), parts
 
 
+def _triangles(polygons: list[BaseGeometry]) -> np.ndarray:
+    """The triangles of polygons; those that are too thin for any are left out."""
+    try:
+        return np.asarray(shapely.constrained_delaunay_triangles(np.array(polygons)))
+    except shapely.errors.GEOSException:
+        pass
+    found = []
+    for polygon in polygons:
+        for grid_m in (0.0, 1e-4, 1e-2):
+            try:
+                found.append(shapely.constrained_delaunay_triangles(shapely.set_precision(polygon, grid_m)))
+                break
+            except shapely.errors.GEOSException:
+                continue
+    return np.array(found)
+
+
 def _quads(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
     """Polygons as quads: triangles, each as three from its corners to its middle."""
     polygons = [part for geometry in parts for part in shapely.get_parts(geometry) if part.geom_type == "Polygon"]
     if not polygons:
         return np.zeros((0, 4, 2))
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(np.array(polygons)))
-    nested = shapely.get_parts(triangles)
+    nested = shapely.get_parts(shapely.get_parts(_triangles(polygons)))
     rings = shapely.get_coordinates(nested).reshape(-1, 4, 2)[:, :3]
     areas = np.abs(np.cross(rings[:, 1] - rings[:, 0], rings[:, 2] - rings[:, 0]))
     rings = rings[areas > 1e-9]

@@ -14,7 +14,7 @@ from synth3dlanes.geometry.lane_curves import LaneCurve, LinePaint, measured
 from synth3dlanes.geometry.map_lines import Chain, Cubic, FiniteLine, MeasuredCubic, Spiral
 from synth3dlanes.geometry.map_network import Junction, MapNetwork
 from synth3dlanes.geometry.roads import NetworkLane, Offset
-from synth3dlanes.geometry.section_road import CrossSection, Profile, SectionRoad
+from synth3dlanes.geometry.section_road import CrossSection, Profile, SectionRoad, Shapes
 from synth3dlanes.labels import Direction, Marking, Pair
 from synth3dlanes.road_map import MapMark, MapRoad, PlanPiece, RoadMap
 from synth3dlanes.scene import Terrain
@@ -162,6 +162,7 @@ class _Reading:
             chain=line,
             heights=Profile(road.heights) if road.heights else None,
             banks=Profile(road.banks) if road.banks else None,
+            shapes=Shapes(road.shapes) if road.shapes else None,
             junction=road.junction,
         )
         left, right = (Offset(0.0, _paved(made, side)) for side in (0, 1))

@@ -12,7 +12,7 @@ from synth3dlanes.arrays import AnyPoints3, AnyScalars, Numbers
 from synth3dlanes.geometry.map_lines import Chain
 from synth3dlanes.geometry.roads import NetworkLane, Offset, Road, lift
 from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.road_map import MapLane, MapLaneKind, Polynomial
+from synth3dlanes.road_map import MapLane, MapLaneKind, MapShape, Polynomial
 
 # Lanes of these kinds are raised over the pavement by so much, but for a seam at edges where they are alone.
 KERB_M, SEAM_M = 0.12, 0.005
@@ -39,6 +39,43 @@ class Profile:
         which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
         x, (a, b, c, d) = s - starts[which], np.moveaxis(rows[which], -1, 0)
         return np.asarray(a + x * (b + x * (c + x * d)))
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Heights over a banked plane at stations, by cubics of t to the left; even between stations."""
+
+    given: tuple[MapShape, ...]
+
+    @cached_property
+    def _rows(self) -> tuple[Float[np.ndarray, " k"], list[tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 4"]]]]:
+        """The stations, and of each the starts in t of its cubics and their coefficients."""
+        by_station: dict[float, list[MapShape]] = {}
+        for shape in sorted(self.given, key=lambda at: (at.s_m, at.t_m)):
+            by_station.setdefault(shape.s_m, []).append(shape)
+        rows = [
+            (np.array([at.t_m for at in row]), np.array([[at.a, at.b, at.c, at.d] for at in row], float))
+            for row in by_station.values()
+        ]
+        return np.array(list(by_station)), rows
+
+    def __call__(self, s: AnyScalars, t_left: AnyScalars) -> AnyScalars:
+        """Heights at places."""
+        stations, rows = self._rows
+        s, t_left = np.broadcast_arrays(s, t_left)
+        after = np.clip(np.searchsorted(stations, s, side="right"), 1, max(len(stations) - 1, 1))
+        before = after - 1
+        after = np.minimum(after, len(stations) - 1)
+        found = np.zeros((2, *s.shape))
+        for k, which in enumerate((before, after)):
+            for i in np.unique(which):
+                here, (starts, table) = which == i, rows[i]
+                row = np.clip(np.searchsorted(starts, t_left[here], side="right") - 1, 0, None)
+                x, (a, b, c, d) = t_left[here] - starts[row], np.moveaxis(table[row], -1, 0)
+                found[k][here] = a + x * (b + x * (c + x * d))
+        length = np.maximum(stations[after] - stations[before], 1e-9)
+        share = np.clip((s - stations[before]) / length, 0, 1)
+        return np.asarray(found[0] + share * (found[1] - found[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +152,7 @@ class SectionRoad(Road):
     chain: Chain | None = None
     heights: Profile | None = None
     banks: Profile | None = None
+    shapes: Shapes | None = None
     junction: str | None = None
 
     @property
@@ -181,8 +219,12 @@ class SectionRoad(Road):
     def _own_height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
         assert self.heights is not None, "asked only of roads with heights"
         inside = np.clip(s, self.start_m, self.end_m)
-        z = self.heights(inside)
-        return np.asarray(z if self.banks is None else z - np.tan(self.banks(inside)) * t)
+        z, bank = self.heights(inside), self.banks(inside) if self.banks is not None else np.zeros(np.shape(s))
+        z = z - np.tan(bank) * t
+        if self.shapes is not None:
+            # They lie on the banked plane, and stand on it.
+            z = z + self.shapes(inside, -t / np.cos(bank)) / np.cos(bank)
+        return np.asarray(z)
 
     def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
         """Height of raised lanes over the pavement at places."""

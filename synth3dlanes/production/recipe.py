@@ -59,6 +59,7 @@ class Recipe:
             "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
             **({} if scenes.shots == SINGLE else {"shots": scenes.shots.model_dump(mode="json")}),
             **({} if scenes.like is None else {"like": scenes.like.model_dump(mode="json")}),
+            **({} if scenes.map is None else {"map": scenes.map.description()}),
         }
 
     @property

@@ -54,7 +54,11 @@ class Origin(Provenance):
     derived: Derivation | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
-        """How a sample's scene differs from the one drawn again, in one line; "" if they are equal."""
+        """How a sample's scene differs from the one drawn again, in one line; "" if they are equal. A scene on a map
+        cannot be drawn again without its file; its map must be a part of that one."""
+        if self.map is not None:
+            digest = scene.map.digest if scene.map is not None else "none"
+            return "" if digest == self.map.digest else f"map.digest: expected {self.map.digest}, got {digest}"
         try:
             drawn = self.drawn(scene, split, index)
         except (InputError, ValueError, LookupError, ArithmeticError) as error:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.opendrive.convention import LANE_CHANGES, MAJOR, MARK_TYPES, MINOR, NO_NUMBER, USER_DATA
+from synth3dlanes.formats.opendrive.map_write import opendrive_of_map
 from synth3dlanes.formats.opendrive.marks import MIRRORED, Mark, marks
 from synth3dlanes.formats.opendrive.objects import add_objects
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
@@ -39,6 +40,8 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
 
 def opendrive(world: World, name: str) -> str:
     """The OpenDRIVE file of a world; its inertial frame is the world frame."""
+    if world.scene.map is not None:
+        return opendrive_of_map(world, name)
     found = roads(world.network)
     numbers = {road.name: i for i, road in enumerate(found, 1)} | {JUNCTION: len(found) + 1}
     root = ElementTree.Element("OpenDRIVE")

@@ -1,0 +1,381 @@
+"""OpenDRIVE of scenes on maps: their roads as they are, on the ground of the scene, with links, junctions and paint."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from synth3dlanes.arrays import Scalars
+from synth3dlanes.formats.opendrive.convention import MAJOR, MINOR, NO_NUMBER, USER_DATA
+from synth3dlanes.formats.opendrive.profiles import knots, pieces
+from synth3dlanes.formats.opendrive.xml import Element, add
+from synth3dlanes.geometry.map_network import MapNetwork
+from synth3dlanes.geometry.section_road import SectionRoad
+from synth3dlanes.maps.cubics import steepened, times, value
+from synth3dlanes.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
+from synth3dlanes.world import World
+
+# How far the written heights (metres) and rolls (radians) may be from the scene's, and steps between their places.
+HEIGHT_M, ROLL_RAD, STEP_M = 1e-3, 1e-4, 1.0
+# A road gets lateral shapes where its surface is farther than this from the banked plane, at so many places across.
+SHAPE_M, SHAPE_PLACES = 0.005, 9
+KINDS: dict[MapLaneKind, str] = {
+    "driving": "driving",
+    "shoulder": "shoulder",
+    "border": "border",
+    "parking": "parking",
+    "walkway": "sidewalk",
+    "cycle": "biking",
+    "median": "median",
+    "restricted": "restricted",
+    "kerb": "curb",
+    "none": "none",
+}
+MARKS = {
+    "none": "none",
+    "solid": "solid",
+    "dashed": "broken",
+    "solid_solid": "solid solid",
+    "solid_dashed": "solid broken",
+    "dashed_solid": "broken solid",
+    "dashed_dashed": "broken broken",
+    "dots": "botts dots",
+}
+SIDES = {"left": 1, "center": 0, "right": -1}
+
+
+class LaneJoint(NamedTuple):
+    """A lane that traffic leaves, and one that it enters there: their road, section, number, and end."""
+
+    one: tuple[str, int, int]
+    leaves: str
+    other: tuple[str, int, int]
+    enters: str
+
+
+def opendrive_of_map(world: World, name: str) -> str:
+    """The OpenDRIVE file of a world on a map: its roads near the host; the inertial frame is the world frame."""
+    roads, network = world.scene.map, world.network
+    assert roads is not None, "asked only of maps"
+    assert isinstance(network, MapNetwork), "asked only of maps"
+    near = {road.id for road in network.roads}
+    found = {road.id: road for road in roads.roads if road.id in near}
+    touches = list(_touches(roads, found))
+    root = ElementTree.Element("OpenDRIVE")
+    xy = np.array([(piece.x_m, piece.y_m) for road in found.values() for piece in road.plan])
+    (west, south), (east, north) = xy.min(axis=0), xy.max(axis=0)
+    header = {"revMajor": MAJOR, "revMinor": MINOR, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
+    add(root, "header", **header, north=north, south=south, east=east, west=west)
+    direct = _direct_junctions(found, touches)
+    for road in found.values():
+        element = add(root, "road", name=road.id, length=road.length_m, id=road.id)
+        element.set("junction", road.junction or NO_NUMBER)
+        element.set("rule", "LHT" if road.keeps_left else "RHT")
+        _add_links(add(element, "link"), road, found, touches, direct)
+        view, s = add(element, "planView"), 0.0
+        for piece in road.plan:
+            _add_piece(view, piece, s)
+            s += piece.length_m
+        roll = _add_heights(element, road, network.road(road.id))
+        _add_lanes(add(element, "lanes"), road, touches, roll)
+        _add_paint(element, road, roads)
+    _add_junctions(root, roads, found, touches, direct)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+# -- links
+
+
+def _touches(roads: RoadMap, found: Mapping[str, MapRoad]) -> Iterable[LaneJoint]:
+    for a, b in roads.links:
+        (one, i, m), (other, j, n) = (_key(name) for name in (a, b))
+        if one in found and other in found:
+            ends = [_ascends(found[one], i, m), _ascends(found[other], j, n)]
+            yield LaneJoint((one, i, m), "end" if ends[0] else "start", (other, j, n), "start" if ends[1] else "end")
+
+
+def _key(name: LaneName) -> tuple[str, int, int]:
+    road, section, number = name.rsplit(".", 2)
+    return road, int(section), int(number)
+
+
+def _ascends(road: MapRoad, section: int, number: int) -> bool:
+    lane = next(lane for lane in road.sections[section].lanes if lane.number == number)
+    return (number < 0) ^ road.keeps_left ^ lane.against
+
+
+def _is_within(touch: LaneJoint) -> bool:
+    """Whether it is between two sections of a road."""
+    (one, i, _), (other, j, _) = touch.one, touch.other
+    return one == other and abs(i - j) == 1 and touch.leaves != touch.enters and (i < j) == (touch.leaves == "end")
+
+
+def _beyond(road: str, end: str, touches: Iterable[LaneJoint]) -> dict[tuple[str, str], None]:
+    """The ends of other roads that lanes lead to or come from at an end of a road."""
+    found: dict[tuple[str, str], None] = {}
+    for touch in touches:
+        if _is_within(touch):
+            continue
+        sides = [(touch.one[0], touch.leaves), (touch.other[0], touch.enters)]
+        for here, there in (sides, sides[::-1]):
+            if here == (road, end):
+                found[there] = None
+    return found
+
+
+def _direct_junctions(found: Mapping[str, MapRoad], touches: list[LaneJoint]) -> dict[tuple[str, str], str]:
+    """The ids of direct junctions by ends of roads: where lanes lead from one road to several without connecting
+    roads."""
+    groups: dict[tuple[str, str], str] = {}
+    for road in found.values():
+        for end in ("start", "end"):
+            beyond = [at for at in _beyond(road.id, end, touches) if found[at[0]].junction is None]
+            if road.junction is None and len({name for name, _ in beyond}) > 1 and (road.id, end) not in groups:
+                name = f"direct_{len(groups)}"
+                groups |= dict.fromkeys([(road.id, end), *beyond], name)
+    return groups
+
+
+def _add_links(
+    element: Element,
+    road: MapRoad,
+    found: Mapping[str, MapRoad],
+    touches: list[LaneJoint],
+    direct: Mapping[tuple[str, str], str],
+) -> None:
+    for tag, end in (("predecessor", "start"), ("successor", "end")):
+        beyond = _beyond(road.id, end, touches)
+        through = [name for name, _ in beyond if found[name].junction is not None]
+        if (road.id, end) in direct:
+            add(element, tag, elementType="junction", elementId=direct[road.id, end])
+        elif road.junction is None and through:
+            add(element, tag, elementType="junction", elementId=str(found[through[0]].junction))
+        elif beyond:
+            (name, contact), *_ = beyond
+            add(element, tag, elementType="road", elementId=name, contactPoint=contact)
+
+
+def _linked(road: str, i: int, number: int, end: str, touches: list[LaneJoint]) -> list[tuple[str, int]]:
+    """The lanes, by road and number, that follow or precede a lane at an end of it."""
+    here, found = (road, i, number), []
+    for touch in touches:
+        if touch.one == here and touch.leaves == end:
+            found.append((touch.other[0], touch.other[2]))
+        if touch.other == here and touch.enters == end:
+            found.append((touch.one[0], touch.one[2]))
+    return found
+
+
+def _add_junctions(
+    root: Element,
+    roads: RoadMap,
+    found: Mapping[str, MapRoad],
+    touches: list[LaneJoint],
+    direct: Mapping[tuple[str, str], str],
+) -> None:
+    for at in roads.junctions:
+        if not any(road.junction == at.id for road in found.values()):
+            continue
+        junction = add(root, "junction", name=at.id, id=at.id, type="default")
+        entered: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
+        for touch in touches:
+            (one, _, m), (other, _, n) = touch.one, touch.other
+            if found[other].junction == at.id and found[one].junction != at.id:
+                entered.setdefault((one, other, touch.enters), []).append((m, n))
+        _add_connections(junction, entered, "connectingRoad")
+        pairs = {(_key(low)[0], _key(high)[0]) for low, high in at.yields}
+        for low, high in sorted(pairs):
+            add(junction, "priority", high=high, low=low)
+    for name in dict.fromkeys(direct.values()):
+        junction = add(root, "junction", name=name, id=name, type="direct")
+        parted: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
+        for touch in touches:
+            ends = (touch.one[0], touch.leaves), (touch.other[0], touch.enters)
+            if not _is_within(touch) and all(direct.get(end) == name for end in ends):
+                parted.setdefault((touch.one[0], touch.other[0], touch.enters), []).append(
+                    (touch.one[2], touch.other[2])
+                )
+        _add_connections(junction, parted, "linkedRoad")
+
+
+def _add_connections(
+    junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str
+) -> None:
+    for count, ((one, other, contact), lanes) in enumerate(entered.items()):
+        connection = add(junction, "connection", id=str(count), incomingRoad=one, contactPoint=contact)
+        connection.set(key, other)
+        for m, n in lanes:
+            add(connection, "laneLink", **{"from": str(m), "to": str(n)})
+
+
+# -- form
+
+
+def _add_piece(view: Element, piece: PlanPiece, s: float) -> None:
+    place = {"x": piece.x_m, "y": piece.y_m, "hdg": piece.heading_rad, "length": piece.length_m}
+    geometry = add(view, "geometry", s=s, **place)
+    if piece.u is not None and piece.v is not None:
+        scale = piece.parameter_end ** np.arange(4)
+        named = {f"{letter}U": float(u) for letter, u in zip("abcd", piece.u * scale, strict=True)}
+        named |= {f"{letter}V": float(v) for letter, v in zip("abcd", piece.v * scale, strict=True)}
+        add(geometry, "paramPoly3", **named, pRange="normalized")
+    elif piece.curvature != piece.curvature_end:
+        add(geometry, "spiral", curvStart=piece.curvature, curvEnd=piece.curvature_end)
+    elif piece.curvature:
+        add(geometry, "arc", curvature=piece.curvature)
+    else:
+        add(geometry, "line")
+
+
+def _add_heights(element: Element, road: MapRoad, own: SectionRoad) -> Callable[[float], float] | None:
+    """The heights and the rolls of a road; returns the share of widths on its plane that are seen from above, by
+    station, None where it is level across."""
+    profile, lateral = add(element, "elevationProfile"), add(element, "lateralProfile")
+    if road.heights:
+        _add_cubics(profile, "elevation", road.heights)
+        given = steepened(road.banks, road.heights, road.length_m, -1)
+        _add_cubics(lateral, "superelevation", given)
+        for shape in road.shapes:
+            add(lateral, "shape", s=shape.s_m, t=shape.t_m, a=shape.a, b=shape.b, c=shape.c, d=shape.d)
+        return partial(_share, given) if given else None
+    s = np.linspace(0, road.length_m, max(4, 1 + int(road.length_m / STEP_M)))
+    low, high = own.left(s), own.right(s)
+    high = np.maximum(high, low + 0.5)
+    share = np.linspace(0, 1, SHAPE_PLACES)
+    t = low + (high - low) * share[:, None]
+    z = np.array([own.base_points(s, at)[:, 2] for at in t])
+    mean_t, mean_z = t.mean(axis=0), z.mean(axis=0)
+    fall = ((t - mean_t) * (z - mean_z)).sum(axis=0) / ((t - mean_t) ** 2).sum(axis=0)
+    # Here t grows to the right, in OpenDRIVE to the left; rolls are positive with the left side higher.
+    heights = tuple(_polynomials(s, mean_z - fall * mean_t, HEIGHT_M))
+    # They turn a plane that climbs already, which is steeper across than it looks from above.
+    level = 1 / np.hypot(1.0, np.gradient(mean_z - fall * mean_t, s))
+    banks = tuple(_polynomials(s, -np.arctan(fall * level), ROLL_RAD))
+    _add_cubics(profile, "elevation", heights)
+    _add_cubics(lateral, "superelevation", banks)
+    flat = np.cos(np.arctan(fall * level))
+    over = (z - mean_z - fall * (t - mean_t)).T * flat[:, None]
+    if np.abs(over).max() > SHAPE_M:
+        left, wide = -high / flat, (high - low) / flat
+        for i in knots(s, over, SHAPE_M):
+            rows = np.vander(wide[i] * share, 4, increasing=True)
+            abcd = np.linalg.lstsq(rows, over[i, ::-1], rcond=None)[0].tolist()
+            add(lateral, "shape", s=s[i], t=left[i], **dict(zip("abcd", abcd, strict=True)))
+    return partial(_share, banks)
+
+
+def _share(banks: tuple[Polynomial, ...], s_m: float) -> float:
+    return 1 / math.cos(value(banks, s_m))
+
+
+def _from(share: Callable[[float], float], from_m: float, x_m: float) -> float:
+    """A value by stations of a section that begins at `from_m`."""
+    return share(from_m + x_m)
+
+
+def _polynomials(s: Scalars, values: Scalars, tolerance: float) -> Iterable[Polynomial]:
+    for piece in pieces(s, values[:, None], tolerance):
+        a, b, c, d = piece.abcd[:, 0].tolist()
+        yield Polynomial(s_m=piece.s, a=a, b=b, c=c, d=d)
+
+
+def _add_cubics(parent: Element, tag: str, cubics: Iterable[Polynomial], key: str = "s") -> None:
+    for piece in cubics:
+        add(parent, tag, **{key: piece.s_m}, a=piece.a, b=piece.b, c=piece.c, d=piece.d)
+
+
+# -- lanes
+
+
+def _add_lanes(
+    element: Element, road: MapRoad, touches: list[LaneJoint], roll: Callable[[float], float] | None
+) -> None:
+    offsets = times(road.lane_offsets, roll, road.length_m) if roll else road.lane_offsets
+    _add_cubics(element, "laneOffset", offsets or [Polynomial(s_m=0.0, a=0.0)])
+    ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
+    for i, (section, end_m) in enumerate(zip(road.sections, ends, strict=True)):
+        part = add(element, "laneSection", s=section.s_m)
+        for side, sign in SIDES.items():
+            lanes = [lane for lane in section.lanes if np.sign(lane.number) == sign]
+            lanes = lanes or ([MapLane(number=0, kind="none")] if sign == 0 else [])
+            group = add(part, side) if lanes else part
+            for lane in sorted(lanes, key=lambda at: -at.number):
+                widths = lane.widths
+                if roll and widths:
+                    widths = times(widths, partial(_from, roll, section.s_m), end_m - section.s_m)
+                _add_lane(group, road, i, lane.model_copy(update={"widths": widths}), touches)
+
+
+def _add_lane(group: Element, road: MapRoad, i: int, lane: MapLane, touches: list[LaneJoint]) -> None:
+    element = add(group, "lane", id=str(lane.number), type=KINDS[lane.kind], level="false")
+    if lane.against:
+        element.set("direction", "reversed")
+    link = add(element, "link")
+    if lane.kind == "driving" and lane.number:
+        for tag, end in (("predecessor", "start"), ("successor", "end")):
+            for _, number in dict.fromkeys(_linked(road.id, i, lane.number, end, touches)):
+                add(link, tag, id=str(number))
+    if lane.number:
+        _add_cubics(element, "width", lane.widths or [Polynomial(s_m=0.0, a=0.0)], "sOffset")
+    for mark in lane.marks:
+        _add_mark(element, mark)
+    if lane.kind == "driving" and lane.number:
+        add(element, "userData", code=USER_DATA, value=f"{road.id}.{i}.{lane.number}")
+
+
+def _add_mark(element: Element, mark: MapMark) -> None:
+    width_m = 3 * mark.width_m if "_" in mark.kind else mark.width_m
+    color = "yellow" if mark.yellow else "white"
+    add(element, "roadMark", sOffset=mark.s_m, type=MARKS[mark.kind], weight="standard", color=color, width=width_m)
+
+
+def _add_paint(element: Element, road: MapRoad, roads: RoadMap) -> None:
+    """The paint in the lanes of a road; crosswalks and islands lie at the first road, in its frame."""
+    objects = add(element, "objects")
+    first = road.id == roads.roads[0].id
+    start = road.plan[0]
+    for count, paint in enumerate(roads.paint):
+        name = f"p{count}"
+        if paint.lane is not None and paint.lane.rsplit(".", 2)[0] == road.id:
+            _, i, number = _key(paint.lane)
+            inner, outer = _edges(road, i, number, paint.s_m)
+            kind = {"stop_line": "StopLine", "give_way_line": "YieldLine"}.get(paint.kind)
+            place = {"s": paint.s_m, "t": (inner + outer) / 2, "zOffset": 0.0, "hdg": 0.0}
+            ascends = _ascends(road, i, number)
+            words = {"id": name, "name": kind or paint.kind.replace("_", " "), "type": "roadMark"}
+            size = {"width": abs(outer - inner), "length": 0.4} if kind else {"width": 0.5, "length": 4.0}
+            at = add(objects, "object", **words, **place, **size, orientation="+" if ascends else "-")
+            if kind:
+                add(at, "validity", fromLane=str(number), toLane=str(number))
+        elif paint.lane is None and first and paint.outline:
+            words = {"id": name, "name": paint.kind, "type": "crosswalk", "orientation": "none"}
+            _add_outline(add(objects, "object", **words, s=0.0, t=0.0, zOffset=0.0, hdg=0.0), start, paint.outline)
+    for count, island in enumerate(roads.islands if first else ()):
+        words = {"id": f"i{count}", "name": "island", "type": "trafficIsland", "orientation": "none"}
+        at = add(objects, "object", **words, s=0.0, t=0.0, zOffset=0.0, hdg=0.0, height=island.height_m)
+        _add_outline(at, start, island.outline)
+    if not len(objects):
+        element.remove(objects)
+
+
+def _edges(road: MapRoad, i: int, number: int, s_m: float) -> tuple[float, float]:
+    """t of the edges of a lane."""
+    section, sign = road.sections[i], 1 if number > 0 else -1
+    inner = outer = value(road.lane_offsets, s_m)
+    for at in range(sign, number + sign, sign):
+        lane = next(lane for lane in section.lanes if lane.number == at)
+        inner, outer = outer, outer + sign * max(value(lane.widths, s_m - section.s_m), 0.0)
+    return inner, outer
+
+
+def _add_outline(element: Element, start: PlanPiece, corners: Iterable[tuple[float, float]]) -> None:
+    outline = add(add(element, "outlines"), "outline", id="0", closed="true")
+    cos, sin = math.cos(start.heading_rad), math.sin(start.heading_rad)
+    for count, (x, y) in enumerate(corners):
+        dx, dy = x - start.x_m, y - start.y_m
+        local = {"u": cos * dx + sin * dy, "v": cos * dy - sin * dx, "z": 0.0, "height": 0.0}
+        add(outline, "cornerLocal", id=str(count), **local)

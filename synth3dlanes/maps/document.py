@@ -1,0 +1,74 @@
+"""The XML of a given map: parsed with bounds and without entities, and its attributes as numbers."""
+
+import math
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.schema import shown
+
+# Far above the files of towns, which have 20 MB in 300,000 elements.
+MAX_FILE_BYTES, MAX_ELEMENTS, MAX_DEPTH = 256 << 20, 5_000_000, 50
+# The largest number: coordinates in a UTM grid have up to seven digits.
+MOST = 1e8
+
+
+def parse_xml(data: bytes, where: str) -> Element:
+    """The root of a document. Raises FormatError, with one line that begins with `where`, for what is no XML, declares
+    entities or is absurdly large or deep."""
+    builder, depth, count = TreeBuilder(), 0, 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > MAX_DEPTH or count > MAX_ELEMENTS:
+            raise FormatError(
+                f"{where}: expected at most {MAX_ELEMENTS} elements, {MAX_DEPTH} within each other, got more"
+            )
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    def refuse(*_: object) -> int:
+        raise FormatError(f"{where}: expected a map without entities, got a declaration of one")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = lambda _: None
+    parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = refuse
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        if isinstance(error, FormatError):
+            raise
+        raise FormatError(f"{where}: expected XML, got {error}") from None
+    return builder.close()
+
+
+def number(element: Element, key: str, where: str, default: float | None = None) -> float:
+    """An attribute that is a finite number up to MOST. Raises FormatError for another, and for a missing one without a
+    default."""
+    text = element.get(key)
+    if text is None or not text.strip():
+        if default is not None:
+            return default
+        raise FormatError(f"{where}: {element.tag}: {key}: expected a number, got none")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= MOST:
+        raise FormatError(f"{where}: {element.tag}: {key}: expected a number up to {MOST:g}, got {shown(text)}")
+    return value
+
+
+def whole(element: Element, key: str, where: str) -> int:
+    """An attribute that is a whole number of at most four digits."""
+    value = number(element, key, where)
+    if value != int(value) or abs(value) > 9999:
+        raise FormatError(f"{where}: {element.tag}: {key}: expected a whole number, got {shown(element.get(key))}")
+    return int(value)

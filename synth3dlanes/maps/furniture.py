@@ -1,0 +1,189 @@
+"""Objects and signals of a given map that have a counterpart here: paint across and in lanes, crosswalks, islands."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from synth3dlanes.arrays import Points2
+from synth3dlanes.maps.cubics import value
+from synth3dlanes.maps.document import number
+from synth3dlanes.maps.links import ascends
+from synth3dlanes.maps.plan import places, plan_points
+from synth3dlanes.road_map import MapIsland, MapLane, MapPaint, MapRoad, MapSection
+from synth3dlanes.schema import SymbolKind
+
+# What the name, type or subtype of an object says, in small letters without other characters.
+STOP_WORDS, YIELD_WORDS = ("stopline", "signallines"), ("yieldline", "givewayline", "waitingline")
+ARROWS: dict[str, SymbolKind] = {
+    "arrowstraightleft": "arrow_straight_left",
+    "arrowstraightright": "arrow_straight_right",
+    "arrowleft": "arrow_left",
+    "arrowright": "arrow_right",
+    "arrowstraight": "arrow_straight",
+}
+# German signs of paint: 294 is a stop line, 341 a give-way line, 297 an arrow by its subtype.
+STOP_SIGNAL, YIELD_SIGNAL, ARROW_SIGNAL = "294", "341", "297"
+ARROW_SUBTYPES: dict[str, SymbolKind] = {
+    "10": "arrow_left",
+    "20": "arrow_right",
+    "30": "arrow_straight",
+    "40": "arrow_straight_left",
+    "50": "arrow_straight_right",
+}
+ISLAND_M, MAX_ISLAND_M, MAX_CORNERS = 0.12, 1.0, 1000
+
+
+@dataclass(frozen=True)
+class Furniture:
+    """What a road's objects and signals add to the map."""
+
+    paint: tuple[MapPaint, ...]
+    islands: tuple[MapIsland, ...]
+
+
+def read_furniture(element: Element, road: MapRoad, where: str, left_out: Counter[str]) -> Furniture:
+    """The objects and signals of a road; `left_out` counts the others."""
+    paint, islands = list[MapPaint](), list[MapIsland]()
+    for item in element.iterfind("objects/object"):
+        kind = item.get("type", "none")
+        words = "".join(c for c in f"{item.get('name', '')}{kind}{item.get('subtype', '')}".lower() if c.isalnum())
+        arrow = next((found for word, found in ARROWS.items() if word in words), None)
+        if "crosswalk" in words:
+            outline = _outline(item, road, where)
+            if len(outline) == 4:
+                paint.append(MapPaint(kind="crosswalk", outline=_along(outline, item, road, where)))
+            else:
+                left_out["crosswalks without four corners"] += 1
+        elif any(word in words for word in (*STOP_WORDS, *YIELD_WORDS)):
+            paint += _lines(
+                "give_way_line" if any(word in words for word in YIELD_WORDS) else "stop_line", item, road, where
+            )
+        elif arrow is not None:
+            paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(item, road, where)]
+        elif kind == "trafficIsland":
+            outline = _outline(item, road, where)
+            if 3 <= len(outline) <= MAX_CORNERS:
+                height_m = min(max(number(item, "height", where, ISLAND_M), 0.0), MAX_ISLAND_M)
+                islands.append(MapIsland(outline=outline, height_m=height_m))
+            else:
+                left_out["islands without an outline"] += 1
+        else:
+            left_out[f"objects of type {kind}"] += 1
+    for signal in element.iterfind("signals/signal"):
+        kind, subtype = signal.get("type", ""), signal.get("subtype", "")
+        if kind in (STOP_SIGNAL, YIELD_SIGNAL):
+            paint += _lines("stop_line" if kind == STOP_SIGNAL else "give_way_line", signal, road, where)
+        elif kind == ARROW_SIGNAL and subtype in ARROW_SUBTYPES:
+            paint += [
+                MapPaint(kind=ARROW_SUBTYPES[subtype], lane=lane, s_m=s) for lane, s in _beneath(signal, road, where)
+            ]
+        else:
+            left_out["signals and signs"] += 1
+    for tag in ("objects/tunnel", "objects/bridge"):
+        left_out[f"{tag.partition('/')[2]}s"] += len(element.findall(tag))
+    return Furniture(tuple(paint), tuple(islands))
+
+
+def section_index(road: MapRoad, s_m: float) -> int:
+    """The number of the section at a station."""
+    starts = [section.s_m for section in road.sections]
+    return max(0, int(np.searchsorted(starts, s_m + 1e-9, side="right")) - 1)
+
+
+def edges_at(road: MapRoad, section: MapSection, s_m: float) -> Iterator[tuple[MapLane, float, float]]:
+    """The lanes of a section with the t of their inner and outer edges at a station of the road."""
+    for sign in (1, -1):
+        edge = value(road.lane_offsets, s_m)
+        for lane in sorted((at for at in section.lanes if at.number * sign > 0), key=lambda at: abs(at.number)):
+            outer = edge + sign * max(value(lane.widths, s_m - section.s_m), 0.0)
+            yield lane, edge, outer
+            edge = outer
+
+
+def _driving(item: Element, road: MapRoad, where: str) -> tuple[float, list[tuple[str, MapLane, float, float]]]:
+    """The station of an object and the driving lanes there, with their names and edges."""
+    s = min(max(number(item, "s", where, 0.0), 0.0), road.length_m)
+    i = section_index(road, s)
+    found = [
+        (f"{road.id}.{i}.{lane.number}", lane, min(inner, outer), max(inner, outer))
+        for lane, inner, outer in edges_at(road, road.sections[i], s)
+        if lane.kind == "driving"
+    ]
+    return s, found
+
+
+def _lines(kind: str, item: Element, road: MapRoad, where: str) -> Iterator[MapPaint]:
+    """A line across lanes: those that the object lists as valid, or else those that it is wide enough to cross the
+    middle of; of a mere point beside the road, those of the direction that it faces."""
+    s, lanes = _driving(item, road, where)
+    valid = [
+        range(int(low), int(high) + 1)
+        for entry in item.iterfind("validity")
+        for low, high in [sorted(number(entry, key, where, 0.0) for key in ("fromLane", "toLane"))]
+    ]
+    t, width = number(item, "t", where, 0.0), number(item, "width", where, 0.0)
+    half = max(width, number(item, "length", where, 0.0)) / 2
+    facing = item.get("orientation", "none")
+    for name, lane, low, high in lanes:
+        if valid:
+            is_crossed = any(lane.number in numbers for numbers in valid)
+        elif half > 1.0:
+            is_crossed = abs((low + high) / 2 - t) <= half
+        else:
+            is_crossed = True
+        fits = facing not in ("+", "-") or (facing == "+") == ascends(lane, road.keeps_left)
+        if is_crossed and fits and high > low:
+            yield MapPaint.model_validate({"kind": kind, "lane": name, "s_m": s})
+
+
+def _beneath(item: Element, road: MapRoad, where: str) -> Iterator[tuple[str, float]]:
+    """The lane that an object lies on, and its station."""
+    s, lanes = _driving(item, road, where)
+    t = number(item, "t", where, 0.0)
+    for name, _, low, high in lanes:
+        if low <= t <= high and high > low:
+            yield name, s
+            return
+
+
+def _outline(item: Element, road: MapRoad, where: str) -> tuple[tuple[float, float], ...]:
+    """The corners of an object in the frame of the map: its outline, or the rectangle of its length and width."""
+    s, t = number(item, "s", where, 0.0), number(item, "t", where, 0.0)
+    on_road = list(item.iterfind(".//cornerRoad"))
+    if on_road:
+        at = np.array([[number(corner, key, where) for key in "st"] for corner in on_road])
+        return _open(places(road.plan, at[:, 0], at[:, 1]))
+    local = [[number(corner, key, where) for key in "uv"] for corner in item.iterfind(".//cornerLocal")]
+    if not local:
+        half = [number(item, key, where, 0.0) / 2 for key in ("length", "width")]
+        if min(half) <= 0:
+            return ()
+        local = [[half[0] * a, half[1] * b] for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    heading = float(plan_points(road.plan, np.array([s]))[0, 2]) + number(item, "hdg", where, 0.0)
+    cos, sin = math.cos(heading), math.sin(heading)
+    turned = np.array(local) @ np.array([[cos, sin], [-sin, cos]])
+    return _open(places(road.plan, np.array([s]), np.array([t])) + turned)
+
+
+def _open(corners: Points2) -> tuple[tuple[float, float], ...]:
+    """The corners without a last one that repeats the first."""
+    if len(corners) > 1 and np.allclose(corners[0], corners[-1], atol=1e-3):
+        corners = corners[:-1]
+    return tuple((float(x), float(y)) for x, y in corners)
+
+
+def _along(
+    outline: tuple[tuple[float, float], ...], item: Element, road: MapRoad, where: str
+) -> tuple[tuple[float, float], ...]:
+    """The corners of a crosswalk from that on whose side runs most along the road, as its bars do."""
+    heading = float(plan_points(road.plan, np.array([number(item, "s", where, 0.0)]))[0, 2])
+    corners = np.array(outline)
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.maximum(np.hypot(*sides.T), 1e-9)
+    along = np.abs(sides @ [math.cos(heading), math.sin(heading)]) / lengths
+    first = int(np.argmax(along[:2]))
+    return outline[first:] + outline[:first]

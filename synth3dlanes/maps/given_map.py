@@ -1,0 +1,304 @@
+"""GivenMap: what an OpenDRIVE file has of roads, junctions and paint, and what is left out. Map frame, metres."""
+
+import hashlib
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from pydantic import ValidationError
+
+from synth3dlanes.arrays import Points2
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import read_bounded
+from synth3dlanes.maps.cubics import is_zero, read_cubics, steepened, times, value
+from synth3dlanes.maps.document import MAX_FILE_BYTES, number, parse_xml
+from synth3dlanes.maps.furniture import read_furniture
+from synth3dlanes.maps.lanes import read_sections
+from synth3dlanes.maps.links import LinkedRoad, ascends, lane_links, read_end
+from synth3dlanes.maps.plan import places, read_plan
+from synth3dlanes.road_map import LaneName, MapIsland, MapJunction, MapLane, MapPaint, MapRoad, MapShape
+from synth3dlanes.schema import Name, shown, validation_problems
+from synth3dlanes.words import counted
+
+# Files whose coordinates are larger than this are read relative to a round number near their first road.
+FAR_M, ROUND_M = 1e5, 1000.0
+# Places of a road that say how near it is.
+NEAR_STEP_M = 20.0
+MAX_MAP_ROADS = 100_000
+# Ways are followed no farther than this.
+FAR_ENOUGH_M = 600.0
+
+
+class LanePlace(NamedTuple):
+    """A lane of a given map: its road, the number of its section and its own."""
+
+    road: MapRoad
+    section: int
+    lane: MapLane
+
+    @property
+    def span_m(self) -> tuple[float, float]:
+        """The stations of the road between which the lane lies."""
+        after = self.road.sections[self.section + 1 :]
+        return self.road.sections[self.section].s_m, after[0].s_m if after else self.road.length_m
+
+    @property
+    def length_m(self) -> float:
+        """Its length along the reference line."""
+        low, high = self.span_m
+        return high - low
+
+    @property
+    def ascends(self) -> bool:
+        """Whether its traffic drives with growing s."""
+        return ascends(self.lane, self.road.keeps_left)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenMap:
+    """A map file, read. `origin` is where (0, 0) lies in the file, `names` are our ids of its roads by its own.
+    `left_out` counts what has no counterpart here, by what it is."""
+
+    source: str
+    digest: str
+    origin: tuple[float, float]
+    names: dict[str, Name]
+    roads: dict[Name, MapRoad]
+    links: tuple[tuple[LaneName, LaneName], ...]
+    junctions: tuple[MapJunction, ...]
+    paint: tuple[MapPaint, ...]
+    islands: tuple[MapIsland, ...]
+    left_out: dict[str, int] = field(default_factory=dict)
+
+    @cached_property
+    def lanes(self) -> dict[LaneName, LanePlace]:
+        """All driving lanes by name."""
+        return {
+            f"{road.id}.{i}.{lane.number}": LanePlace(road, i, lane)
+            for road in self.roads.values()
+            for i, section in enumerate(road.sections)
+            for lane in section.lanes
+            if lane.kind == "driving"
+        }
+
+    @cached_property
+    def following(self) -> dict[LaneName, list[LaneName]]:
+        """The lanes that follow each lane that is followed."""
+        found: dict[LaneName, list[LaneName]] = {}
+        for one, other in self.links:
+            found.setdefault(one, []).append(other)
+        return found
+
+    @cached_property
+    def preceding(self) -> dict[LaneName, list[LaneName]]:
+        """The lanes that each lane follows that follows any."""
+        found: dict[LaneName, list[LaneName]] = {}
+        for one, other in self.links:
+            found.setdefault(other, []).append(one)
+        return found
+
+    @cached_property
+    def reach_m(self) -> dict[LaneName, float]:
+        """How far traffic gets from the beginning of each lane, at most FAR_ENOUGH_M; in a circle it gets as far."""
+        found = dict.fromkeys(self.lanes, 0.0)
+        waiting = dict.fromkeys(self.lanes)
+        while waiting:
+            name = next(iter(waiting))
+            del waiting[name]
+            beyond = max((found[after] for after in self.following.get(name, ())), default=0.0)
+            reach = min(self.lanes[name].length_m + beyond, FAR_ENOUGH_M)
+            if reach > found[name]:
+                found[name] = reach
+                waiting |= dict.fromkeys(self.preceding.get(name, ()))
+        return found
+
+    @cached_property
+    def outlines(self) -> dict[Name, Points2]:
+        """Places along the reference line of every road."""
+        return {
+            name: places(road.plan, s := np.linspace(0, road.length_m, 2 + int(road.length_m / NEAR_STEP_M)), 0 * s)
+            for name, road in self.roads.items()
+        }
+
+    def text(self) -> str:
+        """What was read and what was not, as one line."""
+        driving_m = sum(place.length_m for place in self.lanes.values())
+        read = f"{counted(len(self.roads), 'road')}, {counted(len(self.junctions), 'junction')}"
+        left = ", ".join(f"{n} {what}" for what, n in sorted(self.left_out.items()))
+        return f"map {self.source}: {read}, {driving_m / 1000:.1f} km of driving lanes; left out: {left or 'nothing'}"
+
+
+def read_map(path: Path) -> GivenMap:
+    """Read an OpenDRIVE file. Raises InputError or FormatError with one line for a file that is none, or hostile."""
+    try:
+        data = read_bounded(path, MAX_FILE_BYTES)
+    except OSError as error:
+        raise InputError(f"map {path}: cannot read: {error.strerror or error}") from None
+    return read_opendrive(data, path.name, f"map {path}")
+
+
+def read_opendrive(data: bytes, source: str, where: str) -> GivenMap:
+    """The map in the bytes of a file named `source`; FormatErrors begin with `where`."""
+    root = parse_xml(data, where)
+    if root.tag.rpartition("}")[2].rpartition(":")[2] != "OpenDRIVE":
+        raise FormatError(f"{where}: expected an OpenDRIVE file, got one of {shown(root.tag)}")
+    try:
+        return _read(root, hashlib.sha256(data).hexdigest(), source, where)
+    except ValidationError as error:
+        raise FormatError(validation_problems(error, where)[0]) from None
+
+
+def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
+    left_out: Counter[str] = Counter()
+    elements = root.findall("road")
+    if not 0 < len(elements) <= MAX_MAP_ROADS:
+        raise FormatError(f"{where}: expected 1 to {MAX_MAP_ROADS} roads, got {len(elements)}")
+    header = root.find("header")
+    if header is not None and header.find("offset") is not None:
+        left_out["the offset of the header"] += 1
+    origin, names = _origin(elements, where), _names(elements, where)
+    has_heights = any(_has_heights(element, where) for element in elements)
+    roads, linked = dict[Name, MapRoad](), dict[str, LinkedRoad]()
+    paint, islands = list[MapPaint](), list[MapIsland]()
+    by_id = {element.get("id", ""): element for element in root.iterfind("junction")}
+    junction_names = {name: _name(name) for name, at in by_id.items() if at.get("type", "default") == "default"}
+    for element, (id_of_file, name) in zip(elements, names.items(), strict=True):
+        at = f"{where}: road {id_of_file}"
+        road, ends = _road(element, name, origin, has_heights, at, left_out)
+        in_junction = element.get("junction", "-1")
+        roads[name] = road.model_copy(update={"junction": junction_names.get(in_junction)})
+        linked[id_of_file] = ends
+        found = read_furniture(element, roads[name], at, left_out)
+        paint += found.paint
+        islands += found.islands
+    links = lane_links(linked, by_id, left_out)
+    junctions = tuple(
+        MapJunction(id=name, yields=_yields(by_id[id_of_file], linked, left_out))
+        for id_of_file, name in junction_names.items()
+    )
+    for tag in ("controller", "junctionGroup", "station"):
+        left_out[f"{tag}s"] += len(root.findall(tag))
+    counts = {what: n for what, n in left_out.items() if n}
+    return GivenMap(source, digest, origin, names, roads, links, junctions, tuple(paint), tuple(islands), counts)
+
+
+def _origin(elements: list[Element], where: str) -> tuple[float, float]:
+    """A round place near the first road of a map that lies far from (0, 0), else that."""
+    first = next((geometry for element in elements for geometry in element.iterfind("planView/geometry")), None)
+    if first is None:
+        raise FormatError(f"{where}: expected roads with geometry, got none")
+    x, y = (number(first, key, where) for key in "xy")
+    if max(abs(x), abs(y)) < FAR_M:
+        return 0.0, 0.0
+    return round(x / ROUND_M) * ROUND_M, round(y / ROUND_M) * ROUND_M
+
+
+def _name(text: str) -> Name:
+    """The id of a road or junction as one of ours."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in text)[:40] or "_"
+
+
+def _names(elements: list[Element], where: str) -> dict[str, Name]:
+    """Our ids of roads by those of the file."""
+    found: dict[str, Name] = {}
+    for element in elements:
+        id_of_file = element.get("id", "")
+        if id_of_file in found:
+            raise FormatError(f"{where}: expected ids of roads that differ, got {shown(id_of_file)} twice")
+        name = _name(id_of_file)
+        while name in found.values() and name != id_of_file:
+            name += "_"
+        found[id_of_file] = name
+    return found
+
+
+def _has_heights(element: Element, where: str) -> bool:
+    profiles = (("elevationProfile/elevation", "s"), ("lateralProfile/superelevation", "s"))
+    is_level = all(is_zero(read_cubics(element.iterfind(path), key, where)) for path, key in profiles)
+    return not is_level or element.find("lateralProfile/shape") is not None
+
+
+def _road(
+    element: Element, name: Name, origin: tuple[float, float], has_heights: bool, where: str, left_out: Counter[str]
+) -> tuple[MapRoad, LinkedRoad]:
+    plan = read_plan(element, where, origin)
+    length_m = sum(piece.length_m for piece in plan)
+    sections = read_sections(element, length_m, where, left_out)
+    for tag in ("crossfall", "crossSectionSurface"):
+        left_out[f"{tag} of lateral profiles"] += len(element.findall(f"lateralProfile/{tag}"))
+    heights = read_cubics(element.iterfind("elevationProfile/elevation"), "s", where)
+    if has_heights and not heights:
+        heights = read_cubics([Element("elevation")], "s", where)
+    banks = read_cubics(element.iterfind("lateralProfile/superelevation"), "s", where)
+    if not is_zero(banks):
+        left_out["level lanes on banked roads"] += sum(at.get("level") in ("true", "1") for at in element.iter("lane"))
+    keeps_left = element.get("rule", "RHT") == "LHT"
+    road = MapRoad(
+        id=name,
+        plan=plan,
+        sections=tuple(section.whole() for section in sections),
+        lane_offsets=read_cubics(element.iterfind("lanes/laneOffset"), "s", where),
+        heights=heights if has_heights else (),
+        banks=banks if has_heights else (),
+        shapes=tuple(_shape(shape, where) for shape in element.iterfind("lateralProfile/shape")),
+        keeps_left=keeps_left,
+    )
+    before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
+    if not is_zero(banks):
+        road = _from_above(road)
+    return road, LinkedRoad(name, sections, before, after, element.get("junction"), keeps_left)
+
+
+def _shape(element: Element, where: str) -> MapShape:
+    s, t, a, b, c, d = (number(element, key, where, 0.0) for key in ("s", "t", "a", "b", "c", "d"))
+    return MapShape(s_m=s, t_m=t, a=a, b=b, c=c, d=d)
+
+
+def _from_above(road: MapRoad) -> MapRoad:
+    """A banked road, whose widths in the file lie on its banked plane, with those and the fall seen from above."""
+
+    def seen(s_m: float) -> float:
+        return math.cos(value(road.banks, s_m))
+
+    sections = []
+    ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
+    for section, end_m in zip(road.sections, ends, strict=True):
+
+        def here(x_m: float, from_m: float = section.s_m) -> float:
+            return seen(from_m + x_m)
+
+        lanes = tuple(
+            lane.model_copy(update={"widths": times(lane.widths, here, end_m - section.s_m)}) for lane in section.lanes
+        )
+        sections.append(section.model_copy(update={"lanes": lanes}))
+    offsets = times(road.lane_offsets, seen, road.length_m)
+    banks = steepened(road.banks, road.heights, road.length_m, 1)
+    return road.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets, "banks": banks})
+
+
+def _yields(
+    junction: Element, roads: dict[str, LinkedRoad], left_out: Counter[str]
+) -> tuple[tuple[LaneName, LaneName], ...]:
+    """The lanes of roads of low priority, each with every lane of those of high priority that it gives way to."""
+    found: list[tuple[LaneName, LaneName]] = []
+    for priority in junction.iterfind("priority"):
+        pair = [roads.get(priority.get(key, "")) for key in ("low", "high")]
+        if None in pair:
+            left_out["priorities of junctions without two roads"] += 1
+            continue
+        low, high = (
+            [
+                f"{road.id}.0.{number}"
+                for number, lane in road.sections[0].lanes.items()
+                if lane.lane.kind == "driving" and number
+            ]
+            for road in pair
+            if road is not None
+        )
+        found += [(one, other) for one in low for other in high]
+    return tuple(dict.fromkeys(found))

@@ -1,0 +1,162 @@
+"""Lane sections of a given map: the kinds, widths and marks of lanes, and the numbers that they are linked to."""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from xml.etree.ElementTree import Element
+
+from synth3dlanes.errors import FormatError
+from synth3dlanes.maps.cubics import Cubics, difference, moved, read_cubics
+from synth3dlanes.maps.document import number, whole
+from synth3dlanes.maps.marks import read_marks
+from synth3dlanes.road_map import MAX_LANES, MapLane, MapLaneKind, MapSection
+
+RAMPS = ("entry", "exit", "offRamp", "onRamp", "connectingRamp", "slipLane", "mwyEntry", "mwyExit")
+DRIVING = ("driving", *RAMPS, "bidirectional", "bus", "taxi", "HOV", "shared")
+RESTRICTED = ("restricted", "special1", "special2", "special3", "rail", "tram", "roadWorks")
+KINDS: dict[str, MapLaneKind] = {
+    **dict.fromkeys(DRIVING, "driving"),
+    "shoulder": "shoulder",
+    "stop": "shoulder",
+    "border": "border",
+    "parking": "parking",
+    "sidewalk": "walkway",
+    "walking": "walkway",
+    "biking": "cycle",
+    "median": "median",
+    "curb": "kerb",
+    "none": "none",
+    **dict.fromkeys(RESTRICTED, "restricted"),
+}
+SIDES = {"left": 1, "center": 0, "right": -1}
+# Sections begin within a road's length, this far from its end at least.
+END_M = 1e-4
+
+
+@dataclass(frozen=True)
+class SectionLane:
+    """A lane of a section, and the numbers of its lanes before and behind as s grows."""
+
+    lane: MapLane
+    before: tuple[int, ...] = ()
+    after: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """A lane section as a file has it: the lanes by their numbers, from the left."""
+
+    s_m: float
+    lanes: dict[int, SectionLane]
+
+    def whole(self) -> MapSection:
+        """Without the links."""
+        return MapSection(s_m=self.s_m, lanes=tuple(at.lane for at in self.lanes.values()))
+
+
+def read_sections(road: Element, length_m: float, where: str, left_out: Counter[str]) -> tuple[Section, ...]:
+    """The lane sections of a road. A section for a single side keeps the lanes of the other side."""
+    elements = sorted(road.iterfind("lanes/laneSection"), key=lambda at: number(at, "s", where, 0.0))
+    if not elements:
+        raise FormatError(f"{where}: expected a lane section, got none")
+    found: list[Section] = []
+    for element in elements:
+        s_m = number(element, "s", where, 0.0)
+        section = Section(s_m if found else 0.0, _lanes(element, f"{where}: laneSection {s_m:g}", left_out))
+        if found and element.get("singleSide") == "true":
+            section = _with_other_side(section, found[-1])
+        if found and section.s_m - found[-1].s_m < END_M:
+            # A section without length: the lanes of the next one follow those before it.
+            left_out["lane sections without length"] += 1
+            found.pop()
+        if not found or section.s_m < length_m - END_M:
+            found.append(section)
+        else:
+            left_out["lane sections without length"] += 1
+    return tuple(found)
+
+
+def _lanes(section: Element, where: str, left_out: Counter[str]) -> dict[int, SectionLane]:
+    found = {0: SectionLane(MapLane(number=0, kind="none"))}
+    borders: dict[int, Cubics] = {}
+    for side, sign in SIDES.items():
+        for element in section.iterfind(f"{side}/lane"):
+            at = whole(element, "id", where)
+            if at * sign < 0 or (at == 0) != (sign == 0) or abs(at) > MAX_LANES:
+                raise FormatError(f"{where}: {side}: expected lanes numbered up to {MAX_LANES}, got {at}")
+            if at and at in found:
+                raise FormatError(f"{where}: expected one lane {at}, got another")
+            name = f"{where}: lane {at}"
+            widths = read_cubics(element.iterfind("width"), "sOffset", name)
+            borders[at] = () if widths else read_cubics(element.iterfind("border"), "sOffset", name)
+            found[at] = SectionLane(_lane(element, at, widths, name, left_out), *_linked(element, name))
+    if borders:
+        found |= _by_borders(found, borders)
+    found = {at: found[at] for at in sorted(found, reverse=True)}
+    for at in found:
+        if at and at - (1 if at > 0 else -1) not in found:
+            raise FormatError(f"{where}: expected lanes without gaps between their numbers, got lane {at} alone")
+    return found
+
+
+def _lane(element: Element, at: int, widths: Cubics, where: str, left_out: Counter[str]) -> MapLane:
+    name = element.get("type", "none")
+    if at and name not in KINDS:
+        left_out[f"the type {name} of lanes"] += 1
+    direction = element.get("direction", "standard")
+    if name == "bidirectional" or direction == "both":
+        left_out["the other direction of lanes for both"] += 1
+    if element.find("height") is not None:
+        left_out["heights of lanes over the road"] += 1
+    return MapLane(
+        number=at,
+        kind=KINDS.get(name, "none") if at else "none",
+        widths=widths if at else (),
+        marks=read_marks(element, at, where, left_out),
+        against=direction == "reversed",
+    )
+
+
+def _linked(element: Element, where: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    before, after = (
+        tuple(whole(link, "id", where) for link in element.iterfind(f"link/{tag}"))
+        for tag in ("predecessor", "successor")
+    )
+    return before, after
+
+
+def _by_borders(found: dict[int, SectionLane], borders: dict[int, Cubics]) -> dict[int, SectionLane]:
+    """The lanes whose outer borders are given, with their widths: from the outer edge of the lane inside."""
+    told: dict[int, SectionLane] = {}
+    for sign in (1, -1):
+        edge: Cubics = ()
+        for at in sorted((n for n in found if n * sign > 0), key=abs):
+            lane = found[at]
+            if borders.get(at):
+                widths = difference(borders[at], edge, sign)
+                told[at] = replace(lane, lane=lane.lane.model_copy(update={"widths": widths}))
+                edge = borders[at]
+            else:
+                edge = difference(edge, difference((), lane.lane.widths, sign))
+    return told
+
+
+def _with_other_side(section: Section, before: Section) -> Section:
+    """A section with the lanes of the one before on the side of which it has none."""
+    own = {(at > 0) - (at < 0) for at in section.lanes if at}
+    by_m = before.s_m - section.s_m
+    kept = {
+        at: SectionLane(
+            lane.lane.model_copy(
+                update={
+                    "widths": moved(lane.lane.widths, by_m),
+                    "marks": tuple(m.model_copy(update={"s_m": m.s_m + by_m}) for m in lane.lane.marks),
+                }
+            ),
+            (at,),
+            lane.after,
+        )
+        for at, lane in before.lanes.items()
+        if at and (at > 0) - (at < 0) not in own
+    }
+    lanes = section.lanes | kept
+    return Section(section.s_m, {at: lanes[at] for at in sorted(lanes, reverse=True)})

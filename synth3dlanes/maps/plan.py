@@ -1,0 +1,121 @@
+"""The plan of a road of a given map: its reference line from above, and places beside it. Frame of the map, metres."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.arrays import Points2, Scalars
+from synth3dlanes.errors import FormatError
+from synth3dlanes.maps.document import number
+from synth3dlanes.road_map import PlanPiece
+
+# Shorter pieces are left out; pieces may begin this far from where the one before ends.
+SHORT_M, GAP_M = 1e-6, 1.0
+# Points at which the length of a cubic is measured.
+N_LENGTH = 257
+# Nodes and weights on [0, 1] for integrals along spirals.
+NODES, WEIGHTS = (half / 2 for half in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
+NODES = NODES + 0.5
+
+
+def read_plan(road: Element, where: str, origin: tuple[float, float]) -> tuple[PlanPiece, ...]:
+    """The pieces of a road's `planView`; `origin` is where (0, 0) of the result lies in the file. Raises FormatError
+    for a road without length, with unknown geometry or with a gap."""
+    geometries = sorted(road.iterfind("planView/geometry"), key=lambda at: number(at, "s", where, 0.0))
+    lengths = [number(geometry, "length", where) for geometry in geometries]
+    if any(length < 0 for length in lengths) or sum(lengths) < SHORT_M:
+        raise FormatError(f"{where}: expected a plan with a length of more than 0 m, got {sum(lengths):g} m")
+    pieces = [
+        _piece(geometry, length, where, origin)
+        for geometry, length in zip(geometries, lengths, strict=True)
+        if length >= SHORT_M
+    ]
+    for one, other in pairwise(pieces):
+        x, y, _ = plan_points([one], np.array([one.length_m]))[0]
+        gap = float(np.hypot(x - other.x_m, y - other.y_m))
+        if not gap <= GAP_M:
+            raise FormatError(f"{where}: planView: expected geometry without gaps, got one of {gap:.3g} m")
+    return tuple(pieces)
+
+
+def _piece(geometry: Element, length: float, where: str, origin: tuple[float, float]) -> PlanPiece:
+    x, y = (number(geometry, key, where) - at for key, at in zip("xy", origin, strict=True))
+    start = {"x_m": x, "y_m": y, "heading_rad": number(geometry, "hdg", where), "length_m": length}
+    for form in geometry:
+        if form.tag == "line":
+            return PlanPiece(**start)
+        if form.tag == "arc":
+            curvature = number(form, "curvature", where)
+            return PlanPiece(**start, curvature=curvature, curvature_end=curvature)
+        if form.tag == "spiral":
+            ends = {"curvature": number(form, "curvStart", where), "curvature_end": number(form, "curvEnd", where)}
+            return PlanPiece(**start, **ends)
+        if form.tag == "poly3":
+            along, aside = (0.0, 1.0, 0.0, 0.0), _four(form, "", where)
+            return PlanPiece(**start, u=along, v=aside, parameter_end=_parameter_at(along, aside, length))
+        if form.tag == "paramPoly3":
+            end = 1.0 if form.get("pRange", "normalized") == "normalized" else length
+            return PlanPiece(**start, u=_four(form, "U", where), v=_four(form, "V", where), parameter_end=end)
+    raise FormatError(f"{where}: geometry: expected line, arc, spiral, poly3 or paramPoly3, got none of them")
+
+
+def _four(form: Element, axis: str, where: str) -> tuple[float, float, float, float]:
+    a, b, c, d = (number(form, letter + axis, where) for letter in "abcd")
+    return a, b, c, d
+
+
+def _parameter_at(u: Sequence[float], v: Sequence[float], length: float) -> float:
+    """The parameter up to which a cubic is so long."""
+    end = length
+    # A curve over u is never shorter than u.
+    p = np.linspace(0, end, N_LENGTH)
+    return float(np.interp(length, _lengths(u, v, p), p))
+
+
+def _lengths(u: Sequence[float], v: Sequence[float], p: Scalars) -> Scalars:
+    """The lengths of a cubic from its start to parameters that grow."""
+    middle, half = (p[1:] + p[:-1]) / 2, np.diff(p) / 2
+    # Gauss's three nodes in each step.
+    at = middle[:, None] + half[:, None] * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
+    speed = np.hypot(*(c[1] + at * (2 * c[2] + at * 3 * c[3]) for c in (u, v)))
+    return np.concatenate([[0.0], np.cumsum((speed * np.array([5, 8, 5]) / 9).sum(axis=1) * half)])
+
+
+def plan_points(pieces: Sequence[PlanPiece], s: Scalars) -> Float[np.ndarray, "n 3"]:
+    """x, y and heading of a plan at stations; before and behind it, of its ends' tangents."""
+    starts = np.cumsum([0.0, *(piece.length_m for piece in pieces[:-1])])
+    which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
+    found = np.zeros((len(s), 3))
+    for i in np.unique(which):
+        at = which == i
+        found[at] = _piece_points(pieces[i], s[at] - starts[i])
+    return found
+
+
+def _piece_points(piece: PlanPiece, s: Scalars) -> Float[np.ndarray, "n 3"]:
+    inside = np.clip(s, 0, piece.length_m)
+    if piece.u is None or piece.v is None:
+        bend = (piece.curvature_end - piece.curvature) / piece.length_m
+        at = inside[:, None] * NODES
+        turned = at * (piece.curvature + bend * at / 2)
+        u, v = (inside * (form(turned) @ WEIGHTS) for form in (np.cos, np.sin))
+        heading = inside * (piece.curvature + bend * inside / 2)
+    else:
+        p = np.linspace(0, piece.parameter_end, N_LENGTH)
+        lengths = _lengths(piece.u, piece.v, p)
+        at = np.interp(inside, lengths * piece.length_m / max(lengths[-1], SHORT_M), p)
+        u, v = (c[0] + at * (c[1] + at * (c[2] + at * c[3])) for c in (piece.u, piece.v))
+        heading = np.arctan2(*(c[1] + at * (2 * c[2] + at * 3 * c[3]) for c in (piece.v, piece.u)))
+    beyond = s - inside
+    u, v = u + beyond * np.cos(heading), v + beyond * np.sin(heading)
+    cos, sin = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
+    return np.column_stack([piece.x_m + cos * u - sin * v, piece.y_m + sin * u + cos * v, piece.heading_rad + heading])
+
+
+def places(pieces: Sequence[PlanPiece], s: Scalars, t: Scalars) -> Points2:
+    """Places `t` metres to the left of stations."""
+    x, y, heading = plan_points(pieces, s).T
+    return np.column_stack([x - t * np.sin(heading), y + t * np.cos(heading)])

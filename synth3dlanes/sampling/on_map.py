@@ -1,0 +1,180 @@
+"""What is drawn on a given map: the host's place and speed, and the cars around it. World frame, metres."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from synth3dlanes.assets.car_colors import sold_color
+from synth3dlanes.assets.catalogue import Assets
+from synth3dlanes.distributions import Choice, Uniform
+from synth3dlanes.geometry import placement
+from synth3dlanes.geometry.lane_curves import KNOT_M, LaneCurve
+from synth3dlanes.geometry.map_network import MapNetwork
+from synth3dlanes.geometry.map_roads import plan_line
+from synth3dlanes.geometry.roads import NetworkLane
+from synth3dlanes.geometry.section_road import CrossSection, Profile
+from synth3dlanes.maps.given_map import GivenMap
+from synth3dlanes.maps.part import MapPart, part_around
+from synth3dlanes.maps.places import MapStation, draw_place
+from synth3dlanes.road_map import LaneName, MapRoad
+from synth3dlanes.sampling.cars import CAR_GAP_M
+from synth3dlanes.sampling.draws import DECIMALS, Draw
+from synth3dlanes.sampling.traffic import CHECK_EVERY_S, SPEED_TRIES
+from synth3dlanes.scene import Car, Shot
+from synth3dlanes.world import World
+
+# Draws of a place for each car; lanes of the host's roads are so many times as likely as others.
+TRIES, LIKELIER = 60, 3.0
+# The most acceleration to the side (m/s^2), and the length over which a bend is measured.
+SIDEWAYS, BEND_M = 3.0, 4.0
+# What is left of a way at the end of a clip, and the narrowest lane with cars.
+LEFT_M, NARROW_M = 6.0, 2.2
+
+
+class MapPlace(NamedTuple):
+    """A map file, and a place on it for all scenes; None where each scene has one of its own."""
+
+    map: GivenMap
+    at: MapStation | None = None
+
+    def draw(self, rng: np.random.Generator) -> MapPart:
+        """The part of the map around the place, or around one that is drawn."""
+        return part_around(self.map, self.at or draw_place(self.map, rng), rng)
+
+    def description(self) -> dict[str, object]:
+        """The part of `dataset.json` that says which map."""
+        at = {} if self.at is None else {"at": {"lane": self.at.lane, "s_m": self.at.s_m}}
+        return {"file": self.map.source, "digest": self.map.digest, **at}
+
+
+def host_length(part: MapPart) -> float:
+    """How far the host is along the middle of the lanes of its route, seen from above."""
+    by_id = {road.id: road for road in part.map.roads}
+    lengths_m = [
+        _middle_length(by_id[name.rsplit(".", 2)[0]], name, part.s_m if i == part.lane else None)
+        for i, name in enumerate(part.map.route[: part.lane + 1])
+    ]
+    return round(sum(lengths_m), DECIMALS)
+
+
+def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
+    """The length of a lane's middle as its traffic drives, to its end or to a station."""
+    _, section, number = lane.rsplit(".", 2)
+    ends = [at.s_m for at in road.sections] + [road.length_m]
+    low, high = ends[int(section)], ends[int(section) + 1]
+    of = CrossSection.of(road.sections[int(section)].lanes, (low, high), Profile(road.lane_offsets))
+    at = next(i for i, here in enumerate(of.lanes) if here.number == int(number))
+    ascends = (int(number) < 0) ^ road.keeps_left ^ of.lanes[at].against
+    if to_m is not None:
+        low, high = (low, to_m) if ascends else (to_m, high)
+    s = np.linspace(low, high, 2 + int((high - low) / KNOT_M))
+    steps = np.diff(plan_line(road.plan).xy(s, of.middle_line(at)(s)), axis=0)
+    return float(np.hypot(*steps.T).sum())
+
+
+def slowed(network: MapNetwork, at_m: float, shot: Shot) -> Shot:
+    """The shot of a host that drives no faster than the bends and the end of its way allow."""
+    speed_m_s = shot.speed_m_s
+    if speed_m_s:
+        speed_m_s = _allowed(network.way, at_m, speed_m_s, shot.duration_s)
+    return shot.model_copy(update={"speed_m_s": speed_m_s})
+
+
+def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float) -> float:
+    """The speed with which a car can drive along a way for so long."""
+    end_m = min(at_m + speed_m_s * duration_s, way.end_m)
+    s = np.arange(at_m, end_m + 2 * BEND_M, BEND_M / 2)
+    xy = way.xy_world(np.clip(s, 0, way.end_m))
+    heading = np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))
+    turn = np.abs(heading[2:] - heading[:-2]) / BEND_M
+    turn = turn[(s[1:-2] < end_m) & (s[3:] <= way.end_m)]
+    sharpest = max(float(turn.max()) if turn.size else 0.0, 1e-4)
+    fastest = min(speed_m_s, (SIDEWAYS / sharpest) ** 0.5, max(way.end_m - LEFT_M - at_m, 0.0) / max(duration_s, 1e-9))
+    return round(float(fastest), 3)
+
+
+def draw_map_cars(world: World, looks: Draw, speeds: Draw, reach_m: float) -> tuple[Car, ...]:
+    """Cars in the lanes within a distance of the host, which in a clip keep a speed through lanes that follow each
+    other and touch nobody; those without room are left out."""
+    network, shot, rng = world.network, world.scene.shot, looks.rng
+    assert isinstance(network, MapNetwork), "asked only of maps"
+    times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
+    host_m = world.scene.camera.y_m + shot.speed_m_s * times_s
+    host = _footprints(network.way, host_m, world.scene.camera.offset_m, placement.HOST_SIZE_M)
+    taken, cars = [host], list[Car]()
+    near, chances = _near(world, network, reach_m)
+    if not near:
+        return ()
+    for _ in range(looks("n")):
+        model, scale = looks("model"), looks("scale")
+        look = _look(looks, world.scene.assets, model) | {"model": model, "scale": scale}
+        body = world.scene.assets.car_models[model - 1]
+        size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
+        for _ in range(TRIES):
+            lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
+            s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), DECIMALS)
+            route = _onward(network, lane, rng) if shot.n_frames > 1 else ()
+            way = network.way_through([lane, *(network.lanes[name] for name in route)])
+            at_m = way.pieces[0].station(s_m)
+            found = None
+            for wish_m_s in [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if shot.n_frames > 1 else [0.0]:
+                speed_m_s = _allowed(way, at_m, wish_m_s, shot.duration_s) if wish_m_s else 0.0
+                path = _footprints(way, at_m + speed_m_s * times_s, 0.0, size)
+                if not any(placement.overlaps_any(path, other) for other in taken):
+                    found = speed_m_s
+                    break
+            if found is not None:
+                taken.append(path)
+                cars.append(Car(**look, lane=lane.id, s_m=s_m, speed_m_s=found, route=route))
+                break
+    return tuple(cars)
+
+
+def farthest(s_m: Uniform | Choice[float]) -> float:
+    """The greatest distance from the host that stations of cars have."""
+    return max(map(abs, s_m.values if isinstance(s_m, Choice) else (s_m.low, s_m.high)))
+
+
+def _near(world: World, network: MapNetwork, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:
+    """Lanes of traffic near the host, and the sums of their chances."""
+    foot = network.host_points(world.scene.camera, np.zeros(1))[0, :2]
+    own = {lane.road for lane in network.way.lanes}
+    found, chances = [], []
+    for lane in network.lanes.values():
+        s = np.linspace(lane.start_m, lane.end_m, 2 + int((lane.end_m - lane.start_m) / 10))
+        away = np.hypot(*(network.road(lane.road).xy(s, lane.middle(s)) - foot).T)
+        if (away < reach_m).any() and lane.width_m > NARROW_M and lane.end_m - lane.start_m > 1.0:
+            found.append(lane)
+            chances.append((lane.end_m - lane.start_m) * (LIKELIER if lane.road in own else 1.0))
+    return found, np.cumsum(chances)
+
+
+def _onward(network: MapNetwork, lane: NetworkLane, rng: np.random.Generator) -> tuple[LaneName, ...]:
+    """Lanes that follow a lane, each of those that follow one as likely."""
+    route, length_m, at = list[LaneName](), 0.0, lane
+    while length_m < 400.0 and len(route) < 60:
+        after = [name for name in (each.id for each in network.successors(at.id)) if name in network.lanes]
+        if not after:
+            break
+        at = network.lanes[after[int(rng.random() * len(after))]]
+        route.append(at.id)
+        length_m += at.end_m - at.start_m
+    return tuple(route)
+
+
+def _footprints(way: LaneCurve, lengths_m: np.ndarray, offset_m: float, size: tuple[float, float]) -> np.ndarray:
+    """The rectangles of a car at lengths along its way."""
+    inside = np.clip(lengths_m, 0.6, max(way.end_m - 0.6, 0.6))
+    behind, ahead = way.xy_world(inside - 0.5), way.xy_world(inside + 0.5)
+    heading = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1, keepdims=True)
+    middle = way.xy_world(lengths_m) + offset_m * np.stack([heading[:, 1], -heading[:, 0]], axis=-1)
+    return placement.footprint(middle, heading, *size)
+
+
+def _look(looks: Draw, assets: Assets, model: int) -> dict[str, object]:
+    (color,) = zip(*looks.rows(("color",), 3), strict=True)
+    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
+    u_paint, u_shade = looks.rng.random(2)
+    if palette == "sold":
+        color, saturation = sold_color(assets.car_models[model - 1], u_paint, u_shade), 1.0
+    return {"color": color, "gloss": gloss, "saturation": saturation}

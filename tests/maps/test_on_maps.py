@@ -1,0 +1,213 @@
+"""Scenes on given maps: drawn from (seed, split, index) alone, on the roads of the file, clear of each other."""
+
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from synth3dlanes_cli.main import main
+
+from synth3dlanes.errors import InputError
+from synth3dlanes.geometry import placement
+from synth3dlanes.geometry.map_network import MapNetwork
+from synth3dlanes.geometry.motion import car_at
+from synth3dlanes.geometry.terrain import gradient_at, height_at
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.labels import to_json as labels_text
+from synth3dlanes.maps.given_map import read_opendrive
+from synth3dlanes.maps.places import read_place
+from synth3dlanes.maps.plan import plan_points
+from synth3dlanes.params import load_params
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.sampling.map_terrain import road_points, terrain_of
+from synth3dlanes.sampling.on_map import MapPlace
+from synth3dlanes.scene import Gaussian, Terrain, from_json, to_json
+from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import clips
+from synth3dlanes.world import World
+from tests.maps.files import PLAIN, lane, opendrive, plan, road, section
+
+ON = '<predecessor id="{0}"/><successor id="{0}"/>'
+HILLY = '<elevationProfile><elevation s="0" a="12" b="0.03" c="-0.0001" d="0"/></elevationProfile>'
+BENDS = plan(
+    ("<line/>", 150.0), ('<arc curvature="0.01"/>', 120.0), ("<line/>", 200.0), ('<arc curvature="-0.02"/>', 60.0)
+)
+
+
+def link(before: str = "", after: str = "") -> str:
+    """Links of a road to others, as NAME:CONTACT."""
+    texts = []
+    for tag, text in (("predecessor", before), ("successor", after)):
+        name, _, contact = text.partition(":")
+        if text:
+            texts.append(f'<{tag} elementType="road" elementId="{name}" contactPoint="{contact}"/>')
+    return "".join(texts)
+
+
+@cache
+def file(profile: str = "") -> bytes:
+    """A map of one road with two lanes in each direction."""
+    lanes = section(*(lane(n, PLAIN, link=ON.format(n)) for n in (2, 1, -1, -2)))
+    return opendrive(road(BENDS, lanes, "r 1", profile=profile))
+
+
+def scenes(profile: str = "", preset: str = "streets", frames: int = 1, **changes: str) -> Scenes:
+    """Scenes on it."""
+    given = read_opendrive(file(profile), "bends.xodr", "map bends.xodr")
+    params = load_params(preset, tuple(f"{key}={value}" for key, value in changes.items()))
+    return Scenes(params, 3, "train", shots=clips(frames, 5.0, ()), map=MapPlace(given))
+
+
+@cache
+def world(index: int, profile: str = "", frames: int = 1) -> World:
+    """A world of these."""
+    return sample_world(scenes(profile, frames=frames), index)
+
+
+def test_a_scene_has_its_map_and_is_the_same_when_drawn_or_read_again() -> None:
+    scene = world(0).scene
+    assert scene.map is not None
+    assert (scene.map.source, scene.road) == ("bends.xodr", None)
+    assert from_json(to_json(scene), "scene") == scene == sample_world(scenes(), 0).scene
+    assert scene != world(1).scene
+    again = ground_truth(from_json(to_json(scene), "scene"))
+    assert labels_text(again) == labels_text(ground_truth(scene))
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_the_host_is_at_its_place_on_its_lane(index: int) -> None:
+    """The world's origin is on the reference line beside the host."""
+    found = world(index, HILLY)
+    foot = found.view.world_from_road[:3, 3]
+    roads = found.scene.map
+    assert roads is not None
+    assert abs(foot[1]) < 0.02 * np.hypot(*foot[:2]) + 0.02
+    number = abs(int(roads.route[0].rpartition(".")[2]))
+    assert abs(foot[0]) == pytest.approx(3.5 * (number - 0.5), abs=1.3)
+    assert abs(foot[2]) < 0.5
+    x, y, heading = plan_points(roads.roads[0].plan, np.array([0.0]))[0]
+    del x, y
+    assert found.view.world_from_road[1, 1] > 0.99
+    assert np.isfinite(heading)
+
+
+def test_with_a_place_every_scene_is_there() -> None:
+    given = read_opendrive(file(), "bends.xodr", "map bends.xodr")
+    there = replace(scenes(), map=MapPlace(given, read_place(given, "r 1:200:-2")))
+    found = [sample_world(there, index).scene for index in range(2)]
+    assert [scene.map.route for scene in found if scene.map] == [("r_1.0.-2",)] * 2
+    # The lane is on the inside of no bend before 150 m, and outside of one behind.
+    assert found[0].camera.y_m == pytest.approx(150 + 50 * (1 + 0.01 * 5.25), abs=0.01)
+
+
+def test_cars_touch_neither_each_other_nor_the_host_in_any_frame() -> None:
+    found = sample_world(scenes(frames=8, **{"cars.n": "8"}), 0)
+    network, scene = found.network, found.scene
+    assert isinstance(network, MapNetwork)
+    assert len(scene.cars) >= 3
+    assert scene.shot.speed_m_s > 0
+    for time_s in np.linspace(0, scene.shot.duration_s, 8):
+        places = []
+        for car in scene.cars:
+            at, body = car_at(network, car, float(time_s)), scene.assets.car_models[car.model - 1]
+            size = body.length_m * car.scale, body.width_m * car.scale
+            places.append(placement.footprint(*placement.car_place(network, at.lane, at.s_m, 0.0), *size))
+        host = scene.camera.y_m + scene.shot.speed_m_s * float(time_s)
+        ends = network.way.xy_world(np.array([host - 0.5, host, host + 0.5]))
+        places.append(placement.footprint(ends[1], ends[2] - ends[0], *placement.HOST_SIZE_M))
+        assert not any(placement.overlaps_any(a, b) for a, b in combinations(places, 2))
+
+
+def test_a_host_is_slower_in_bends() -> None:
+    """In a clip nobody is pressed aside with more than 3 m/s2: the sharpest bend has a radius of 50 m."""
+    fast = [
+        sample_world(scenes(frames=10, **{"motion.host_speed_m_s": "30"}), i).scene.shot.speed_m_s for i in range(6)
+    ]
+    assert max(fast) <= 30.0
+    assert min(fast) < 18.0
+    assert all(speed > 5.0 for speed in fast)
+
+
+def test_the_ground_meets_the_roads_and_goes_on_as_hills() -> None:
+    roads = world(1, HILLY).scene.map
+    assert roads is not None
+    hills = Terrain(
+        gaussians=tuple(
+            Gaussian(center_m=(x, y), magnitude_m=h, sd_m=(50.0, 70.0), orientation_rad=0.4)
+            for x, y, h in ((60.0, 40.0, 8.0), (-50.0, -60.0, -6.0))
+        )
+    )
+    ground = terrain_of(roads, hills)
+    points = np.concatenate([road_points(at) for at in roads.roads])
+    apart = points[:, 2] - height_at(ground, points[:, :2])
+    assert np.abs(apart).max() < 0.25
+    # Between the roads and the ends of the grid the hills are there.
+    grid = np.stack(np.meshgrid(np.linspace(-150, 150, 25), np.linspace(-150, 150, 25)), -1).reshape(-1, 2)
+    far = np.min(np.linalg.norm(grid[:, None] - points[None, ::8, :2], axis=2), axis=1) > 60
+    assert np.ptp(height_at(ground, grid)[far]) > 3.0
+    e = 1e-3
+    numeric = np.stack(
+        [(height_at(ground, grid + d) - height_at(ground, grid - d)) / (2 * e) for d in np.eye(2) * e], -1
+    )
+    assert np.abs(gradient_at(ground, grid) - numeric).max() < 1e-6
+
+
+def test_a_flat_map_lies_on_our_hills() -> None:
+    scene = world(0).scene
+    assert scene.terrain.base is None
+    assert len(scene.terrain.gaussians) > 0
+
+
+def test_hosts_are_everywhere_on_the_map() -> None:
+    lanes = Counter(world(index).scene.map.route[-1] for index in range(12))  # type: ignore[union-attr]
+    assert len(lanes) >= 3
+
+
+def test_a_recipe_names_the_file_and_its_digest() -> None:
+    recipe = Recipe(scenes(), RenderSettings(), "jpg")
+    assert recipe.description()["map"] == {"file": "bends.xodr", "digest": scenes().map.map.digest}  # type: ignore[union-attr]
+    other = Recipe(scenes(HILLY), RenderSettings(), "jpg")
+    assert other.description() != recipe.description()
+    assert "map" not in Recipe(replace(scenes(), map=None), RenderSettings(), "jpg").description()
+
+
+def run(tmp_path: Path, *args: str) -> tuple[int, str]:
+    """Exit code and output of `generate --dry-run`."""
+    (tmp_path / "m.xodr").write_bytes(file())
+    given = ["generate", "--n", "2", "--out", str(tmp_path / "out"), "--dry-run", *args]
+    result = CliRunner().invoke(main, [text.replace("M.xodr", str(tmp_path / "m.xodr")) for text in given])
+    return result.exit_code, result.output
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["--at", "r 1:3:-1"], "--at has no effect without --map"),
+        (["--map", "M.xodr", "--set", "road.n_lanes=3"], "road.n_lanes=3 has no effect with --map"),
+        (["--map", "M.xodr", "--set", "camera.y_m=-20"], "camera.y_m=-20 has no effect with --map"),
+        (["--map", "M.xodr", "--at", "r 2:3:-1"], "expected a road of m.xodr, got 'r 2'; did you mean r 1?"),
+        (["--map", "M.xodr", "--at", "r 1:3:7"], "expected a driving lane of road r 1 there (2, 1, -1, -2), got 7"),
+    ],
+)
+def test_what_has_no_effect_or_is_not_there_is_refused(tmp_path: Path, args: list[str], message: str) -> None:
+    code, output = run(tmp_path, *args)
+    assert code == 2
+    assert message in " ".join(output.split())
+
+
+def test_the_plan_says_what_is_left_out(tmp_path: Path) -> None:
+    code, output = run(tmp_path, "--map", "M.xodr")
+    assert code == 0, output
+    assert "map m.xodr: 1 road, 0 junctions, 2.1 km of driving lanes; left out: nothing" in output
+
+
+def test_a_map_without_driving_lanes() -> None:
+    walk = opendrive(road(plan(("<line/>", 90.0)), section(lane(-1, kind="sidewalk"))))
+    given = read_opendrive(walk, "w.xodr", "map w.xodr")
+    with pytest.raises(InputError, match=r"map w.xodr: expected driving lanes, got none"):
+        sample_world(replace(scenes(), map=MapPlace(given)), 0)

@@ -1,0 +1,120 @@
+"""Scenes written as OpenDRIVE and read back as maps: the same lanes in the same places, and the same graph."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from synth3dlanes.arrays import Points3
+from synth3dlanes.formats.opendrive.write import opendrive
+from synth3dlanes.geometry.section_road import Shapes
+from synth3dlanes.maps.cubics import value
+from synth3dlanes.maps.furniture import edges_at
+from synth3dlanes.maps.given_map import GivenMap, LanePlace, read_opendrive
+from synth3dlanes.maps.plan import places
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.sampling.on_map import MapPlace
+from synth3dlanes.world import World
+from tests.maps.files import lane, plan, road, section
+from tests.maps.files import opendrive as file_of
+from tests.thorough import first
+
+PRESETS = ("streets", "town", "appendix_i", "diverse", "realistic")
+NEAR_M, HEIGHT_M, STEEP = 0.02, 0.03, 0.4
+
+
+def segments(text: str, given: GivenMap) -> dict[str, str]:
+    """The segments of our lane graph by the names of a map's lanes."""
+    return {
+        f"{given.names[str(road.get('id'))]}.{i}.{lane.get('id')}": str(data.get("value"))
+        for road in ElementTree.fromstring(text).iter("road")
+        for i, part in enumerate(road.iter("laneSection"))
+        for lane in part.iter("lane")
+        for data in lane.iter("userData")
+    }
+
+
+def middle(place: LanePlace) -> Points3:
+    """Points of the middle of a lane of a map."""
+    low, high = place.span_m
+    s = np.linspace(low, high, 3 + int(high - low))
+    section = place.road.sections[place.section]
+    t = np.array(
+        [
+            next((a + b) / 2 for at, a, b in edges_at(place.road, section, x) if at.number == place.lane.number)
+            for x in s.tolist()
+        ]
+    )
+    bank = np.array([value(place.road.banks, x) for x in s])
+    z = np.array([value(place.road.heights, x) for x in s]) + np.tan(bank) * t
+    if place.road.shapes:
+        z += Shapes(place.road.shapes)(s, t / np.cos(bank)) / np.cos(bank)
+    return np.column_stack([places(place.road.plan, s, t), z])[1:-1]
+
+
+def off(points: Points3, world: World, segment: str) -> tuple[float, float]:
+    """How far points are from the middle of a lane of a world, from above and in height."""
+    lane = world.network.lanes[segment]
+    own = world.network.road(lane.road)
+    ends = np.clip([lane.start_m, lane.end_m], -270.0, 270.0) if world.scene.map is None else (lane.start_m, lane.end_m)
+    s = np.linspace(*ends, 10 + int(20 * (ends[1] - ends[0])))
+    line = own.base_points(s, lane.middle(s)) if world.scene.map is not None else own.points(s, lane.middle(s))
+    apart, nearest = cKDTree(line[:, :2]).query(points[:, :2])
+    step = float(np.max(np.hypot(*np.diff(line[:, :2], axis=0).T)))
+    aside = np.sqrt(np.maximum(apart**2 - (step / 2) ** 2, 0.0))
+    # The paper's steepest ramps climb by more than their length; a rolled plane there moves places along the road.
+    along = np.hypot(*np.gradient(line[:, :2], axis=0).T)
+    level = np.abs(np.gradient(line[:, 2]))[nearest] < STEEP * along[nearest]
+    return float(aside.max()), float(np.abs(points[:, 2] - line[nearest, 2])[level].max(initial=0.0))
+
+
+def check(world: World) -> None:
+    """Write a world, read the file, and compare."""
+    text = opendrive(world, "scene")
+    given = read_opendrive(text.encode(), "scene.xodr", "map scene.xodr")
+    names = segments(text, given)
+    assert set(names) == set(given.lanes)
+    assert set(names.values()) == set(world.network.lanes)
+    graph = {(names[a], names[b]) for a, b in given.links}
+    assert {(a, b) for a, b in graph if a != b} == {(a, b) for a, b in world.network.links if a != b}
+    for name, place in given.lanes.items():
+        aside_m, height_m = off(middle(place), world, names[name])
+        assert aside_m < NEAR_M, name
+        assert height_m < HEIGHT_M, name
+
+
+@pytest.mark.parametrize("preset", first(2, PRESETS))
+def test_scenes_of_presets_come_back(preset: str) -> None:
+    for index in range(2):
+        check(sample_world(Scenes(load_params(preset), 5, "round"), index))
+
+
+def forks() -> Iterator[str]:
+    """A road that parts into two without a connecting road."""
+    on = section(lane(-1, link='<predecessor id="-1"/>'))
+    yield road(
+        plan(("<line/>", 120.0), ('<spiral curvStart="0" curvEnd="0.01"/>', 60.0)),
+        section(lane(-1), lane(-2), lane(1)),
+        "1",
+        link='<successor elementType="junction" elementId="9"/>',
+        profile='<lateralProfile><superelevation s="0" a="0.05" b="0.0004" c="0" d="0"/></lateralProfile>',
+    )
+    yield '<junction id="9" type="direct"><connection id="0" incomingRoad="1" linkedRoad="2" contactPoint="start">'
+    yield '<laneLink from="-1" to="-1"/></connection>'
+    yield '<connection id="1" incomingRoad="1" linkedRoad="3" contactPoint="start"><laneLink from="-2" to="-1"/>'
+    yield "</connection></junction>"
+    for name, y in (("2", 2.0), ("3", -2.0)):
+        pieces = plan((f'<arc curvature="{y / 1000}"/>', 150.0), start=(179.6, 6.0 + y, 0.3))
+        yield road(pieces, on, name, link='<predecessor elementType="junction" elementId="9"/>')
+
+
+def test_given_maps_come_back_with_banks_and_direct_junctions() -> None:
+    given = read_opendrive(file_of(*forks()), "forks.xodr", "map forks.xodr")
+    assert set(given.links) == {("1.0.-1", "2.0.-1"), ("1.0.-2", "3.0.-1")}
+    scenes = replace(Scenes(load_params("streets"), 5, "round"), map=MapPlace(given))
+    for index in range(2):
+        check(sample_world(scenes, index))
