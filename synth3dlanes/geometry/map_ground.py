@@ -342,6 +342,14 @@ class MapGround(Ground):
         )
         return np.asarray(distance.reshape(xy_world.shape[:-1]))
 
+    def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Distance from the nearest pavement of traffic, negative on it."""
+        area = self.carriageways
+        flat = shapely.points(xy_world.reshape(-1, 2))
+        inside = shapely.contains_properly(area, flat)
+        distance = np.where(inside, -shapely.distance(shapely.boundary(area), flat), shapely.distance(area, flat))
+        return np.asarray(distance.reshape(xy_world.shape[:-1]))
+
     def shows(self, curve: LaneCurve) -> bool:
         """Whether a line's paint is near enough to be drawn."""
         s = np.linspace(0.0, curve.end_m, 2 + int(curve.end_m / PAINT_STEP_M))

@@ -144,9 +144,14 @@ def _through(evidence: Evidence) -> Iterator[Result]:
 
 
 def check_roadside(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about structures on a pavement. What stands on a median is left to the road's own checks."""
+    """Findings about structures on a pavement; poles may stand on the walkways of a map. What stands on a median is
+    left to the road's own checks."""
+    ground = evidence.world.ground
     for name, feet in _feet(evidence):
-        inside_m = -np.nan_to_num(places(evidence.world.ground, feet).outside(), nan=np.inf)
+        if isinstance(ground, MapGround) and not name.startswith("buildings"):
+            inside_m = -ground.off_carriageways(feet)
+        else:
+            inside_m = -np.nan_to_num(places(ground, feet).outside(), nan=np.inf)
         wrong = int((inside_m > ROOM_M).sum())
         if wrong:
             reason = (

@@ -32,9 +32,10 @@ PRIORITY_M, SPEED_M = 16.0, 62.0
 # Buildings begin so far from where an arm does (before it: at the corner); steps where there is no room; gaps; fronts
 # behind walkways, by kind.
 FIRST_M, STEP_M, GAPS_M = -12.0, 4.0, (0.6, 9.0)
-SETBACK_M = {"house": (3.0, 8.0), "block": (0.4, 3.0), "hall": (6.0, 14.0)}
+SETBACK_M = {"house": (3.0, 8.0), "block": (0.8, 3.0), "hall": (6.0, 14.0)}
 KINDS: tuple[Literal["house", "hall", "block"], ...] = ("block", "house", "hall")
-ROOM_M, RIM_M, MOST_BUILDINGS = 0.35, 1.5, 110
+# Walls keep off pavements so far that eaves do.
+ROOM_M, RIM_M, MOST_BUILDINGS = 0.95, 1.5, 110
 TREES_APART_M, TREE_BEHIND_M = 11.0, 1.2
 
 

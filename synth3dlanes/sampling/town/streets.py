@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from synth3dlanes.road_map import MapLane, MapLaneKind, MapMark, MapMarkKind, MapRoad, MapSection, PlanPiece, Polynomial
 
-PARKING_M, KERB_M, SHOULDER_M = 2.2, 0.15, 0.75
+PARKING_M, KERB_M, SHOULDER_M, GUTTER_M = 2.2, 0.15, 0.75, 0.3
 # Turn lanes, and what is left of a median beside one.
 TURN_LANE_M, RESIDUAL_M = 3.0, 0.8
 # Before a junction nobody parks for this long; widths change over these lengths.
@@ -82,7 +82,8 @@ class StreetForm:
     def cross(self, pocket: Pocket = NO_POCKET, near: bool = False) -> Cross:
         """The cross section, near a junction or along the street."""
         outer = {f"lane{i + 1}": self.lane_m for i in range(self.n_lanes)}
-        ends = {"kerb": KERB_M, "walkway": self.walkway_m} if self.walkway_m else {"shoulder": SHOULDER_M}
+        ends = {"shoulder": GUTTER_M if self.walkway_m else SHOULDER_M}
+        ends |= {"kerb": KERB_M, "walkway": self.walkway_m} if self.walkway_m else {}
         parking = {"parking": PARKING_M} if self.parking and not near else {}
         half_m = self.median_m / 2
         if not pocket.left:
@@ -245,8 +246,10 @@ class Street:
             return (MapMark(kind="solid", yellow=self.profile.yellow),)
         if key in LANES and outer in LANES:
             return (MapMark(kind="solid" if piece.near else "dashed"),)
-        if key in LANES and (outer in ("shoulder", "parking") or self.profile.edge_lines):
-            return (MapMark(kind="dashed" if outer == "parking" else "solid"),)
+        if key in LANES and outer == "parking":
+            return (MapMark(kind="dashed"),)
+        if key in LANES and (self.profile.edge_lines or not self.profile.walkway_m):
+            return (MapMark(kind="solid"),)
         return ()
 
 
