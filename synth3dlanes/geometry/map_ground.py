@@ -356,15 +356,15 @@ class MapGround(Ground):
         return bool((self.away_on(curve, s) < PAINT_M).any())
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
-        """The upper edges of kerbs within reach of the labels: they hide what lies close behind them."""
+        """The upper edges of kerbs and islands within reach of the labels: they hide what lies close behind them."""
         near = shapely.box(*self.way_box(CREST_REACH_M))
-        walkways = self._raised[0][0]
-        lines = shapely.intersection(shapely.boundary(walkways), near)
         found = []
-        for line in shapely.get_parts(shapely.line_merge(shapely.simplify(lines, CREST_SLACK_M))):
-            xy = shapely.get_coordinates(shapely.segmentize(line, CREST_STEP_M))
-            if len(xy) > 1:
-                found.append(np.column_stack([xy, self.under(xy) + KERB_M]))
+        for area, raised_m in self._raised:
+            lines = shapely.intersection(shapely.boundary(area), near)
+            for line in shapely.get_parts(shapely.line_merge(shapely.simplify(lines, CREST_SLACK_M))):
+                xy = shapely.get_coordinates(shapely.segmentize(line, CREST_STEP_M))
+                if len(xy) > 1:
+                    found.append(np.column_stack([xy, self.under(xy) + raised_m]))
         return found
 
 

@@ -269,13 +269,16 @@ def _host_of(scene: Scene, camera: CameraLabel) -> Matrix4:
     return np.asarray(camera.world_from_cam @ invert(camera.road_from_cam) @ invert(place))
 
 
-def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, float]:
-    """Two estimates of how far right of a lane a point beside it is: the distance to the line through the lane's point
-    nearest to it and the next one, and the signed distance to that point (for a lane that opens, which is not parallel
-    to the road)."""
+def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, ...]:
+    """Estimates of how far right of a lane a point beside it is: the distance to the line through the lane's point
+    nearest to it and the next one, the signed distance to that point (for a lane that opens, which is not parallel to
+    the road), and the distance to the parabola through three points there (for a bend that begins ahead of the host)."""
     points = transform(labels.camera.world_from_cam, lane.xyz_cam)[:, :2]
     nearest = min(int(np.hypot(*(points - foot).T).argmin()), len(points) - 2)
     first, second = points[nearest : nearest + 2]
     (dx, dy), (x, y) = (second - first) / np.linalg.norm(second - first), foot - first
     across_m = float(x * dy - y * dx)
-    return across_m, float(np.copysign(np.hypot(x, y), across_m))
+    three = points[max(min(nearest - 1, len(points) - 3), 0) :][:3] - first
+    along, aside = three @ [dx, dy], three @ [dy, -dx]
+    bent_m = float(np.polyval(np.polyfit(along, aside, len(three) - 1), x * dx + y * dy))
+    return across_m, float(np.copysign(np.hypot(x, y), across_m)), across_m - bent_m

@@ -14,7 +14,7 @@ def test_an_export_of_no_frame_fails(run: Callable[..., Result], in_tmp_path: Pa
     narrow = fake_samples.recipe(overrides=("camera.horizontal_fov_deg=20",))
     generate(Plan("d", 2, narrow, workers=1, maker=fake_samples.make_labelled), lambda event: None)
     for more in ((), ("--verify",)):
-        result = run("export", "d", "--format", "tusimple", "--out", "e", *more)
+        result = run("export", "d", "--format", "apollo", "--out", "e", *more)
         assert (result.exit_code, result.stdout) == (1, ""), result.output
         line = result.stderr.splitlines()[-1]
         assert "e: expected a frame to export, got none: 2 its field of view is narrower than" in line

@@ -35,7 +35,7 @@ FIRST_M, STEP_M, GAPS_M = -12.0, 4.0, (0.6, 9.0)
 SETBACK_M = {"house": (3.0, 8.0), "block": (0.8, 3.0), "hall": (6.0, 14.0)}
 KINDS: tuple[Literal["house", "hall", "block"], ...] = ("block", "house", "hall")
 # Walls keep off pavements so far that eaves do.
-ROOM_M, RIM_M, MOST_BUILDINGS = 0.95, 1.5, 110
+ROOM_M, RIM_M, MOST_BUILDINGS = 1.2, 1.5, 110
 TREES_APART_M, TREE_BEHIND_M = 11.0, 1.2
 
 
