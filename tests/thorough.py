@@ -5,8 +5,15 @@ from typing import Any
 
 import pytest
 
+from synth3dlanes.params import preset_names
+
 
 def first(n: int, cases: Iterable[Any]) -> list[Any]:
     """The cases as parameters of a test; those after the first `n` are thorough."""
     values = [case if isinstance(case, tuple) else (case,) for case in cases]
     return [pytest.param(*value, marks=[pytest.mark.thorough] * (i >= n)) for i, value in enumerate(values)]
+
+
+def presets() -> list[Any]:
+    """The names of all presets; `town`, whose traffic takes a second a scene, is thorough."""
+    return [pytest.param(name, marks=[pytest.mark.thorough] * (name == "town")) for name in preset_names()]

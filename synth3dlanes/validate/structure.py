@@ -272,7 +272,7 @@ def _host_of(scene: Scene, camera: CameraLabel) -> Matrix4:
 def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, ...]:
     """Estimates of how far right of a lane a point beside it is: the distance to the line through the lane's point
     nearest to it and the next one, the signed distance to that point (for a lane that opens, which is not parallel to
-    the road), and the distance to the parabola through three points there (for a bend that begins ahead of the host)."""
+    the road), and the distance to the parabola through three points there (for a bend that begins there)."""
     points = transform(labels.camera.world_from_cam, lane.xyz_cam)[:, :2]
     nearest = min(int(np.hypot(*(points - foot).T).argmin()), len(points) - 2)
     first, second = points[nearest : nearest + 2]

@@ -12,9 +12,10 @@ from synth3dlanes.figures.histograms import _of_labels, declared_shares, histogr
 from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import forms, load_params, preset_names
+from synth3dlanes.params import forms, load_params
 from synth3dlanes.sample import Scenes, _road, sample_scene
 from synth3dlanes.sampling.draws import draws_of
+from tests.thorough import presets
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def test_drawn_scenes_agree_with_what_was_declared(scenes):
     assert {row.key for row in statistics.parameters} == {
         f"{name}.{key}"
         for name, group in params
-        if name not in ("symbols", "roadside", "motion")
+        if name not in ("symbols", "roadside", "motion", "town")
         for key in type(group).model_fields
     } - texts
     assert [row.key for row in statistics.parameters if not is_fine(row)] == []
@@ -53,13 +54,15 @@ FEW = {
 }
 
 
-@pytest.mark.parametrize("name", preset_names())
+@pytest.mark.parametrize("name", presets())
 def test_every_preset_draws_what_it_declares(name):
     params = load_params(name, FEW.get(name, ["trees.n=0"]))
     statistics = scene_statistics([sample_scene(Scenes(params, 11, "train"), index) for index in range(60)], params)
     assert [row for row in statistics.parameters if not is_fine(row)] == []
     varied = {row.key for row in statistics.parameters if row.p_value is not None}
-    assert {"road.n_lanes", "road.median_m", "road.n_oncoming", "camera.lane", "air.visibility_m"} <= varied
+    of_road = {"road.n_lanes", "road.median_m", "road.n_oncoming", "camera.lane"}
+    of_town = {"town.lane_width_m", "town.bend_deg", "town.corner_m", "town.angle_deg"}
+    assert {"air.visibility_m", *(of_town if params.is_town else of_road)} <= varied
 
 
 def test_three_per_cent_of_the_roads_with_other_lanes_are_found():

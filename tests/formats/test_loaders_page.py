@@ -87,7 +87,9 @@ def test_scenes_and_labels_of_all_recipes_have_one_schema():
 
 @pytest.mark.parametrize("shots", [Shots(), Shots(cameras=RIG)], ids=["streets", "rig"])
 def test_tars_of_streets_become_arrow_tables(tmp_path, shots):
-    recipe = Recipe(Scenes(load_params("streets", SMALL), 1, "train", shots=shots), RenderSettings(), "jpg")
+    # The page says that what the first five samples lack is refused: signs and signals are seldom in all of them.
+    params = load_params("streets", (*SMALL, "roadside.exit_signs=false", "roadside.lane_signals=false"))
+    recipe = Recipe(Scenes(params, 1, "train", shots=shots), RenderSettings(), "jpg")
     generate(Plan(str(tmp_path / "data"), 16, recipe, workers=1, maker=fake_samples.make_labelled), lambda event: None)
     columns = EXAMPLES[1].replace(", streaming=True", "")
     reader = Reader(str(tmp_path / "data/train"))

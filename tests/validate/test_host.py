@@ -7,12 +7,13 @@ import pytest
 
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import load_params, preset_names
+from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
+from tests.thorough import presets
 from tests.validate.examining import findings
 
 # Before a split, and before a merge: beside lanes that open, too.
@@ -23,7 +24,7 @@ def faults(scene: Scene, labels: Labels) -> list[tuple[str, str]]:
     return [(found.lane, found.reason) for found in findings(Evidence(resolve(scene), labels), "host")]
 
 
-@pytest.mark.parametrize("preset", preset_names())
+@pytest.mark.parametrize("preset", presets())
 def test_every_drawn_scene_keeps_it(preset: str) -> None:
     for index in range(8):
         scene = sample_scene(Scenes(load_params(preset)), index)

@@ -23,7 +23,7 @@ from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import load_params, preset_names
+from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
@@ -35,6 +35,7 @@ from synth3dlanes.shots import clips
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.origin import MANY, Origin, drawn_otherwise
 from tests import fake_samples
+from tests.thorough import presets
 from tests.validate import examining
 from tests.validate.sealing import check, describe, seal
 
@@ -86,7 +87,7 @@ def edit(root: Path, index: int, change: Callable[[dict], object], split: str = 
     seal(root, apply, split)
 
 
-@pytest.mark.parametrize("preset", preset_names())
+@pytest.mark.parametrize("preset", presets())
 def test_scenes_are_those_drawn_again(preset: str) -> None:
     recipe = replace(RECIPE, scenes=replace(RECIPE.scenes, params=load_params(preset)))
     origin = Origin.model_validate(json.loads(json.dumps(recipe.description())))
