@@ -100,7 +100,7 @@ class PartOf(click.ParamType):
     "--map",
     "map_file",
     metavar="FILE",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=click.Path(dir_okay=False, path_type=Path),
     help="Place scenes on the roads of an OpenDRIVE file (docs/maps.md).",
 )
 @click.option("--at", metavar="ROAD:S:LANE", help="With --map: the host's place, in place of a random one.")
