@@ -42,6 +42,12 @@ FINE_M, FINE_BEHIND_M = 165.0, 10.0
 CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
 # Roads are looked for at least this much farther than their verges reach.
 NEAR_M = 3.0
+HORIZON_M = 4000.0
+ROAD_BEHIND_M = 30.0
+# From here to the horizon each row of the road is longer than the previous one by this fraction.
+FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
+# A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
+STEEP_M = 1.0
 
 
 class Beside(NamedTuple):
@@ -89,9 +95,29 @@ class Ground:
         """Whether a line's paint is drawn at all."""
         return True
 
-    def measured_rows(self, curve: LaneCurve) -> Scalars:
-        """The stations of the rows of the paint of a map's curve."""
-        raise NotImplementedError
+    @cached_property
+    def rows_driven_m(self) -> Scalars:
+        """Stations of the rows of road and paint as the host drives, to beyond the horizon: half a metre apart near the
+        host, more far away, less on a ramp that needs it. 0, where roads may begin, is always among them."""
+        n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
+        ahead = [
+            np.arange(0, 80, 0.5),
+            np.arange(80, 160, 1.0),
+            np.arange(160, FAR_ROWS_M, 2.0),
+            FAR_ROWS_M * (1 + FAR_ROWS_GROWTH) ** np.arange(n_far),
+        ]
+        rows = [
+            *((-part for part in ahead) if self.both_ways else [np.arange(-ROAD_BEHIND_M, 0, 1.0)]),
+            np.arange(0, self.driven_m, 0.5),
+            *(self.driven_m + part for part in ahead),
+        ]
+        ramps = [road.ramp.stations for road in self.network.roads if road.ramp]
+        steep = [self.network.stations(ramp) for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
+        return np.unique(np.concatenate([self.near_m + np.concatenate(rows), *steep, [0.0]]))
+
+    def curve_rows(self, curve: LaneCurve) -> Scalars:
+        """Stations of the rows of a curve's paint, as s grows."""
+        return np.sort(self.network.stations(self.rows_driven_m))
 
     def away_on(self, curve: LaneCurve, s: Spread) -> Spread:
         """How far stations of a curve are from the host's way."""

@@ -4,7 +4,7 @@ beside these. World frame.
 The pavement of roads that connect others in a junction is one area. Terrain meets the pavement at its edges.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -93,7 +93,7 @@ class MapGround(Ground):
         """How far places on a curve are from the host's way."""
         return self.away_at(curve.xy_world(s))
 
-    def measured_rows(self, curve: LaneCurve) -> Scalars:
+    def curve_rows(self, curve: LaneCurve) -> Scalars:
         """The stations of the rows of a curve's paint."""
         return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
 
@@ -108,7 +108,7 @@ class MapGround(Ground):
         s = self.road_rows(road)
         return np.union1d(s[(s > section.start_m) & (s < section.end_m)], [section.start_m, section.end_m])
 
-    def rows(self, end_m: float, away_m) -> Scalars:  # type: ignore[no-untyped-def]
+    def rows(self, end_m: float, away_m: Callable[[Scalars], Scalars]) -> Scalars:
         """Stations from 0 to an end, closer to each other near the host."""
         coarse = np.linspace(0.0, end_m, 2 + int(end_m / 4.0))
         step = np.interp(away_m(coarse), ROW_STEPS_AT_M, ROW_STEPS_M)

@@ -9,18 +9,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.arrays import Scalars
-from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, GROWTH, VERGE_M, Ground, embankment_width, profile
+from synth3dlanes.geometry.ground import (
+    CELL_M,
+    EMBANKMENT_SLOPE,
+    GROWTH,
+    HORIZON_M,
+    VERGE_M,
+    Ground,
+    embankment_width,
+    profile,
+)
 from synth3dlanes.geometry.horizon import far_dam, on_faces
-from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.roads import Road, Side
 
-HORIZON_M = 4000.0
 BEHIND_M = 300.0
-ROAD_BEHIND_M = 30.0
-# From here to the horizon each row of the road is longer than the previous one by this fraction.
-FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
-# A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
-STEEP_M = 1.0
 # Where a road begins beside another, its inner edge extends a little below that one or its own verge. Their rows
 # differ, so a gap would show the ground otherwise.
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
@@ -63,36 +65,9 @@ def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Floa
     return ground.terrain_mesh_height(xy_world) + ground.hills.height(xy_world)
 
 
-def road_stations(ground: Ground) -> Scalars:
-    """Stations of the rows of road and paint as the host drives, to beyond the horizon: half a metre apart near the
-    host, more far away, less on a ramp that needs it. 0, where roads may begin, is always among them."""
-    n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
-    ahead = [
-        np.arange(0, 80, 0.5),
-        np.arange(80, 160, 1.0),
-        np.arange(160, FAR_ROWS_M, 2.0),
-        FAR_ROWS_M * (1 + FAR_ROWS_GROWTH) ** np.arange(n_far),
-    ]
-    rows = [
-        *((-part for part in ahead) if ground.both_ways else [np.arange(-ROAD_BEHIND_M, 0, 1.0)]),
-        np.arange(0, ground.driven_m, 0.5),
-        *(ground.driven_m + part for part in ahead),
-    ]
-    ramps = [road.ramp.stations for road in ground.network.roads if road.ramp]
-    steep = [ground.network.stations(ramp) for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
-    return np.unique(np.concatenate([ground.near_m + np.concatenate(rows), *steep, [0.0]]))
-
-
-def curve_rows(ground: Ground, curve: LaneCurve) -> Scalars:
-    """Stations of the rows of a curve's paint, as s grows."""
-    if curve.is_measured:
-        return ground.measured_rows(curve)
-    return np.sort(ground.network.stations(road_stations(ground)))
-
-
 def _rows(ground: Ground, road: Road) -> Scalars:
     """Stations of a road's rows as the host drives; of a road that begins or ends somewhere, as s grows."""
-    s = ground.network.stations(road_stations(ground))
+    s = ground.network.stations(ground.rows_driven_m)
     inside = (s >= road.start_m) & (s <= road.end_m)
     return s if inside.all() else np.sort(s[inside])
 

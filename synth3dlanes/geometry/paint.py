@@ -12,7 +12,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.meshes import Mesh, curve_rows, grid, is_facing_up, lift_far, over_terrain
+from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
 from synth3dlanes.scene import Markings
@@ -197,7 +197,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     """Rows of a line's stripe with this pattern, with a row at every end of paint. Lengths are measured along the line
     from station 0, so that dashes and gaps do not move with the camera."""
     markings = ground.markings
-    rows = curve_rows(ground, curve)
+    rows = ground.curve_rows(curve)
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
     is_far = ground.away_on(curve, rows) > DASHES_M

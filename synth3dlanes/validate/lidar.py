@@ -13,7 +13,6 @@ from jaxtyping import Bool
 from synth3dlanes.arrays import Passes
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import project
-from synth3dlanes.geometry.meshes import road_stations
 from synth3dlanes.sensors.sweep import LidarPoints
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
@@ -68,7 +67,7 @@ def _is_fine(world: World, at: RoadPlaces | MapPlaces) -> Bool[np.ndarray, " n"]
     the pavement is straight between them."""
     if isinstance(at, MapPlaces):
         return np.ones(len(at.xy_world), dtype=bool)
-    rows = np.sort(world.network.stations(road_stations(world.ground)))
+    rows = np.sort(world.network.stations(world.ground.rows_driven_m))
     before = np.searchsorted(rows, at.s) - 1
     return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)
 

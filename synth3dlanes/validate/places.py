@@ -71,7 +71,7 @@ class RoadPlaces:
         for road in self.ground.network.roads:
             on_it = self._on_branch(road, CUT_M)
             if road.ramp is not None and on_it.any():
-                rows = np.sort(self.ground.network.stations(meshes.road_stations(self.ground)))
+                rows = np.sort(self.ground.network.stations(self.ground.rows_driven_m))
                 raised[on_it] = np.interp(self.on[road.id][0][on_it], rows, road.raised(rows))
         return raised
 
