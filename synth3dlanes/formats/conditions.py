@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.frames import transform
-from synth3dlanes.labels import Labels, SymbolLabel
+from synth3dlanes.labels import Labels, Lane, SymbolLabel
 from synth3dlanes.scene import Scene
 
 AHEAD_M = 60.0
@@ -35,11 +35,11 @@ def _conditions(scene: Scene, labels: Labels) -> Iterator[str]:
     if max(weather.rain, weather.snowfall, weather.snow) > 0 or scene.air.visibility_m < FOG_M:
         yield "extreme_weather"
     kinds = {symbol.kind for symbol in labels.symbols if _is_seen(symbol)}
-    if kinds & {"crosswalk", "stop_line"}:
+    if kinds & {"crosswalk", "stop_line"} or any(lane.connector and _is_seen(lane) for lane in labels.lanes):
         yield "intersection"
     if any(kind.startswith("arrow") for kind in kinds):
         yield "arrow"
-    if _cars_ahead(scene, labels) >= CROWD:
+    if _cars_ahead(labels) >= CROWD:
         yield "crowd"
     paint = markings.grayscale * (1 - markings.wear) * (1 - markings.missing)
     if paint < FAINT_PAINT or weather.snow_on_road >= SNOW_COVER:
@@ -51,15 +51,14 @@ def _conditions(scene: Scene, labels: Labels) -> Iterator[str]:
             yield "shadow"
 
 
-def _is_seen(symbol: SymbolLabel) -> bool:
-    is_near = symbol.xyz_cam[:, 1] < AHEAD_M
-    return np.count_nonzero(symbol.in_image & symbol.terrain_visible & is_near) >= 2
+def _is_seen(item: SymbolLabel | Lane) -> bool:
+    is_near = item.xyz_cam[:, 1] < AHEAD_M
+    return np.count_nonzero(item.in_image & item.terrain_visible & is_near) >= 2
 
 
-def _cars_ahead(scene: Scene, labels: Labels) -> int:
-    seen = labels.car_visible_fraction or (1.0,) * len(scene.cars)
-    ahead = [0 < car.s_m - scene.camera.y_m < AHEAD_M for car in scene.cars]
-    return sum(share >= SEEN and is_ahead for share, is_ahead in zip(seen, ahead, strict=True))
+def _cars_ahead(labels: Labels) -> int:
+    ahead = (item for item in labels.objects or () if 0 < item.center_cam[1] < AHEAD_M)
+    return sum(item.visible_fraction is None or item.visible_fraction >= SEEN for item in ahead)
 
 
 def _sun_aside_rad(scene: Scene, labels: Labels) -> float:

@@ -180,9 +180,10 @@ def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> list[Meas
         semantic = passes["semantic"][around(uv, passes["depth"].shape, 1)]
         smooth &= ~_of_objects(semantic).any(axis=0)
         if lane.connector is not None:
-            # On a map the edge of a shoulder or walkway may be a kerb.
+            # On a map the edge of a shoulder or walkway may be a kerb, and grass an island that a line of sight grazes.
             raised = semantic == SEMANTIC_IDS["shoulder"]
             smooth &= raised.all(axis=0) | ~raised.any(axis=0)
+            smooth &= ~(semantic == SEMANTIC_IDS["terrain"]).any(axis=0)
     y_m, error = y_m[smooth], error[smooth]
     gap_m = np.abs(error) * across_m[smooth]
     return [Measure("depth_m", y_m, np.abs(error * y_m)), Measure("surface_m", y_m, gap_m)]

@@ -30,6 +30,7 @@ from synth3dlanes.shots import SINGLE, clips
 from tests import fake_samples
 from tests.formats import closed_form as cf
 from tests.formats.problems import problems
+from tests.map_scenes import ARM_M, FOUR_WAY, map_scene
 from tests.scenes import FLAT, changed
 
 SUN_AHEAD = {"sun_zenith_rad": 1.3, "sun_azimuth_rad": np.pi / 2}
@@ -91,6 +92,24 @@ def test_cars_that_are_hidden_make_no_crowd():
     scene = with_cars(6)
     seen = ground_truth(scene).with_seen_shares((1.0, 1.0, 0.1, 0.1, 0.0, 0.0))
     assert conditions(scene, seen) == set()
+
+
+@pytest.mark.parametrize(("to_m", "is_near"), [(75.0, False), (20.0, True)])
+def test_a_junction_ahead_is_an_intersection(to_m, is_near):
+    bare = FOUR_WAY.model_copy(update={"paint": ()})
+    assert found_in(map_scene(bare, ARM_M - to_m)) == ({"intersection"} if is_near else set())
+
+
+def test_cars_are_ahead_where_they_are_and_not_by_their_stations():
+    """On a map a car's station is that of its own road."""
+    car = Car(model=1, scale=1, color=(1, 0, 0), gloss=0.5, lane="north.0.-1", s_m=10.0)
+    behind = [car.model_copy(update={"lane": "south.0.-1", "s_m": 40.0 + 5 * i}) for i in range(6)]
+    ahead = [car.model_copy(update={"s_m": 4.0 + 5 * i}) for i in range(6)]
+    for cars, is_crowd in ((ahead, True), (behind, False)):
+        scene = map_scene(FOUR_WAY, ARM_M - 10.0)
+        labels = ground_truth(scene.model_copy(update={"cars": tuple(cars)}))
+        places = [item.center_cam[1] for item in labels.objects]
+        assert ("crowd" in conditions(scene, labels)) == is_crowd, places
 
 
 def test_every_frame_is_in_one_kind_of_culane():
