@@ -393,7 +393,7 @@ def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule
         above = float(np.abs(points - feet)[inner, 2].max())
         if not above <= rule.slack:
             problems.append(f"expected {name} within {rule.slack:g} m of the labels' height, got it {above:.3g} m away")
-        back = _back((at + share)[inner] * (1 if direction == "same" else -1))
+        back = _back((at + share)[inner] * (-1 if direction == "oncoming" else 1))
         if back > COVERED_M:
             problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
         found.append((Gap(name, "m", float(apart[inner].max()), float(np.median(apart[inner]))), problems))

@@ -225,6 +225,10 @@ class Ground:
         clear[near] = _nearest(roads, int(near.sum()))
         return clear.reshape(xy_world.shape[:-1])
 
+    def is_within(self, xy_world: Float[np.ndarray, "n 2"], reach_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are at most so far from a pavement."""
+        return np.asarray(self.clearance(xy_world) <= reach_m)
+
     def is_on_other(self, road: Road, xy_world: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Which points lie on the pavement of another road."""
         near, roads = self.beside(xy_world, self._reach_m(xy_world))

@@ -335,20 +335,17 @@ class MapGround(Ground):
 
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement, negative on it."""
-        flat = shapely.points(xy_world.reshape(-1, 2))
-        inside = shapely.contains_properly(self.pavement, flat)
-        distance = np.where(
-            inside, -shapely.distance(shapely.boundary(self.pavement), flat), shapely.distance(self.pavement, flat)
-        )
-        return np.asarray(distance.reshape(xy_world.shape[:-1]))
+        return _signed_distance(self.pavement, xy_world)
+
+    def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are at most so far from a pavement, to half a per cent of that."""
+        area = shapely.buffer(self.pavement, reach_m)
+        shapely.prepare(area)
+        return np.asarray(shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]))
 
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""
-        area = self.carriageways
-        flat = shapely.points(xy_world.reshape(-1, 2))
-        inside = shapely.contains_properly(area, flat)
-        distance = np.where(inside, -shapely.distance(shapely.boundary(area), flat), shapely.distance(area, flat))
-        return np.asarray(distance.reshape(xy_world.shape[:-1]))
+        return _signed_distance(self.carriageways, xy_world)
 
     def shows(self, curve: LaneCurve) -> bool:
         """Whether a line's paint is near enough to be drawn."""
@@ -366,6 +363,14 @@ class MapGround(Ground):
                 if len(xy) > 1:
                     found.append(np.column_stack([xy, self.under(xy) + raised_m]))
         return found
+
+
+def _signed_distance(area: BaseGeometry, xy_world: AnyPoints2) -> AnyScalars:
+    """Distance of points from an area, negative in it."""
+    flat = shapely.points(xy_world.reshape(-1, 2))
+    inside = shapely.contains_properly(area, flat)
+    distance = np.where(inside, -shapely.distance(shapely.boundary(area), flat), shapely.distance(area, flat))
+    return np.asarray(distance.reshape(xy_world.shape[:-1]))
 
 
 def _solid(area: BaseGeometry) -> BaseGeometry:

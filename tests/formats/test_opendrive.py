@@ -7,14 +7,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.opendrive.read import read_roads as read_file_roads
 from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.paint import is_double, paint_color, painted_rows
 from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.scene import Building, Post, Rail, Roadside, Symbol, Tree
 from synth3dlanes.world import resolve
+from tests.formats.opendrive_reading import read_roads as read_file_roads
 from tests.scenes import FLAT, changed, hill
 from tests.thorough import first
 
@@ -317,9 +318,8 @@ def test_an_export_has_a_map_of_each_scene_and_its_check_finds_what_is_broken(da
     path = out / "test/00000002.xodr"
     text = path.read_text()
     for pattern, replacement, expected in (
-        (r'(<geometry s="0" x=")[^"]*', r"\g<1>1e3", "roads without gaps"),
+        (r'(<geometry s="0" x=")([^"]*)', lambda m: f"{m[1]}{float(m[2]) + 0.1}", "roads without gaps"),
         (r'(<elevation s="0" a=")[^"]*', r"\g<1>1e3", "roads without gaps"),
-        (r'<lane id="(-?)1" type="driving"', r'<lane id="\g<1>7" type="driving"', "between others"),
         (r'<(predecessor|successor) id="[^"]*"', r'<\g<1> id="-99"', "to be there"),
     ):
         path.write_text(re.sub(pattern, replacement, text))
@@ -328,3 +328,10 @@ def test_an_export_has_a_map_of_each_scene_and_its_check_finds_what_is_broken(da
         others = [problem for problem in problems if "test/00000002.xodr: " not in problem]
         assert all(re.fullmatch(r"and \d+ more problems", problem) for problem in others)
         assert any(expected in problem for problem in problems)
+    for pattern, replacement, expected in (
+        (r'(<geometry s="0" x=")[^"]*', r"\g<1>1e3", "planView: expected geometry without gaps"),
+        (r'<lane id="(-?)1" type="driving"', r'<lane id="\g<1>7" type="driving"', "lane"),
+    ):
+        path.write_text(re.sub(pattern, replacement, text))
+        with pytest.raises(FormatError, match=rf"00000002\.xodr: road .*{expected}"):
+            verify(job, 9)

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Points3
 from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type, piece_id
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments, pavement_strips
-from synth3dlanes.geometry.symbols import shape
 from synth3dlanes.labels import LaneGraph, Segment
 from synth3dlanes.world import World
 
@@ -96,7 +95,7 @@ def _lanes(lanes: Sequence[LaneSegment], graph: LaneGraph, world: World) -> Iter
             lines = lines if opposite else thinned(lines)
             yield {
                 "id": piece.id,
-                "is_intersection": False,
+                "is_intersection": lane.is_connector,
                 "lane_type": "VEHICLE",
                 "left_lane_boundary": _points(lines[:, 0]),
                 "left_lane_mark_type": paint[0],
@@ -118,16 +117,21 @@ def _beside(piece: _Piece, others: Sequence[_Piece]) -> int | None:
 
 def _neighbours(segment: Segment, world: World) -> tuple[str | None, str | None]:
     """The lanes of the same direction to the left and right, as the lane's traffic drives."""
-    is_oncoming = world.network.lanes[segment.id].direction == "oncoming"
-    return (segment.right, segment.left) if is_oncoming else (segment.left, segment.right)
+    # On a map they are told so already.
+    swaps = world.scene.map is None and world.network.lanes[segment.id].direction == "oncoming"
+    return (segment.right, segment.left) if swaps else (segment.left, segment.right)
 
 
 def _opposite(lane: LaneSegment, lanes: Sequence[LaneSegment], world: World) -> list[str]:
     """The lanes of the other direction whose left boundaries are one line with that of a lane."""
-    directions = {other.id: world.network.lanes[other.id].direction for other in lanes}
-    found = []
+    found, own = [], world.network.lanes[lane.id]
     for other in lanes:
-        if directions[lane.id] != directions[other.id]:
+        its = world.network.lanes[other.id]
+        if world.scene.map is None:
+            is_opposite = own.direction != its.direction
+        else:
+            is_opposite = own.road == its.road and own.ascends != its.ascends
+        if is_opposite:
             short, long = sorted((lane.left.points_world, other.left.points_world), key=len)
             apart = np.linalg.norm(short[::10, None, :2] - long[None, :, :2], axis=2).min(axis=1)
             if np.median(apart) < SAME_LINE_M:
@@ -137,9 +141,8 @@ def _opposite(lane: LaneSegment, lanes: Sequence[LaneSegment], world: World) -> 
 
 def _crossings(world: World) -> Iterator[dict[str, Any]]:
     """Crosswalks by both of their edges in the direction of their walkers."""
-    for index, symbol in enumerate(world.scene.symbols, start=1):
-        if symbol.kind == "crosswalk":
-            form = shape(world.ground, symbol)
+    for index, form in enumerate(world.symbol_shapes, start=1):
+        if form.kind == "crosswalk":
             (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
             edges = (form.points_world(np.array([[x0, y], [x1, y]])) for y in (y0, y1))
             yield {**{f"edge{i}": _points(edge) for i, edge in enumerate(edges, start=1)}, "id": index}
@@ -159,7 +162,7 @@ def _heights(
     columns, rows = np.ceil((high - low) / CELL_M).astype(int)
     x, y = (start + (np.arange(n) + 0.5) * CELL_M for start, n in zip(low, (columns, rows), strict=True))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    near = world.ground.clearance(xy) <= MARGIN_M
+    near = world.ground.is_within(xy, MARGIN_M)
     heights = np.full(len(xy), np.nan, np.float32)
     heights[near] = world.ground.height(xy[near])
     return heights.reshape(rows, columns), low

@@ -6,8 +6,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+import shapely
 from jaxtyping import Float
-from matplotlib.path import Path as Outline
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mark_type, place_of
@@ -26,6 +26,8 @@ PiecesOf = dict[str, list[LogLane]]
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
 SIDE_M, GAP_M, GROUND_M = 0.05, 0.005, 0.2
+# Drivable areas have seams where one begins at the end of another.
+SEAM_M = 0.01
 # A boundary has the paint of a delimiter that all of its points have this near, and no other.
 ON_LINE_M, LEAST_POINTS = 0.05, 10
 # Pixels, as shares of the image, and depths at which a camera is compared.
@@ -213,7 +215,9 @@ def _neighbour_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     }
     for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
         segment, is_oncoming = by_id[name], _is_oncoming(by_id[name])
-        sides = (segment.right, segment.left) if is_oncoming else (segment.left, segment.right)
+        # On a map left and right are those of the lane's traffic.
+        swaps = is_oncoming and truth.scene.map is None
+        sides = (segment.right, segment.left) if swaps else (segment.left, segment.right)
         for side, number, wanted in zip(
             ("left", "right"), (lane.left_neighbor_id, lane.right_neighbor_id), sides, strict=True
         ):
@@ -274,14 +278,14 @@ def _crossing_problems(found: LogMap, truth: SourceSample) -> Iterator[str]:
 
 def _ground_problems(found: LogMap, truth: SourceSample) -> Iterator[str]:
     """Findings where lanes are not in a drivable area or not on the ground's heights."""
-    outlines = [Outline(area[:, :2]) for area in found.areas]
+    outlines = [shapely.make_valid(shapely.Polygon(outline[:, :2])) for outline in found.areas if len(outline) > 2]
+    area = shapely.buffer(shapely.union_all(outlines), SEAM_M)
+    shapely.prepare(area)
     for lane in truth.labels.lanes:
         if lane.kind != "centerline":
             continue
         points = transform(truth.labels.camera.world_from_cam, lane.xyz_cam)
-        inside = np.logical_or.reduce(
-            [np.zeros(len(points), bool), *(o.contains_points(points[:, :2]) for o in outlines)]
-        )
+        inside = shapely.contains_xy(area, points[:, 0], points[:, 1])
         if not inside.all():
             yield f"lane {lane.id}: expected it in the drivable areas, got {int((~inside).sum())} points outside"
         over_m = np.abs(found.height(points[:, :2]) - points[:, 2])

@@ -80,7 +80,9 @@ def opendrive_of_map(world: World, name: str) -> str:
             _add_piece(view, piece, s)
             s += piece.length_m
         roll = _add_heights(element, road, network.road(road.id))
-        _add_lanes(add(element, "lanes"), road, touches, roll)
+        # At a junction the lanes of its arms have no links: the connections of the junction tell them.
+        own = [touch for touch in touches if road.junction is not None or not _enters_junction(touch, found)]
+        _add_lanes(add(element, "lanes"), road, own, roll)
         _add_paint(element, road, roads)
     _add_junctions(root, roads, found, touches, direct)
     ElementTree.indent(root)
@@ -96,6 +98,11 @@ def _touches(roads: RoadMap, found: Mapping[str, MapRoad]) -> Iterable[LaneJoint
         if one in found and other in found:
             ends = [_ascends(found[one], i, m), _ascends(found[other], j, n)]
             yield LaneJoint((one, i, m), "end" if ends[0] else "start", (other, j, n), "start" if ends[1] else "end")
+
+
+def _enters_junction(touch: LaneJoint, found: Mapping[str, MapRoad]) -> bool:
+    """Whether it is between a connecting road of a junction and another one."""
+    return found[touch.one[0]].junction != found[touch.other[0]].junction
 
 
 def _key(name: LaneName) -> tuple[str, int, int]:

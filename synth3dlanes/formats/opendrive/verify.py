@@ -1,23 +1,27 @@
 """Read an export of maps back: its lanes are those of the labels, roads have no gaps, links lead somewhere."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
-from synth3dlanes.formats.opendrive.read import FileRoad, number, read_roads, read_xml
+from synth3dlanes.formats.opendrive.convention import USER_DATA
 from synth3dlanes.formats.opendrive.xml import Element
 from synth3dlanes.formats.reading import read_text
+from synth3dlanes.geometry.section_road import Shapes
+from synth3dlanes.maps.document import parse_xml
+from synth3dlanes.maps.given_map import GivenMap, LanePlace, read_opendrive
+from synth3dlanes.maps.plan import places, plan_points
+from synth3dlanes.road_map import MapRoad, Polynomial
 
 # Shapes are heights square to the banked plane, so where the ground bends they move points aside.
 RULE = Rule("m", 0.15, name="lane", slack=0.3)
 # The cubics of lines, heights and widths are within a millimetre of the same functions.
 GAP_M = 0.005
-CUBICS = {"elevation": "s", "superelevation": "s", "laneOffset": "s", "width": "sOffset"}
 STEP_M = 1.0
 
 
@@ -29,79 +33,117 @@ def read(out: Path, most_frames: int) -> Iterator[FrameList]:
 
 def _frames(out: Path, paths: list[Path]) -> Iterator[ReadFrame]:
     for path in paths:
-        text, name = read_text(path), str(path.relative_to(out))
-        yield ReadFrame(name, str(path), None, (read_xml(text, str(path)), read_roads(text, str(path))))
+        data, name = read_text(path).encode(), str(path.relative_to(out))
+        given = read_opendrive(data, path.name, str(path))
+        yield ReadFrame(name, str(path), None, (parse_xml(data, str(path)), given))
 
 
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lane centres in metres, in the world frame."""
-    root, roads = frame.content
-    try:
-        largest_m = float(np.max([_largest_gap(road) for road in root.iter("road")]))
-        lanes = [lane for road in roads.values() for lane in _lanes(road)]
-    except (KeyError, ValueError, IndexError, OverflowError):
-        raise FormatError(f"{frame.where}: expected roads with a reference line of numbers, got others") from None
+    root, given = frame.content
+    largest_m = max(gap_m for road in given.roads.values() for gap_m in _gaps(road))
+    segments = _segments(root, given)
+    beyond = _beyond_labels(truth)
+    named = ((segments[name], place) for name, place in given.lanes.items() if name in segments)
+    lanes = [(name, _middle(place)) for name, place in named if name not in beyond]
     problems = [] if largest_m <= GAP_M else [f"expected roads without gaps, got one of {largest_m:.3f} m"]
-    for road in roads.values():
-        gone = {other for lane in road.lanes for other in road.missing(lane)}
-        problems += [f"road {road.id}: expected lane {lane} between others, got none" for lane in sorted(gone)]
     return compare_map(lanes, truth, RULE).because([*problems, *_link_problems(root)])
 
 
-def _lanes(road: FileRoad) -> Iterator[tuple[str, np.ndarray]]:
-    """The segments that lanes of traffic are, and points of their middle in the direction of that traffic."""
-    stations = np.linspace(0, road.length, 2 + int(road.length / STEP_M))
-    is_right = road.element.get("rule") == "RHT"
-    for lane, element in road.lanes.items():
-        segment = road.segment(lane)
-        if element.get("type") == "driving" and segment is not None and not road.missing(lane):
-            yield segment, road.center(lane, stations)[:: 1 if (lane < 0) == is_right else -1]
+def _beyond_labels(truth: SourceSample) -> set[str]:
+    """The lanes of a scene's map that its labels do not reach."""
+    lanes = {} if truth.scene.map is None else truth.scene.map.lanes
+    return lanes.keys() - {segment.id for segment in truth.labels.graph.segments}
 
 
-def _largest_gap(road: Element) -> float:
-    """The largest jump of a road's reference line, its heights or its widths."""
-    geometries = list(road.iter("geometry"))
-    ends = [_end(geometry) for geometry in geometries]
-    starts = [[number(geometry, key) for key in ("s", "x", "y")] for geometry in geometries[1:]]
-    gaps = [abs(ends[-1][0] - number(road, "length"))]
-    gaps += [float(np.abs(np.subtract(a, b)).max()) for a, b in zip(ends, starts, strict=False)]
-    for tag, key in CUBICS.items():
-        for parent in road.iter():
-            for one, other in pairwise(parent.findall(tag)):
-                u = number(other, key) - number(one, key)
-                gaps.append(abs(_cubic(one, "{}", u) - number(other, "a")))
-    return float(np.max(gaps))
+def _segments(root: Element, given: GivenMap) -> dict[str, str]:
+    """The segments of our lane graph by the names of the file's lanes."""
+    return {
+        f"{given.names[road.get('id', '')]}.{i}.{lane.get('id')}": data.get("value", "")
+        for road in root.iter("road")
+        for i, section in enumerate(road.iter("laneSection"))
+        for lane in section.iter("lane")
+        for data in lane.iter("userData")
+        if data.get("code") == USER_DATA
+    }
 
 
-def _end(geometry: Element) -> list[float]:
-    """s, x and y at the end of a piece of a reference line."""
-    length, heading = number(geometry, "length"), number(geometry, "hdg")
-    poly = geometry[0]
-    u, v = _cubic(poly, "{}U", length), _cubic(poly, "{}V", length)
-    x = number(geometry, "x") + np.cos(heading) * u - np.sin(heading) * v
-    y = number(geometry, "y") + np.sin(heading) * u + np.cos(heading) * v
-    return [number(geometry, "s") + length, x, y]
+def _middle(place: LanePlace) -> Points3:
+    """Points of the middle of a lane in the direction of its traffic."""
+    road, section, number = place.road, place.road.sections[place.section], place.lane.number
+    low, high = place.span_m
+    s = np.linspace(low, high, 2 + int((high - low) / STEP_M))
+    widths = [_values(lane.widths, s - low) for lane in section.lanes if 0 < lane.number / number < 1]
+    t = _values(road.lane_offsets, s) + np.sign(number) * (sum(widths) + _values(place.lane.widths, s - low) / 2)
+    bank = _values(road.banks, s)
+    z = _values(road.heights, s) + np.tan(bank) * t
+    if road.shapes:
+        z += Shapes(road.shapes)(s, t / np.cos(bank)) / np.cos(bank)
+    return np.column_stack([places(road.plan, s, t), z])[:: 1 if place.ascends else -1]
 
 
-def _cubic(element: Element, key: str, at: float) -> float:
-    return sum(number(element, key.format(letter)) * at**power for power, letter in enumerate("abcd"))
+def _values(cubics: Sequence[Polynomial], s: Scalars) -> Scalars:
+    """Values of a profile at stations; 0 without one."""
+    if not cubics:
+        return np.zeros(s.shape)
+    rows = np.array([[piece.s_m, piece.a, piece.b, piece.c, piece.d] for piece in cubics])
+    start, a, b, c, d = rows[np.clip(np.searchsorted(rows[:, 0], s, side="right") - 1, 0, None)].T
+    x = s - start
+    return np.asarray(a + x * (b + x * (c + x * d)))
+
+
+def _gaps(road: MapRoad) -> Iterator[float]:
+    """The jumps of a road's reference line, its heights and its widths."""
+    for one, other in pairwise(road.plan):
+        x, y, _ = plan_points([one], np.array([one.length_m]))[0]
+        yield float(np.hypot(other.x_m - x, other.y_m - y))
+    widths = (lane.widths for section in road.sections for lane in section.lanes)
+    for cubics in (road.heights, road.banks, road.lane_offsets, *widths):
+        for k in range(1, len(cubics)):
+            yield abs(float(_values(cubics[:k], np.array([cubics[k].s_m]))[0]) - cubics[k].a)
+    yield 0.0
 
 
 def _link_problems(root: Element) -> Iterator[str]:
     """Findings where a link leads to a road, junction or lane that is not there."""
-    lanes = {road.get("id"): {lane.get("id") for lane in road.iter("lane")} for road in root.iter("road")}
+    lanes = {
+        road.get("id"): [{lane.get("id") for lane in part.iter("lane")} for part in road.iter("laneSection")]
+        for road in root.iter("road")
+    }
+    direct = {junction.get("id") for junction in root.iter("junction") if junction.get("type") == "direct"}
     ids = {"road": set(lanes), "junction": {junction.get("id") for junction in root.iter("junction")}}
     for road in root.iter("road"):
         for link in road.findall("link/*"):
             if link.get("elementId") not in ids.get(str(link.get("elementType")), ()):
                 yield f"road {road.get('id')}: expected a {link.get('elementType')} to be there, got {link.attrib}"
-        for lane in road.iter("lane"):
-            for link in lane.findall("link/*"):
-                there = road.find(f"link/{link.tag}")
-                if there is None or link.get("id") not in lanes.get(there.get("elementId"), ()):
-                    yield f"road {road.get('id')}, lane {lane.get('id')}: expected its {link.tag} to be there"
+        for i, lane, link in _lane_links(road):
+            there = road.find(f"link/{link.tag}")
+            at_direct = there is not None and there.get("elementId") in direct
+            if not at_direct and link.get("id") not in _beyond(road, i, link.tag, lanes):
+                yield f"road {road.get('id')}, lane {lane.get('id')}: expected its {link.tag} to be there"
     for connection in root.iter("connection"):
         for link in connection.iter("laneLink"):
             for road_key, lane_key in (("incomingRoad", "from"), ("connectingRoad", "to")):
-                if link.get(lane_key) not in lanes.get(connection.get(road_key), ()):
+                if link.get(lane_key) not in set[str | None]().union(*lanes.get(connection.get(road_key), ())):
                     yield f"connection {connection.get('id')}: expected the lane {link.get(lane_key)} to be there"
+
+
+def _lane_links(road: Element) -> Iterator[tuple[int, Element, Element]]:
+    """The links of a road's lanes, with the number of the section and the lane."""
+    for i, section in enumerate(road.iter("laneSection")):
+        for lane in section.iter("lane"):
+            for link in lane.findall("link/*"):
+                yield i, lane, link
+
+
+def _beyond(road: Element, section: int, tag: str, lanes: dict[str | None, list[set[str | None]]]) -> set[str | None]:
+    """The lanes to which those of a section lead at one end: of the section there or, at an end of the road, of the
+    road that it is linked to."""
+    own = lanes[road.get("id")]
+    after = section + (1 if tag == "successor" else -1)
+    if 0 <= after < len(own):
+        return own[after]
+    there = road.find(f"link/{tag}")
+    other = [] if there is None else lanes.get(there.get("elementId"), [])
+    is_start = there is not None and there.get("contactPoint") == "start"
+    return (other[0] if is_start else other[-1]) if other else set()
