@@ -248,7 +248,7 @@ def _camera(scene: Scene, labels: Labels) -> Facts:
         "image": f"{camera.width_px} x {camera.height_px} px, "
         f"{math.degrees(horizontal_fov_rad(camera)):.0f}° wide (fx = {camera.fx_px:.1f}), "
         f"centre at ({camera.cx_px:.1f}, {camera.cy_px:.1f}){_lens(camera.lens)}",
-        "lanes in labels": _counted([f"{lane.kind} {lane.road}" for lane in labels.lanes]),
+        "lanes in labels": _counted([_sort_of(lane) for lane in labels.lanes]),
     }
 
 
@@ -268,6 +268,13 @@ def _lens(lens: Lens) -> str:
     if lens.is_pinhole:
         return ""
     return f"; {lens.model} lens, " + " ".join(f"{name} {value:g}" for name, value in lens.named.items() if value)
+
+
+def _sort_of(lane: Lane) -> str:
+    """What a line of the labels is: by its road, or on a map by its direction."""
+    if lane.connector is None:
+        return f"{lane.kind} {lane.road}"
+    return "connector" if lane.connector else f"{lane.kind} {lane.direction}"
 
 
 def _counted(names: list[str]) -> str:

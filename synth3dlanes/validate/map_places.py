@@ -14,6 +14,8 @@ from synth3dlanes.settings import SEMANTIC_IDS
 
 # A kerb may be this far from a point.
 KERB_ROOM_M = 0.08
+# The surface changes within this far of the ends of sections.
+SEAM_M = 0.05
 # Slopes are measured over this length to both sides.
 STEP_M = 0.05
 # Points farther than this beside a curve are not near it.
@@ -95,7 +97,9 @@ class MapPlaces:
             own = self.map_ground.map.road(road.id)
             sections = own.section_at(s)
             for i in np.unique(sections):
-                section, here = own.sections[i], np.flatnonzero(sections == i)
+                section = own.sections[i]
+                amid = (s > section.start_m + SEAM_M) & (s < section.end_m - SEAM_M)
+                here = np.flatnonzero((sections == i) & amid)
                 edges = section.edges(s[here])
                 for k, lane in enumerate(section.lanes):
                     within = inside[here] & (t[here] > edges[k] + margin_m) & (t[here] < edges[k + 1] - margin_m)
