@@ -41,3 +41,8 @@ class Town(DocumentPart):
     host_place: HostPlace
     host_turn: HostTurn
     host_m: Annotated[float, Field(ge=0, le=100)]
+
+    @property
+    def has_crosswalks(self) -> bool:
+        """Whether arms have crosswalks: only where there are walkways."""
+        return self.crosswalks and self.walkway_m > 0

@@ -46,7 +46,7 @@ def furnish(town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: 
     has_far = bool(rng.random() < 0.5)
     for rules in town_map.junctions:
         for number in range(len(rules.junction.arms)):
-            back_m = line_m(town_map.town.crosswalks and town_map.town.walkway_m > 0)
+            back_m = line_m(town_map.town.has_crosswalks)
             if rules.control == "signals" and not rules.junction.is_roundabout:
                 signals += _signals(rules, number, lights[rules.junction.id], (has_far, back_m))
             else:

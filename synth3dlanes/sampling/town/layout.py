@@ -11,7 +11,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Points2
 from synth3dlanes.road_map import MapIsland, MapJunction, MapMarkKind, MapPaint, MapRoad, PlanPiece, RoadMap
 from synth3dlanes.sampling.town.junctions import Arm, crossing, setbacks, turn_of
-from synth3dlanes.sampling.town.paint import islands_of, paint_of
+from synth3dlanes.sampling.town.paint import islands_of, paint_of, painted
 from synth3dlanes.sampling.town.plan import PlanPose, chain, end_of, sampled
 from synth3dlanes.sampling.town.roundabouts import Ring, ring_for, ring_setbacks, roundabout
 from synth3dlanes.sampling.town.rules import JunctionRules, links_of
@@ -57,7 +57,7 @@ class TownMap:
 
     def road_map(self, route: Sequence[str]) -> RoadMap:
         """The town as a map, with the host's route."""
-        roads: list[MapRoad] = [street.road for street in self.streets]
+        roads: list[MapRoad] = [painted(street, self.town.has_crosswalks) for street in self.streets]
         junctions, paint, islands = [], list[MapPaint](), list[MapIsland]()
         for rules in self.junctions:
             junction = rules.junction
@@ -68,9 +68,9 @@ class TownMap:
                 if max(corner.walkways_m) > 0
             ]
             junctions.append(MapJunction(id=junction.id, outline=junction.outline, yields=rules.yields))
-            paint += paint_of(rules, self.town.crosswalks and self.town.walkway_m > 0)
+            paint += paint_of(rules, self.town.has_crosswalks)
             islands += junction.islands
-        islands += islands_of(self.streets, self.town.crosswalks and self.town.walkway_m > 0)
+        islands += islands_of(self.streets, self.town.has_crosswalks)
         return RoadMap(
             roads=tuple(roads),
             links=self.links,

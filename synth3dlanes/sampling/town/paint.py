@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from synth3dlanes.road_map import GroundPoint, MapIsland, MapPaint
+from synth3dlanes.road_map import GroundPoint, MapIsland, MapMark, MapPaint, MapRoad
 from synth3dlanes.sampling.town.junctions import Arm, Turn
 from synth3dlanes.sampling.town.plan import PlanPose, poses
 from synth3dlanes.sampling.town.rules import JunctionRules, turns_of_lane
@@ -77,6 +77,33 @@ def _crosswalk(arm: Arm) -> tuple[GroundPoint, ...]:
     left, right = arm.cross.edge("left") - 0.1, arm.cross.edge("right") + 0.1
     corners = [(first, right), (last, right), (last, left), (first, left)]
     return tuple(_point(arm.pose.moved(ahead, side)) for ahead, side in corners)
+
+
+def painted(street: Street, has_crosswalks: bool) -> MapRoad:
+    """A street as a road of a map, whose lines end before its crosswalks."""
+    road = street.road
+    if not has_crosswalks:
+        return road
+    back_m, sections = line_m(has_crosswalks), list(road.sections)
+    for i, at_start in ((0, True), (-1, False)):
+        if at_start or street.end is not None:
+            cut = back_m if at_start else street.pieces[-1].length_m - back_m
+            lanes = tuple(
+                lane.model_copy(update={"marks": _cut(lane.marks, cut, at_start)}) for lane in sections[i].lanes
+            )
+            sections[i] = sections[i].model_copy(update={"lanes": lanes})
+    return road.model_copy(update={"sections": tuple(sections)})
+
+
+def _cut(marks: Sequence[MapMark], at_m: float, before: bool) -> tuple[MapMark, ...]:
+    """The marks of a lane's edge with none before a station of its section, or behind it."""
+    if not marks:
+        return ()
+    none = MapMark(kind="none", s_m=0.0 if before else round(at_m, 6))
+    if not before:
+        return (*marks, none)
+    first, *others = marks
+    return (none, first.model_copy(update={"s_m": round(at_m, 6)}), *others)
 
 
 def islands_of(streets: Sequence[Street], has_crosswalks: bool) -> Iterator[MapIsland]:

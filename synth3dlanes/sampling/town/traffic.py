@@ -115,7 +115,7 @@ class _Simulation:
     ) -> None:
         self.town_map, self.lines, self.flow, self.rng = town_map, lines, flow, rng
         self.draw_body = draw_body
-        self.has_crosswalks = town_map.town.crosswalks and town_map.town.walkway_m > 0
+        self.has_crosswalks = town_map.town.has_crosswalks
         self.lights = {
             each.junction.id: Lights.draw(each, rng) for each in town_map.junctions if each.control == "signals"
         }
