@@ -3,7 +3,6 @@ samples of an evaluation."""
 
 import json
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -73,11 +72,14 @@ def drawn(scenes: Iterable[Scene], params: Params, assets: Assets, where: str) -
 def _scenes(text: str, where: str) -> Iterator[Scene]:
     scores = _scores(text, where)
     lines = text.splitlines() if scores is None else _worst(scores)
+    opened = dict[str, Reader]()
     for number, line in enumerate(lines, start=1):
         if SAMPLE.fullmatch(line.strip()):
             try:
                 url, _, key = line.strip().rpartition(":")
-                scene = read_scene(_reader(url), _reader(url).position(key))
+                if url not in opened:
+                    opened[url] = Reader(url)
+                scene = read_scene(opened[url], opened[url].position(key))
             except (FormatError, InputError) as error:
                 raise InputError(*(f"{where}: {problem}" for problem in str(error).splitlines())) from None
             yield scene
@@ -98,11 +100,6 @@ def _scores(text: str, where: str) -> StoredEvaluation | None:
 
 def _worst(scores: StoredEvaluation) -> list[str]:
     return [f"{scores.source}:{sample.key}" for sample in scores.samples[: -(-len(scores.samples) // WORST)]]
-
-
-@lru_cache(maxsize=4)
-def _reader(url: str) -> Reader:
-    return Reader(url)
 
 
 def _check(scene: Scene, params: Params, assets: Assets, where: str) -> None:

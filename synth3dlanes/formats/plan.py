@@ -63,6 +63,7 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
     """The chunks of every split under `source`, or of the one split or sample that it names; of a rig's cameras those
     that are named, or those that look ahead, or all if it `takes_rigs`. If it `is_per_scene`, only the first frame of
     each scene."""
+    open_reader.cache_clear()  # what lies there may have changed since an earlier plan
     if SAMPLE.fullmatch(source):
         reader, named = find(source)
         found, moment = [reader], reader.rig(named) if takes_rigs else [named]
@@ -103,7 +104,7 @@ def parts_of(splits: Sequence[ExportSplit], has_test: bool) -> frozenset[Part]:
 
 @lru_cache(maxsize=8)
 def open_reader(url: str) -> Reader:
-    """The reader of a split, kept open."""
+    """The reader of a split, kept open until the next plan."""
     return Reader(url)
 
 

@@ -60,6 +60,7 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
     values, problems = read_yaml(f"[{text}]", f"vary {path}")
     if not equals or problems or not values:
         raise InputError(*(problems or [f"vary {vary}: expected path=value,value,..."]))
+    _reader.cache_clear()  # what lies there may have changed since earlier twins
     reader = Reader(source)
     render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
     settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)

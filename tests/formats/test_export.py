@@ -147,7 +147,6 @@ def test_an_interrupted_export_continues_and_a_grown_dataset_is_added(write_spli
     Export(str(root), out, "openlane").write(progress=lambda done, total: progress.append(done))
     assert progress[0] == 4, "two chunks were kept"
     write_split(root, "train", 6)
-    open_reader.cache_clear()
     summary = Export(str(root), out, "openlane").write()
     assert summary.n_frames == {"train": 5, "test": 1}
     fresh = tmp_path / "fresh"
@@ -394,7 +393,6 @@ def test_frames_that_were_made_again_are_exported_again(format_name, write_split
     Export(str(root), out, format_name).write()
     before = files_of(out)
     shutil.rmtree(root)
-    open_reader.cache_clear()
     write_split(root, "train", 2, ["camera.height_m=1.77"])
     for folder in (out, fresh):
         Export(str(root), folder, format_name).write()
