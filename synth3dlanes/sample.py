@@ -146,7 +146,9 @@ def _map_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     shot = slowed(network, at_m, _shot(scenes.shots, of("motion")))
     bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot})
     world = resolve(bare, network)
-    cars = draw_map_cars(world, of("cars", "map_cars"), of("motion", "car_speeds"), farthest(of.params.cars.s_m))
+    cars = draw_map_cars(
+        world, network, of("cars", "map_cars"), of("motion", "car_speeds"), farthest(of.params.cars.s_m)
+    )
     trees, _ = trees_with_room(world, of("trees"), of("trees", "tree_places"))
     return world.furnished(bare.model_copy(update={"cars": cars, "trees": trees}))
 

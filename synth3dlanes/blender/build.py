@@ -135,7 +135,7 @@ def build(
     missing = OF_VIEW if is_built else COLLECTIONS
     _clear(missing, studio.kept)
     if not is_built:
-        set_materials(materials, scene, world.network)
+        set_materials(materials, world)
         set_translucency(studio.assets.trees, scene.vegetation.translucency)
         set_snow_caps(scene.weather.snow)
     # In this order Blender itself gives most of them their names.

@@ -84,12 +84,12 @@ class _Reading:
         )
         return MapNetwork(
             self.terrain,
-            tuple(roads.values()),
-            tuple(line for line, _ in drawn),
-            tuple(links),
+            roads=tuple(roads.values()),
+            delimiters=tuple(line for line, _ in drawn),
+            links=tuple(links),
             given_paths=tuple(bounded(path, beside) for path in paths),
             junctions=tuple(at for at in junctions if at.roads),
-            route=self._route(roads, lanes),
+            way=self._route(roads, lanes),
         )
 
     # -- roads
@@ -130,7 +130,7 @@ class _Reading:
             start_m=0.0,
             end_m=line.length_m,
             sections=sections,
-            chain=line,
+            plan=line,
             heights=Profile(road.heights) if road.heights else None,
             banks=Profile(road.banks) if road.banks else None,
             shapes=Shapes(road.shapes) if road.shapes else None,

@@ -305,6 +305,7 @@ class _Plan:
                 self.road.lane_width_m,
                 *span_m,
                 direction,
+                ascends=(direction == "same") == (self.flips.y > 0),
             )
             for k, at in enumerate(middles, 1)
         ]

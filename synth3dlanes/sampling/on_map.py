@@ -93,11 +93,10 @@ def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float) -
     return round(float(fastest), 3)
 
 
-def draw_map_cars(world: World, looks: Draw, speeds: Draw, reach_m: float) -> tuple[Car, ...]:
+def draw_map_cars(world: World, network: MapNetwork, looks: Draw, speeds: Draw, reach_m: float) -> tuple[Car, ...]:
     """Cars in the lanes within a distance of the host, which in a clip keep a speed through lanes that follow each
     other and touch nobody; those without room are left out."""
-    network, shot, rng = world.network, world.scene.shot, looks.rng
-    assert isinstance(network, MapNetwork), "asked only of maps"
+    shot, rng = world.scene.shot, looks.rng
     times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
     host_m = world.scene.camera.y_m + shot.speed_m_s * times_s
     host = _footprints(network.way, host_m, world.scene.camera.offset_m, placement.HOST_SIZE_M)
