@@ -191,6 +191,10 @@ class Road:
         """Points on its surface."""
         return lift(self.terrain, self.xy(s, t), self.raised(s, t))
 
+    def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
+        """Points on its surface without raised lanes."""
+        return self.points(s, t)
+
     def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
         """Height of its surface over the terrain at places."""
         return np.zeros(np.shape(s)) if self.ramp is None else self.ramp(s)

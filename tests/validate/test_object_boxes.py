@@ -14,7 +14,8 @@ from synth3dlanes.scene import Car, Lidar
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.object_boxes import SeenPart, judge, views_of
+from synth3dlanes.validate.labelled_boxes import SeenPart
+from synth3dlanes.validate.object_boxes import judge, views_of
 from synth3dlanes.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, reasons
