@@ -11,6 +11,7 @@ import numpy as np
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.geometry.map_roads import map_network
 from synth3dlanes.geometry.paper_roads import is_wide_enough, paper_network
+from synth3dlanes.host import Camera, Host, Lidar, Shot
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
@@ -31,16 +32,12 @@ from synth3dlanes.scene import (
     MIN_MEDIAN_M,
     SCENE_VERSION,
     Air,
-    Camera,
     Gaussian,
-    Host,
-    Lidar,
     Light,
     Markings,
     PaperRoad,
     Scene,
     Sensor,
-    Shot,
     Surface,
     Terrain,
     Vegetation,

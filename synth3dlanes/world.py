@@ -31,8 +31,10 @@ from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import SymbolShape, shape, symbol_mesh
+from synth3dlanes.host import Camera, Lidar
 from synth3dlanes.road_map import MapPaint
-from synth3dlanes.scene import Camera, Lidar, Roadside, Scene, Tree
+from synth3dlanes.roadside import Roadside
+from synth3dlanes.scene import Scene, Tree
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0

@@ -16,8 +16,9 @@ from synth3dlanes.geometry.lane_curves import LaneCurve, measured
 from synth3dlanes.geometry.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
 from synth3dlanes.geometry.roads import NetworkLane, Road
 from synth3dlanes.geometry.section_road import SectionRoad
+from synth3dlanes.host import Camera
 from synth3dlanes.labels import LaneGraph, Segment
-from synth3dlanes.scene import Camera, Car
+from synth3dlanes.scene import Car
 
 # Points of the labels are this far apart, measured along each line from its beginning.
 STEP_M = 1.0

@@ -15,8 +15,9 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.geometry.lane_curves import LaneCurve, joined
 from synth3dlanes.geometry.roads import NetworkLane, Road, lift
 from synth3dlanes.geometry.terrain import gradient_at
+from synth3dlanes.host import Camera
 from synth3dlanes.labels import LaneGraph, Segment
-from synth3dlanes.scene import Camera, Car, Terrain
+from synth3dlanes.scene import Car, Terrain
 
 # The lane graph ends at these stations.
 GRAPH_END_M = 100.0

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.geometry.camera import rays, rays_of_pixels
-from synth3dlanes.scene import Camera
+from synth3dlanes.host import Camera
 
 
 def cosines(camera: Camera, direction_cam: Float[np.ndarray, "3"]) -> Float[np.ndarray, "h w"]:

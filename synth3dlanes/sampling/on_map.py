@@ -9,10 +9,11 @@ from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.distributions import Choice, Uniform
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.lane_curves import KNOT_M, LaneCurve
+from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.map_network import MapNetwork
-from synth3dlanes.geometry.map_roads import plan_line
 from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.section_road import CrossSection, Profile
+from synth3dlanes.host import Shot
 from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.part import MapPart, part_around
 from synth3dlanes.maps.places import MapStation, draw_place
@@ -20,7 +21,7 @@ from synth3dlanes.road_map import LaneName, MapRoad
 from synth3dlanes.sampling.cars import CAR_GAP_M
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.traffic import CHECK_EVERY_S, SPEED_TRIES
-from synth3dlanes.scene import Car, Shot
+from synth3dlanes.scene import Car
 from synth3dlanes.world import World
 
 # Draws of a place for each car; lanes of the host's roads are so many times as likely as others.

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from synth3dlanes.frames import quaternion, rotation, turned
+from synth3dlanes.host import Lidar
 from synth3dlanes.object_labels import ObjectLabel
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import Car, Lidar
+from synth3dlanes.scene import Car
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
