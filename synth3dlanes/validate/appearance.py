@@ -19,6 +19,8 @@ from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
 LOWEST_SUN_RAD, MIN_VISIBILITY_M = 1.1, 1_500.0
 # Terrain within so many metres, and least numbers of pixels of terrain, road and paint.
 TERRAIN_M, MIN_PIXELS, MIN_PAINT = 60.0, 200, 150
+# Terrain with less of the road's light lies in a shadow, whose light is the sky's.
+SHADE = 0.25
 # The built-in terrains have less blue than the road, in 86 images at least 0.056; red over green is -0.065 to 0.008 on
 # green grass and 0.055 to 0.151 on dry grass.
 MAX_BLUE = -0.02
@@ -50,7 +52,7 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     if black > MAX_BLACK:
         yield Finding("", f"image: expected light everywhere by day, got {100 * black:.1f} % of the picture black")
     linear = _linear(evidence)
-    yield from _terrain(evidence, linear, _chroma(linear[road]))
+    yield from _terrain(evidence, linear, linear[road])
     if "instance" in evidence.passes and evidence.paint.is_dry:
         yield from _paint(evidence, linear, _chroma(linear[road]))
 
@@ -68,15 +70,16 @@ def _chroma(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
 
 
 def _terrain(
-    evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Float[np.ndarray, "3"]
+    evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[np.ndarray, "n 3"]
 ) -> Iterator[Result]:
     texture = evidence.scene.surface.terrain_texture
     if evidence.scene.assets.terrains or evidence.scene.assets.roads or texture not in RED_OVER_GREEN:
         return
     at = (evidence.passes["semantic"] == SEMANTIC_IDS["terrain"]) & (evidence.passes["depth"] < TERRAIN_M)
+    at &= linear.sum(axis=2) > SHADE * np.median(road.sum(axis=1))
     if at.sum() < MIN_PIXELS:
         return
-    red, green, blue = _chroma(linear[at]) - of_road
+    red, green, blue = _chroma(linear[at]) - _chroma(road)
     low, high = RED_OVER_GREEN[texture]
     yield Bounded("appearance.blue", float(blue), most=MAX_BLUE)
     yield Bounded(f"appearance.red_over_green_{texture}", float(red - green), low, high)
