@@ -3,7 +3,7 @@
 Points of an object must be in its box, and reach the sides that are seen.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -26,8 +26,9 @@ from synth3dlanes.validate.labelled_boxes import (
 
 # Share of an object's points that may be outside its box: built-in models reach at most 2 cm beyond theirs.
 MAX_OUTSIDE = 0.002
-# How far before a side of a box its points may end, and which part of what lies between two pixels or beams.
-MAX_GAP_M, MAX_PART = 0.035, 0.75
+# How far before a side of a box its points may end, and which part of what lies between two pixels, or between two
+# beams, of which one may return nothing.
+MAX_GAP_M, MAX_PART = 0.035, {"pixels": 0.75, "points": 2.0}
 # Objects with fewer points are not judged.
 MIN_POINTS = 150
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
@@ -81,10 +82,18 @@ def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
         if own.sum() >= MIN_POINTS:
             lidar, object_from_cam = evidence.sweep.lidar, invert(item.cam_from_object)
             eye = transform(object_from_cam, lidar.cam_from_lidar[:3, 3])
-            step_rad = float(np.ptp(lidar.elevations_rad)) / max(1, len(lidar.elevations_rad) - 1)
             points_object = transform(object_from_cam, points.xyz_cam[own])
-            views.append(SeenPart("points", points_object, eye, distance_m * step_rad))
+            apart_m = distance_m * _step_rad(lidar.elevations_rad, points.xyz_lidar[own])
+            views.append(SeenPart("points", points_object, eye, apart_m))
     return views
+
+
+def _step_rad(elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3"]) -> float:
+    """The largest angle between two neighbouring beams, of those that meet points and one on either side."""
+    beams = np.sort(elevations_rad)
+    up_rad = np.arctan2(xyz_lidar[:, 2], np.hypot(*xyz_lidar[:, :2].T))
+    first, last = np.searchsorted(beams, [up_rad.min(), up_rad.max()])
+    return float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
 
 
 def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
@@ -103,7 +112,7 @@ def _sides(half: Float[np.ndarray, "3"], seen: SeenPart) -> Iterator[SideLimit]:
             has_outline = seen.source == "pixels" and axis != ALONG
             if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
                 hidden_m = _hidden_m(half, seen.eye, axis, sign) if has_outline else 0.0
-                yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART * seen.apart_m + hidden_m)
+                yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
 
 
 def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: int, sign: int) -> float:

@@ -153,10 +153,10 @@ class RoadPlaces:
         return found
 
 
-Places = RoadPlaces | MapPlaces
+SurfacePlaces = RoadPlaces | MapPlaces
 
 
-def places(ground: Ground, xy_world: Points2) -> Places:
+def places(ground: Ground, xy_world: Points2) -> SurfacePlaces:
     """Project points near a road onto it."""
     # Nothing else asks for the kind of a ground.
     if isinstance(ground, MapGround):
