@@ -35,6 +35,8 @@ MIN_POINTS = 150
 BEYOND_M, ACROSS, ALONG = 0.5, 0, 1
 # The lowest, highest and widest parts are this share of half the length behind the nearer end, at most.
 SET_BACK = 0.25
+# Mirrors reach at most so far beyond a body.
+MIRROR_M = 0.07
 MAX_TRUNCATION_OFF = 0.005
 
 
@@ -117,8 +119,11 @@ def _sides(half: Float[np.ndarray, "3"], seen: SeenPart) -> Iterator[SideLimit]:
 
 def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: int, sign: int) -> float:
     """How far before a side what is set back from an object's nearer end may be hidden by this end: wheels under a
-    bumper from an eye above it, what stands on a roof from one below it, the far side of a body that grows wider."""
+    bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
+    wider."""
     away_m, back_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), SET_BACK * half[ALONG]
+    share, aside_m = back_m / (away_m + back_m), half[axis] - sign * eye[axis]
+    if axis != ACROSS:
+        return float(max(aside_m, 0.0) * share)
     # A body hides its far side from an eye beyond the near one.
-    aside_m = half[axis] - sign * eye[axis] - (2 * half[axis] if axis == ACROSS else 0.0)
-    return float(max(aside_m, 0.0) * back_m / (away_m + back_m))
+    return float(max((aside_m - 2 * half[axis]) * share, min(aside_m * share, MIRROR_M), 0.0))
