@@ -125,5 +125,6 @@ def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: i
     share, aside_m = back_m / (away_m + back_m), half[axis] - sign * eye[axis]
     if axis != ACROSS:
         return float(max(aside_m, 0.0) * share)
-    # A body hides its far side from an eye beyond the near one.
-    return float(max((aside_m - 2 * half[axis]) * share, min(aside_m * share, MIRROR_M), 0.0))
+    # A body hides its far side from an eye beyond the near one, and the mirror there from one beyond the middle.
+    mirror_m = min(aside_m * share, MIRROR_M) if sign * eye[axis] < 0 else 0.0
+    return float(max((aside_m - 2 * half[axis]) * share, mirror_m))
