@@ -15,6 +15,7 @@ from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
+from synth3dlanes.polylines import lengths_along
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
@@ -206,7 +207,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     else:
         before, rows, behind = np.split(rows, np.flatnonzero(~is_far)[[0, -1]] + [0, 1])
     xyz = curve.points_world(rows)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+    length = lengths_along(xyz)
     length -= np.interp(0.0, rows, length)
     dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
