@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from synth3dlanes import api
-from synth3dlanes.production import bench, local, workers
+from synth3dlanes.production import bench, local, twins, workers
 from synth3dlanes.production.workers import Limits, Pool, Worker
 from synth3dlanes.validate import made_again
 
@@ -86,4 +86,6 @@ def _environment() -> dict[str, str]:
 
 def _in_folder(folder: str, function: Callable[..., Any], *args: Any) -> Any:
     os.chdir(folder)
+    # Another test's data set may lie at the same address.
+    twins._reader.cache_clear()
     return function(*args)

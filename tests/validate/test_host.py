@@ -24,7 +24,7 @@ def faults(scene: Scene, labels: Labels) -> list[tuple[str, str]]:
     return [(found.lane, found.reason) for found in findings(Evidence(resolve(scene), labels), "host")]
 
 
-@pytest.mark.parametrize("preset", presets())
+@pytest.mark.parametrize("preset", presets("appendix_i", "streets"))
 def test_every_drawn_scene_keeps_it(preset: str) -> None:
     for index in range(3):
         scene = sample_scene(Scenes(load_params(preset)), index)

@@ -87,7 +87,7 @@ def edit(root: Path, index: int, change: Callable[[dict], object], split: str = 
     seal(root, apply, split)
 
 
-@pytest.mark.parametrize("preset", presets())
+@pytest.mark.parametrize("preset", presets("appendix_i", "streets"))
 def test_scenes_are_those_drawn_again(preset: str) -> None:
     recipe = replace(RECIPE, scenes=replace(RECIPE.scenes, params=load_params(preset)))
     origin = Origin.model_validate(json.loads(json.dumps(recipe.description())))
