@@ -166,7 +166,7 @@ def _footprints(way: LaneCurve, lengths_m: np.ndarray, offset_m: float, size: tu
     """The rectangles of a car at lengths along its way."""
     inside = np.clip(lengths_m, 0.6, max(way.end_m - 0.6, 0.6))
     behind, ahead = way.xy_world(inside - 0.5), way.xy_world(inside + 0.5)
-    heading = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1, keepdims=True)
+    heading = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
     middle = way.xy_world(lengths_m) + offset_m * np.stack([heading[:, 1], -heading[:, 0]], axis=-1)
     return placement.footprint(middle, heading, *size)
 
