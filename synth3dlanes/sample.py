@@ -16,6 +16,7 @@ from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
 from synth3dlanes.sampling.draws import DECIMALS, Draw, DrawsOf, draws_of
 from synth3dlanes.sampling.like import Neighbourhood
+from synth3dlanes.sampling.map_standing import map_trees, stand
 from synth3dlanes.sampling.map_terrain import terrain_of
 from synth3dlanes.sampling.on_map import MapPlace, draw_map_cars, farthest, host_length, slowed
 from synth3dlanes.sampling.roadside import draw_roadside
@@ -146,9 +147,11 @@ def _map_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     shot = slowed(network, at_m, _shot(scenes.shots, of("motion")))
     bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot})
     world = resolve(bare, network)
+    world = world.furnished(bare.model_copy(update={"roadside": stand(part, world, of("roadside", "map_standing"))}))
     cars = draw_map_cars(world, of("cars", "map_cars"), of("motion", "car_speeds"), farthest(of.params.cars.s_m))
     trees, _ = trees_with_room(world, of("trees"), of("trees", "tree_places"))
-    return world.furnished(bare.model_copy(update={"cars": cars, "trees": trees}))
+    trees += map_trees(part, world, of("trees", "map_trees"))
+    return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees}))
 
 
 def _town_world(scenes: Scenes, index: int, of: DrawsOf) -> World:

@@ -47,6 +47,7 @@ MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
 MAX_BEAMS = 256
 # Of a grid of heights.
 MAX_GRID = 200
+MAX_BUILDINGS = 200
 Seconds = Annotated[float, Field(ge=0, le=1e6)]
 Driven = Annotated[float, Field(ge=0, le=1e6)]
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
@@ -484,7 +485,7 @@ class Roadside(DocumentPart):
     rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
     posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
     crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
-    buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
+    buildings: Annotated[tuple[Building, ...], Field(max_length=MAX_BUILDINGS)] = ()
     signals: Annotated[tuple[TrafficSignal, ...], Field(max_length=MAX_FREE)] = ()
     signs: Annotated[tuple[TrafficSign, ...], Field(max_length=MAX_FREE)] = ()
 
