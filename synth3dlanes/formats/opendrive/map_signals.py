@@ -87,7 +87,8 @@ def add_signals(elements: Mapping[str, Element], world: World, network: MapNetwo
             _add_validity(reference, lanes)
             groups.setdefault(road, []).append(reference)
     for road, items in groups.items():
-        add(elements[road], "signals").extend(items)
+        # References come last.
+        add(elements[road], "signals").extend(sorted(items, key=lambda at: at.tag == "signalReference"))
 
 
 def _add_validity(element: Element, lanes: Sequence[NetworkLane]) -> None:
