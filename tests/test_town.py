@@ -32,6 +32,15 @@ def test_lanes_go_on_and_nothing_touches(junction: str) -> None:
     assert [*map_problems(world.scene.map), *standing_problems(world)] == []
 
 
+def test_parked_cars_keep_off_long_vehicles_in_bends() -> None:
+    """Their ends swing out of narrow lanes."""
+    wide = "cars.model={1: 1, 11: 1}", "cars.scale=1.2", "town.lane_width_m=2.9", "town.bend_deg=30"
+    full = "town.parking=true", "town.parked=1", "town.traffic=1", "town.n_more=0", "town.fronts=0"
+    world = town(2, "town.junction=crossing", *wide, *full)
+    assert sum(car.offset_m > 1 for car in world.scene.cars) > 10
+    assert touching(bodies(world)) == []
+
+
 def test_a_town_is_a_document_and_the_same_each_time() -> None:
     scene = town(2).scene
     text = to_json(scene)
