@@ -1,4 +1,4 @@
-"""Detected lanes with scores: read and written as JSON lines, and decoded from anchors. Numpy and scipy.
+"""Detected lanes with scores: read and written as JSON lines, and decoded from anchors.
 
 Frame: lanes are in camera coordinates, as in the files of `evaluate --predictions` (docs/baseline.md).
 """
@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, model_validator
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.files import Folder, open_regular
@@ -23,6 +22,7 @@ from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.labels import LaneKind
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
+from .onnx_decode import natural_spline
 from .poses import Pose, cam_from_road
 
 DENSE_Y_M = np.arange(101.0)
@@ -63,8 +63,11 @@ def interpolate(
     near the car of 2.9 cm, linear interpolation 10.5 cm."""
     if len(y_m) < 2:
         return np.repeat(values, len(at_m), axis=0)
-    curve = PchipInterpolator(y_m, values) if spline == "pchip" else CubicSpline(y_m, values, bc_type="natural")
-    return np.asarray(curve(at_m))
+    if spline == "natural":
+        return natural_spline(y_m, values, at_m)
+    from scipy.interpolate import PchipInterpolator  # takes longer to import than a photograph takes
+
+    return np.asarray(PchipInterpolator(y_m, values)(at_m))
 
 
 def decode(

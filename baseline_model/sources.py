@@ -29,7 +29,6 @@ from .tusimple import TusimpleOnPlane
 
 ROLL = "camera_roll_rad"
 MEASURED = 200
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,15 +182,6 @@ def focal_lengths(samples: Samples, size_px: tuple[int, int]) -> FocalLengths:
         focal_px.append((fx, fy))
     fx_px, fy_px = np.array(focal_px).T
     return FocalLengths(float(fx_px.min()), float(fx_px.max()), float(np.median(fy_px / fx_px)))
-
-
-def image_files(source: str | Path) -> list[Path]:
-    """The image file that a path names, or those of a folder by name."""
-    if "://" in str(source):
-        return []
-    source = Path(source)
-    files = [source] if source.is_file() else sorted(source.iterdir()) if source.is_dir() else []
-    return [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
 
 
 def key_at(samples: Samples, index: int) -> str:

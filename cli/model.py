@@ -1,8 +1,11 @@
 """`synth3dlanes train`, `predict`, `evaluate`, `ablation`, `onnx`: the bundled baseline."""
 
+import gc
+import importlib
 import importlib.util
 import os
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -174,8 +177,8 @@ def predict(
     the network of a checkpoint or, without one, with weights in this package: `streets` for photographs, `nano` for a
     split.
 
-    Writes OUT/predictions.jsonl, and two pictures of each image: NAME.png, with the lanes in the image and in 3D, and
-    NAME.overlay.jpg, the image in full size with the lanes.
+    Writes OUT/predictions.jsonl, and two pictures of each image: NAME.overlay.jpg, the image in full size with the
+    lanes, and NAME.figure.jpg, which shows it beside the lanes from above and from the side.
     """
     need_torch()
     from synth3dlanes_baseline.predict import detector_for
@@ -361,11 +364,18 @@ def onnx(checkpoint: str, path: Path) -> None:
 
 
 def need_torch() -> None:
+    """Load torch, or say how to install it."""
     # OpenMP's threads spin while they wait for each other. On cores that others use as well, a training step took
     # 4.8 s with spinning and 0.4 s without; on idle cores it makes no difference. Read when torch is first loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if importlib.util.find_spec("torch") is None:
         raise MissingPackageError("PyTorch is not installed: pip install 'synth3dlanes[train]'")
+    if "torch" not in sys.modules:
+        # Nothing that an import makes is garbage: looking for some takes a tenth of the time that torch takes.
+        gc.disable()
+        importlib.import_module("torch")
+        gc.freeze()
+        gc.enable()
 
 
 def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
