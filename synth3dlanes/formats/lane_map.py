@@ -98,13 +98,13 @@ def _map_segments(
             yield LaneSegment(index, segment.id, middle, left_side, right_side, lane.junction is not None)
 
 
-def pavement_edges(world: World, at_world: Float[np.ndarray, "3"]) -> Iterator[Points3]:
-    """The edges of the pavement, shoulders included, and of a median's grass, within about REACH_M of a place."""
+def pavement_edges(world: World, at_world: Float[np.ndarray, "3"], reach_m: float = REACH_M) -> Iterator[Points3]:
+    """The edges of the pavement, shoulders included, and of a median's grass, within about `reach_m` of a place."""
     if isinstance(world.ground, MapGround):
-        for ring in world.ground.rings(at_world[:2], 2 * REACH_M):
+        for ring in world.ground.rings(at_world[:2], 2 * reach_m):
             yield np.column_stack([ring, world.ground.under(ring)])
         return
-    for road, s, (left, *grass, right) in _pavement_lines(world, at_world, REACH_M):
+    for road, s, (left, *grass, right) in _pavement_lines(world, at_world, reach_m):
         for t in (left, right, *grass):
             yield from runs(road.points(s, t), ~world.ground.is_on_other(road, road.xy(s, t)))
 
