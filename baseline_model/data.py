@@ -67,13 +67,14 @@ class Samples(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class CameraImage:
-    """An image of any size, the intrinsics of its camera (fx, fy, cx, cy in its pixels), and its labels or labelled
-    lines in the image, if it has some."""
+    """An image of any size, the intrinsics of its camera (fx, fy, cx, cy in its pixels), its labels or labelled lines
+    in the image, if it has some, and its time in a clip or a video."""
 
     key: str
     image: RgbImage
     intrinsics: Intrinsics
     truth: Labels | Sequence[Polyline2] = ()
+    time_s: float | None = None
 
 
 class Batch(NamedTuple):

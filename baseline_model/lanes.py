@@ -43,11 +43,12 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """All detections of one image; `pose` is None if it is not estimated."""
+    """All detections of one image; `pose` is None if it is not estimated, `time_s` if it is no frame of a clip."""
 
     key: str
     lanes: tuple[Detection, ...]
     pose: Pose | None
+    time_s: float | None = None
 
 
 def keep_local_maxima(scores: Float[np.ndarray, "t a"]) -> Bool[np.ndarray, "t a"]:
@@ -111,6 +112,8 @@ def to_line(prediction: Prediction) -> str:
             "pitch_rad": round(float(prediction.pose.pitch_rad), 8),
             "height_m": round(float(prediction.pose.height_m), 6),
         }
+    if prediction.time_s is not None:
+        document["time_s"] = round(prediction.time_s, 6)
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -180,6 +183,7 @@ class _Line(Excerpt):
     key: str
     lanes: list[_Lane]
     pose: _Pose | None = None
+    time_s: Number | None = None
 
 
 def _prediction(line: _Line) -> Prediction:
@@ -187,4 +191,5 @@ def _prediction(line: _Line) -> Prediction:
         Detection(lane.kind, lane.score, lane.xyz_cam, None if lane.visibility is None else np.array(lane.visibility))
         for lane in line.lanes
     )
-    return Prediction(line.key, lanes, None if line.pose is None else Pose(line.pose.pitch_rad, line.pose.height_m))
+    pose = None if line.pose is None else Pose(line.pose.pitch_rad, line.pose.height_m)
+    return Prediction(line.key, lanes, pose, line.time_s)

@@ -1,11 +1,12 @@
-"""Detect lanes in a split, in image files or in folders of images; write predictions and pictures."""
+"""Detect lanes in a split, in image files, folders of images or videos; write predictions, pictures and videos."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from PIL import Image
 
+from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.words import counted
 
@@ -13,9 +14,11 @@ from . import checkpoint as checkpoints
 from .ahead import ahead
 from .data import CameraImage, Intrinsics, img_from_cam
 from .inference import Detector, choose_device
+from .lane_video import LaneVideos
 from .lanes import Prediction, write_predictions
 from .overlay import save_pictures
-from .pictures import ASSUMED_FOV_DEG, are_photographs, open_pictures
+from .pictures import ASSUMED_FOV_DEG, are_photographs, is_video, open_pictures
+from .smoothing import smoothed
 
 
 @dataclass(eq=False)
@@ -48,6 +51,26 @@ class PredictionSummary:
         return found + assumed * self.is_assumed
 
 
+@dataclass(frozen=True)
+class PredictConfig:
+    """How images are taken, and what is drawn of them.
+
+    `intrinsics` (fx, fy, cx, cy, in pixels) are those of image files and videos; without them a horizontal field of
+    view of 60 degrees is assumed, that of the paper's camera. Lanes of at least this confidence are drawn of the first
+    `n_overlays` images (`overlay.save_pictures`) or, with `has_videos`, of the first clips, in a video each, as of a
+    video file. `smooth_s` is the time constant of `smoothing.smoothed`; None leaves frames alone.
+    """
+
+    intrinsics: Intrinsics | None = None
+    n_overlays: int = 16
+    threshold: float = 0.5
+    has_videos: bool = False
+    smooth_s: float | None = None
+
+
+DEFAULT = PredictConfig()
+
+
 def detector_for(
     source: str | Path, checkpoint: str | Path | None = None, device: str = "auto", own_model: str | None = None
 ) -> Detector:
@@ -58,35 +81,38 @@ def detector_for(
 
 
 def predict(
-    detector: Detector,
-    source: str | Path,
-    out_dir: str | Path,
-    intrinsics: Intrinsics | None = None,
-    n_overlays: int = 16,
-    threshold: float = 0.5,
+    detector: Detector, source: str | Path, out_dir: str | Path, config: PredictConfig = DEFAULT
 ) -> PredictionSummary:
-    """Write `predictions.jsonl` to `out_dir`, and of each of the first `n_overlays` images a figure and the image in
-    full size with the lanes of at least this confidence (`overlay.save_pictures`).
+    """Write `predictions.jsonl` to `out_dir`, and pictures or videos with the lanes (`PredictConfig`).
 
-    `source` is a split of a dataset, an image, a folder of images, or a label file of tuSimple or a folder with one.
-    `intrinsics` (fx, fy, cx, cy, in pixels) are those of image files. Without them a horizontal field of view of 60
-    degrees is assumed, that of the paper's camera; photographs of tuSimple then need a network of the variant on a
-    fixed plane."""
-    pictures = open_pictures(source, intrinsics)
+    `source` is a split of a dataset, an image, a folder of images, a video, or a label file of tuSimple or a folder
+    with one. Photographs of tuSimple without intrinsics need a network of the variant on a fixed plane.
+    """
+    pictures = open_pictures(source, config.intrinsics)
+    rate_hz = pictures.rate_hz
+    if rate_hz is None and (config.smooth_s is not None or config.has_videos):
+        raise InputError(f"{source}: expected a video or a split of clips by one camera, got single pictures")
+    found = detector.in_images(pictures.images)
+    if config.smooth_s is not None:
+        found = smoothed(found, config.smooth_s)
     out = Path(out_dir)
     Folder(out).make()
-    summary = PredictionSummary(out / "predictions.jsonl", threshold, pictures.is_assumed)
+    summary = PredictionSummary(out / "predictions.jsonl", config.threshold, pictures.is_assumed)
+    with LaneVideos(out, rate_hz or 1.0, config.n_overlays) as videos:
 
-    def kept() -> Iterator[Prediction]:
-        # The network goes on in a thread while these lines are written and drawn.
-        for image, prediction in ahead(detector.in_images(pictures.images)):
-            pictures.check(prediction)
-            if summary.n_images < n_overlays:
-                _save(out, image, prediction, threshold)
-            summary.add(prediction)
-            yield prediction
+        def kept() -> Iterator[Prediction]:
+            # The network goes on in a thread while these lines are written and drawn.
+            for image, prediction in ahead(found):
+                pictures.check(prediction)
+                if is_video(source) or config.has_videos:
+                    name = Path(source).stem if is_video(source) else image.key
+                    videos.add(name, image, prediction, config.threshold)
+                elif summary.n_images < config.n_overlays:
+                    _save(out, image, prediction, config.threshold)
+                summary.add(prediction)
+                yield replace(prediction, time_s=image.time_s)
 
-    write_predictions(summary.path, kept())
+        write_predictions(summary.path, kept())
     return summary
 
 

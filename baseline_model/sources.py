@@ -184,6 +184,15 @@ def focal_lengths(samples: Samples, size_px: tuple[int, int]) -> FocalLengths:
     return FocalLengths(float(fx_px.min()), float(fx_px.max()), float(np.median(fy_px / fx_px)))
 
 
+def clip_rate_hz(samples: Samples) -> float | None:
+    """Frames a second of a split of clips by one camera; None for other samples."""
+    if not isinstance(samples, UprightSamples):
+        return None
+    shots = samples.reader.description.get("shots", {})
+    has_clips = int(shots.get("frames", 1)) > 1 and len(shots.get("cameras", ())) <= 1
+    return float(shots.get("fps", 10.0)) if has_clips else None
+
+
 def key_at(samples: Samples, index: int) -> str:
     """The key of a sample, without reading it if the source allows that."""
     return str(_alone(samples, "key", index))

@@ -25,7 +25,7 @@ from synth3dlanes_baseline.onnx_decode import decode
 from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
 from synth3dlanes_baseline.overlay import _lines, save_pictures
 from synth3dlanes_baseline.pictures import assumed_intrinsics
-from synth3dlanes_baseline.predict import PredictionSummary, detector_for, predict
+from synth3dlanes_baseline.predict import PredictConfig, PredictionSummary, detector_for, predict
 from synth3dlanes_baseline.report import markdown, save_plots, table_1_cells, to_document, to_text
 from synth3dlanes_baseline.statistics import describe_targets
 
@@ -50,9 +50,9 @@ def _untrained(path, row):
     return path
 
 
-def detected(checkpoint, source, *args, **options) -> PredictionSummary:
+def detected(checkpoint, source, out, *intrinsics, **options) -> PredictionSummary:
     """What `predict` finds on the CPU."""
-    return predict(detector_for(source, checkpoint, "cpu"), source, *args, **options)
+    return predict(detector_for(source, checkpoint, "cpu"), source, out, PredictConfig(*intrinsics, **options))
 
 
 @pytest.fixture
