@@ -135,7 +135,7 @@ class MapJunction(DocumentPart):
 class MapPaint(DocumentPart):
     """Paint that bounds no lane. An arrow is in the middle of `lane` at station `s_m` of its road, in the direction of
     its traffic; a stop or give-way line crosses the lane there. A crosswalk fills `outline`, four
-    corners, with bars from its first side to the third."""
+    corners, of which the first two are across the road, with bars along it from there to the other two."""
 
     kind: SymbolKind
     lane: LaneName | None = None

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes import scene as scene_format
-from synth3dlanes.arrays import Scalars
+from synth3dlanes.arrays import RgbImage, Scalars
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.frames import transform
@@ -52,6 +52,11 @@ class SourceSample:
         """Its scene."""
         where = f"{self.reader.url}:{self.reader.key(self.place)}"
         return scene_format.from_json(self.reader.member(self.place, SCENE), where)
+
+    @cached_property
+    def image(self) -> RgbImage:
+        """Its image."""
+        return self.reader.image(self.place)
 
     @cached_property
     def passes(self) -> dict[str, Shaped[np.ndarray, "..."]]:

@@ -328,7 +328,7 @@ def _building(
             color=shaded(rng, FRONTS),
             roof=shaded(rng, ROOFS),
         )
-        outline = outline_of(building)
+        outline = floor_plan(building)
         if not (
             taken.clear(outline, 2.0) & footprints(ground, Roadside(buildings=tuple(others))).clear(outline, 2.0)
         ).all():
@@ -340,7 +340,7 @@ def _building(
             return
 
 
-def outline_of(building: Building) -> Float[np.ndarray, "n 2"]:
+def floor_plan(building: Building) -> Float[np.ndarray, "n 2"]:
     """World points over a building's floor plan."""
     share = np.linspace(-0.5, 0.5, 7)
     x, y = np.meshgrid(share * building.width_m, share * building.length_m)

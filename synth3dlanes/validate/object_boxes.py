@@ -3,7 +3,7 @@
 Points of an object must be in its box, and reach the sides that are seen.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -26,14 +26,17 @@ from synth3dlanes.validate.labelled_boxes import (
 
 # Share of an object's points that may be outside its box: built-in models reach at most 2 cm beyond theirs.
 MAX_OUTSIDE = 0.002
-# How far before a side of a box its points may end, and which part of what lies between two pixels or beams.
-MAX_GAP_M, MAX_PART = 0.035, 0.75
+# How far before a side of a box its points may end, and which part of what lies between two pixels, or between two
+# beams, of which one may return nothing.
+MAX_GAP_M, MAX_PART = 0.035, {"pixels": 0.75, "points": 2.0}
 # Objects with fewer points are not judged.
 MIN_POINTS = 150
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
 BEYOND_M, ACROSS, ALONG = 0.5, 0, 1
 # The lowest, highest and widest parts are this share of half the length behind the nearer end, at most.
 SET_BACK = 0.25
+# Mirrors reach at most so far beyond a body.
+MIRROR_M = 0.07
 MAX_TRUNCATION_OFF = 0.005
 
 
@@ -81,10 +84,18 @@ def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
         if own.sum() >= MIN_POINTS:
             lidar, object_from_cam = evidence.sweep.lidar, invert(item.cam_from_object)
             eye = transform(object_from_cam, lidar.cam_from_lidar[:3, 3])
-            step_rad = float(np.ptp(lidar.elevations_rad)) / max(1, len(lidar.elevations_rad) - 1)
             points_object = transform(object_from_cam, points.xyz_cam[own])
-            views.append(SeenPart("points", points_object, eye, distance_m * step_rad))
+            apart_m = distance_m * _step_rad(lidar.elevations_rad, points.xyz_lidar[own])
+            views.append(SeenPart("points", points_object, eye, apart_m))
     return views
+
+
+def _step_rad(elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3"]) -> float:
+    """The largest angle between two neighbouring beams, of those that meet points and one on either side."""
+    beams = np.sort(elevations_rad)
+    up_rad = np.arctan2(xyz_lidar[:, 2], np.hypot(*xyz_lidar[:, :2].T))
+    first, last = np.searchsorted(beams, [up_rad.min(), up_rad.max()])
+    return float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
 
 
 def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
@@ -103,13 +114,17 @@ def _sides(half: Float[np.ndarray, "3"], seen: SeenPart) -> Iterator[SideLimit]:
             has_outline = seen.source == "pixels" and axis != ALONG
             if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
                 hidden_m = _hidden_m(half, seen.eye, axis, sign) if has_outline else 0.0
-                yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART * seen.apart_m + hidden_m)
+                yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
 
 
 def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: int, sign: int) -> float:
     """How far before a side what is set back from an object's nearer end may be hidden by this end: wheels under a
-    bumper from an eye above it, what stands on a roof from one below it, the far side of a body that grows wider."""
+    bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
+    wider."""
     away_m, back_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), SET_BACK * half[ALONG]
-    # A body hides its far side from an eye beyond the near one.
-    aside_m = half[axis] - sign * eye[axis] - (2 * half[axis] if axis == ACROSS else 0.0)
-    return float(max(aside_m, 0.0) * back_m / (away_m + back_m))
+    share, aside_m = back_m / (away_m + back_m), half[axis] - sign * eye[axis]
+    if axis != ACROSS:
+        return float(max(aside_m, 0.0) * share)
+    # A body hides its far side from an eye beyond the near one, and the mirror there from one beyond the middle.
+    mirror_m = min(aside_m * share, MIRROR_M) if sign * eye[axis] < 0 else 0.0
+    return float(max((aside_m - 2 * half[axis]) * share, mirror_m))

@@ -25,7 +25,7 @@ from synth3dlanes.world import World
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
 # 5 cm), and beyond RANGE_M along the road the ground's faces are metres long. A tree's base is 0.1 m below the ground
 # and its root reaches 0.3 m deeper.
-MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 120.0
+MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 100.0
 # Terrain pixels this far inside the pavement's edge penetrate the road; every STEP-th pixel within NEAR_M is checked.
 INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
 MAX_THROUGH = 3

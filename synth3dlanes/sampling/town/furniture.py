@@ -12,7 +12,7 @@ from synth3dlanes.geometry.placement import overlaps_any
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.roadside import Building, Post, Roadside
 from synth3dlanes.sampling.draws import DECIMALS, Draw
-from synth3dlanes.sampling.roadside import FRONTS, ROOFS, SIZES_M, outline_of, shaded
+from synth3dlanes.sampling.roadside import FRONTS, ROOFS, SIZES_M, floor_plan, shaded
 from synth3dlanes.sampling.town.junctions import Arm
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.lights import Lights, group_of
@@ -207,7 +207,7 @@ def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> lis
                     s_m += length_m + float(rng.uniform(*GAPS_M))
                     continue
                 building = _building(street, side, s_m, form, rng)
-                outline = outline_of(building)
+                outline = floor_plan(building)
                 corners = outline[[0, 6, 48, 42]]
                 if _has_room(ground, outline, height_m) and not (taken and overlaps_any(corners, np.array(taken))):
                     found.append(building)
@@ -258,7 +258,7 @@ def street_trees(town_map: TownMap, ground: Ground, roadside: Roadside, draw: Dr
     """Trees in rows behind the walkways, where no building stands."""
     share, rng = draw("street_trees"), draw.rng
     found: list[Tree] = []
-    fronts = [outline_of(building) for building in roadside.buildings]
+    fronts = [floor_plan(building) for building in roadside.buildings]
     models = [1, 3, 6]
     for street in town_map.streets if share else ():
         for side, sign in (("left", 1), ("right", -1)):
