@@ -285,6 +285,10 @@ class Ground:
         clear[near] = _nearest(roads, int(near.sum()))
         return clear.reshape(xy_world.shape[:-1])
 
+    def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Distance from the nearest pavement of traffic, negative on it."""
+        return self.clearance(xy_world)
+
     def is_within(self, xy_world: Float[np.ndarray, "n 2"], reach_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at most so far from a pavement."""
         return np.asarray(self.clearance(xy_world) <= reach_m)

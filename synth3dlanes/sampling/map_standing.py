@@ -8,7 +8,6 @@ from typing import TypeVar
 import numpy as np
 
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.maps.elements import OVERHEAD_M, GivenBody, GivenElement
 from synth3dlanes.maps.part import MapPart
 from synth3dlanes.roadside import MAX_BUILDINGS, Building, Roadside
@@ -96,7 +95,6 @@ def _shown(
 def _moved(item: TrafficSignal | TrafficSign, ground: Ground) -> TrafficSignal | TrafficSign:
     """A signal or sign with its pole off the pavement of traffic: if its place is on it, it hangs on an arm from beside
     it, or has no pole where that is too far."""
-    assert isinstance(ground, MapGround), "asked only of maps"
     xy, right = np.array([item.x_m, item.y_m]), np.array([math.cos(item.yaw_rad), math.sin(item.yaw_rad)])
     if ground.off_carriageways(xy[None])[0] > OFF_M:
         return item

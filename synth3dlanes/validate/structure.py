@@ -108,14 +108,13 @@ def check_host(evidence: Evidence) -> Iterator[Finding]:
     world, labels, camera = evidence.world, evidence.labels, evidence.world.view.camera
     segment = world.network.host_lane(camera.lane, camera.y_m).id
     # Of the last metres of a lane of a map there is no line; the next one begins there.
-    reach_m = 0.0 if world.scene.map is None else REST_M
+    reach_m, law_m = (REST_M, CHORD_M) if world.network.host_way(camera).is_measured else (0.0, LAW_M)
     own = {segment, world.network.host_lane(camera.lane, camera.y_m + reach_m).id}
     paths = {path for found in labels.graph.segments if found.id in own for path in found.centerlines}
     lanes = [lane for lane in labels.lanes if lane.id in paths]
     world_from_host = _host_of(world.scene, labels.camera)
     foot, ahead = world_from_host[:2, 3], world_from_host[:2, 1]
     asides_m = [aside_m for lane in lanes for aside_m in _asides(labels, lane, foot)]
-    law_m = CHORD_M if world.network.host_way(camera).is_measured else LAW_M
     if not asides_m:
         yield Finding("", f"host: expected a centre line of its lane {segment}, got none")
     elif min(abs(aside_m - camera.offset_m) for aside_m in asides_m) > law_m:
