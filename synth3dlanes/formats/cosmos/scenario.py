@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.element_labels import ElementLabel
-from synth3dlanes.formats.lane_map import STEP_M, LaneSegment, lane_segments, pavement_edges
+from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.labels import Labels, Marking, PaintColor, Pair
@@ -17,6 +17,8 @@ from synth3dlanes.world import World
 
 REACH_M = 150.0
 """How far lanes reach beyond all places of the host in the clip, and as far the other way."""
+STEP_M = 0.5
+"""How far apart points of lines are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
     return Scenario(
         tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
         tuple(_lines(world, place, reach_m)),
-        tuple(pavement_edges(world, place, reach_m)),
+        tuple(world.ground.pavement_edges(place[:2], reach_m)),
         tuple(_symbols(world)),
         _elements(pictures),
     )
