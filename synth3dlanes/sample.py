@@ -11,6 +11,7 @@ import numpy as np
 from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.geometry.map_roads import map_network
 from synth3dlanes.geometry.paper_roads import is_wide_enough, paper_network
+from synth3dlanes.host import Camera, Host, Lidar, Shot
 from synth3dlanes.params import CameraParams, Params
 from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
@@ -32,16 +33,12 @@ from synth3dlanes.scene import (
     MIN_MEDIAN_M,
     SCENE_VERSION,
     Air,
-    Camera,
     Gaussian,
-    Host,
-    Lidar,
     Light,
     Markings,
     PaperRoad,
     Scene,
     Sensor,
-    Shot,
     Surface,
     Terrain,
     Vegetation,
@@ -148,7 +145,9 @@ def _map_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot})
     world = resolve(bare, network)
     world = world.furnished(bare.model_copy(update={"roadside": stand(part, world, of("roadside", "map_standing"))}))
-    cars = draw_map_cars(world, of("cars", "map_cars"), of("motion", "car_speeds"), farthest(of.params.cars.s_m))
+    cars = draw_map_cars(
+        world, network, of("cars", "map_cars"), of("motion", "car_speeds"), farthest(of.params.cars.s_m)
+    )
     trees, _ = trees_with_room(world, of("trees"), of("trees", "tree_places"))
     trees += map_trees(part, world, of("trees", "map_trees"))
     return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees}))

@@ -12,13 +12,13 @@ import numpy as np
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.format import Picture, encode
 from synth3dlanes.ground_truth import label
+from synth3dlanes.host import Shot
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import PackedSample, Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.scene import Shot
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
 from tests.scenes import FLAT

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Polyline2
 from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine, paired
+from synth3dlanes.road_map import PlanPiece
 
 # A point's station is looked for among places this far apart.
 GUESS_STEP_M = 4.0
@@ -168,3 +169,22 @@ class Chain(FiniteLine):
             for whole, part in zip(found, self.lines[i].frames(s[at] - starts[i]), strict=True):
                 whole[at] = part
         return found
+
+
+def plan_line(plan: Sequence[PlanPiece]) -> Chain:
+    """The reference line of a road's plan."""
+    lines = ((piece.length_m, line_of(piece)) for piece in plan)
+    return Chain.of([MeasuredCubic(m, line) if isinstance(line, Cubic) else line for m, line in lines])
+
+
+def line_of(piece: PlanPiece) -> Spiral | Cubic:
+    """The line of a piece of a plan; the stations of a cubic are its parameter."""
+    start, length_m = (piece.x_m, piece.y_m), piece.length_m
+    if piece.u is None or piece.v is None:
+        bends = (piece.curvature_end - piece.curvature) / length_m
+        return Spiral(length_m, start, piece.heading_rad, piece.curvature, bends)
+    cos, sin = float(np.cos(piece.heading_rad)), float(np.sin(piece.heading_rad))
+    (x0, *x), (y0, *y) = (
+        [a * u + b * v for u, v in zip(piece.u, piece.v, strict=True)] for a, b in ((cos, -sin), (sin, cos))
+    )
+    return Cubic(piece.parameter_end, (x0 + start[0], x[0], x[1], x[2]), (y0 + start[1], y[0], y[1], y[2]))

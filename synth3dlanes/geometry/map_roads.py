@@ -7,16 +7,15 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
 
 from synth3dlanes.geometry.lane_curves import LaneCurve, measured
-from synth3dlanes.geometry.map_lines import Chain, Cubic, FiniteLine, MeasuredCubic, Spiral
+from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.map_network import Junction, MapNetwork
 from synth3dlanes.geometry.map_paint import beside_lanes, bounded, edges_of, lines
 from synth3dlanes.geometry.roads import NetworkLane, Offset
 from synth3dlanes.geometry.section_road import CrossSection, Profile, SectionRoad, Shapes
 from synth3dlanes.labels import Direction
-from synth3dlanes.road_map import MapRoad, PlanPiece, RoadMap
+from synth3dlanes.road_map import MapRoad, RoadMap
 from synth3dlanes.scene import Terrain
 
 # Roads farther from the host than this are left out.
@@ -28,28 +27,6 @@ LEAST_WIDTH_M = 0.1
 def map_network(roads: RoadMap, terrain: Terrain, at_m: float) -> MapNetwork:
     """The roads of a map within AROUND_M of the place at a length along its route, and those of the route."""
     return _Reading(roads, terrain).network(at_m)
-
-
-def plan_line(plan: Sequence[PlanPiece]) -> Chain:
-    """The reference line of a road's plan."""
-    return Chain.of([_plan_piece(piece) for piece in plan])
-
-
-def _plan_piece(piece: PlanPiece) -> FiniteLine:
-    start, length_m = (piece.x_m, piece.y_m), piece.length_m
-    if piece.u is None or piece.v is None:
-        bends = (piece.curvature_end - piece.curvature) / length_m
-        return Spiral(length_m, start, piece.heading_rad, piece.curvature, bends)
-    c, s = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
-    u, v = np.array(piece.u), np.array(piece.v)
-    x, y = c * u - s * v, s * u + c * v
-    x[0], y[0] = x[0] + piece.x_m, y[0] + piece.y_m
-    return MeasuredCubic(length_m, Cubic(piece.parameter_end, _four(x), _four(y)))
-
-
-def _four(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:
-    a, b, c, d = values.tolist()
-    return a, b, c, d
 
 
 class _Reading:
@@ -84,12 +61,12 @@ class _Reading:
         )
         return MapNetwork(
             self.terrain,
-            tuple(roads.values()),
-            tuple(line for line, _ in drawn),
-            tuple(links),
+            roads=tuple(roads.values()),
+            delimiters=tuple(line for line, _ in drawn),
+            links=tuple(links),
             given_paths=tuple(bounded(path, beside) for path in paths),
             junctions=tuple(at for at in junctions if at.roads),
-            route=self._route(roads, lanes),
+            way=self._route(roads, lanes),
         )
 
     # -- roads
@@ -130,7 +107,7 @@ class _Reading:
             start_m=0.0,
             end_m=line.length_m,
             sections=sections,
-            chain=line,
+            plan=line,
             heights=Profile(road.heights) if road.heights else None,
             banks=Profile(road.banks) if road.banks else None,
             shapes=Shapes(road.shapes) if road.shapes else None,

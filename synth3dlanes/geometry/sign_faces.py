@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.scene import N_SIGN_FACES, Color
+from synth3dlanes.roadside import N_SIGN_FACES
+from synth3dlanes.schema import Color
 from synth3dlanes.traffic_elements import FaceKind, SignKind
 
 Outline = Float[np.ndarray, "n 2"]

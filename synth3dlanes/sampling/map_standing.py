@@ -11,9 +11,10 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.maps.elements import OVERHEAD_M, GivenBody, GivenElement
 from synth3dlanes.maps.part import MapPart
+from synth3dlanes.roadside import MAX_BUILDINGS, Building, Roadside
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.roadside import FRONTS, ROOFS, floor_plan, shaded
-from synth3dlanes.scene import MAX_BUILDINGS, Building, Roadside, Tree
+from synth3dlanes.scene import Tree
 from synth3dlanes.traffic_elements import MAX_FREE, Phase, SignalState, TrafficSign, TrafficSignal
 from synth3dlanes.world import World
 

@@ -11,10 +11,11 @@ from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.distributions import Choice, Uniform
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.lane_curves import KNOT_M, LaneCurve
+from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.map_network import MapNetwork
-from synth3dlanes.geometry.map_roads import plan_line
 from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.section_road import CrossSection, Profile
+from synth3dlanes.host import Shot
 from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.part import MapPart, part_around
 from synth3dlanes.maps.places import MapStation, draw_place
@@ -22,7 +23,7 @@ from synth3dlanes.road_map import LaneName, MapRoad
 from synth3dlanes.sampling.cars import CAR_GAP_M
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.traffic import CHECK_EVERY_S, SPEED_TRIES
-from synth3dlanes.scene import Car, Shot
+from synth3dlanes.scene import Car
 from synth3dlanes.world import World
 
 # Draws of a place for each car; lanes of the host's roads are so many times as likely as others.
@@ -120,11 +121,10 @@ def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, l
     return round(float(fastest), 3)
 
 
-def draw_map_cars(world: World, looks: Draw, speeds: Draw, reach_m: float) -> tuple[Car, ...]:
+def draw_map_cars(world: World, network: MapNetwork, looks: Draw, speeds: Draw, reach_m: float) -> tuple[Car, ...]:
     """Cars in the lanes within a distance of the host, which in a clip keep a speed through lanes that follow each
     other and touch nobody; those without room are left out."""
-    network, shot, rng = world.network, world.scene.shot, looks.rng
-    assert isinstance(network, MapNetwork), "asked only of maps"
+    shot, rng = world.scene.shot, looks.rng
     times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
     host_m = world.scene.camera.y_m + shot.speed_m_s * times_s
     host = _footprints(network.way, host_m, world.scene.camera.offset_m, placement.HOST_SIZE_M)

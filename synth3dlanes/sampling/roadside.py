@@ -20,7 +20,8 @@ from synth3dlanes.geometry.rails import KERBS, RAILS
 from synth3dlanes.geometry.roads import SIDES, Side
 from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
-from synth3dlanes.scene import Building, Color, Crossing, Post, Rail, RailKind, RoadSide, Roadside
+from synth3dlanes.roadside import Building, Crossing, Post, Rail, RailKind, RoadSide, Roadside
+from synth3dlanes.schema import Color
 from synth3dlanes.world import World
 
 DrawFunction = Callable[[str], Any]

@@ -27,7 +27,7 @@ POINT_M = 1e-4
 MATRIX = 1e-8
 # Of the host beside the middle of its lane.
 LAW_M = 0.001
-# Points of maps are a metre apart wherever the host is: the middle of a chord is so far from a sharp bend.
+# Points of measured lines are a metre apart wherever the host is: the middle of a chord is so far from a sharp bend.
 CHORD_M = 0.03
 # The longest end of a lane of a map without points: they are a metre apart, and a line has two.
 REST_M = 2.0
@@ -115,7 +115,7 @@ def check_host(evidence: Evidence) -> Iterator[Finding]:
     world_from_host = _host_of(world.scene, labels.camera)
     foot, ahead = world_from_host[:2, 3], world_from_host[:2, 1]
     asides_m = [aside_m for lane in lanes for aside_m in _asides(labels, lane, foot)]
-    law_m = LAW_M if world.scene.map is None else CHORD_M
+    law_m = CHORD_M if world.network.host_way(camera).is_measured else LAW_M
     if not asides_m:
         yield Finding("", f"host: expected a centre line of its lane {segment}, got none")
     elif min(abs(aside_m - camera.offset_m) for aside_m in asides_m) > law_m:

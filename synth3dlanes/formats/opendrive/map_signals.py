@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.xml import Element, add
-from synth3dlanes.geometry.map_network import MapNetwork
-from synth3dlanes.geometry.roads import NetworkLane
-from synth3dlanes.geometry.section_road import SectionRoad
+from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.roads import NetworkLane, Road
 from synth3dlanes.maps.elements import ARROW_LIGHT, LIGHT
 from synth3dlanes.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
 from synth3dlanes.world import World
@@ -40,7 +39,7 @@ STEP_M, NEAREST = 2.0, 6
 BESIDE_M = 0.005
 
 
-class Beside(NamedTuple):
+class SignalPlace(NamedTuple):
     """A place beside a road: its station and t, and the road's heading there."""
 
     road: str
@@ -49,7 +48,7 @@ class Beside(NamedTuple):
     heading_rad: float
 
 
-def add_signals(elements: Mapping[str, Element], world: World, network: MapNetwork) -> None:
+def add_signals(elements: Mapping[str, Element], world: World, network: Network) -> None:
     """Add signals and signs to the elements of roads by their ids: each beside the road that is nearest to its head,
     with the lanes of it that it governs, and references to it at the others. Those that govern none are left out."""
     roads = [network.road(name) for name in elements]
@@ -97,7 +96,7 @@ def _add_validity(element: Element, lanes: Sequence[NetworkLane]) -> None:
         add(element, "validity", fromLane=str(number), toLane=str(number))
 
 
-def _beside(point: Float[np.ndarray, "2"], road: SectionRoad) -> Beside | None:
+def _beside(point: Float[np.ndarray, "2"], road: Road) -> SignalPlace | None:
     """The place of a point beside a road; None of one before its beginning or behind its end."""
     s, (low, high) = 0.0, (0.0, road.end_m)
     for n in (2 + int(road.end_m / STEP_M), 41, 41, 41):
@@ -110,7 +109,7 @@ def _beside(point: Float[np.ndarray, "2"], road: SectionRoad) -> Beside | None:
     ahead_m, right_m = (point - road.xy(np.array([s]), np.zeros(1))[0]) @ np.stack([along, [along[1], -along[0]]], -1)
     if abs(ahead_m) > BESIDE_M:
         return None
-    return Beside(road.id, s, -float(right_m), math.atan2(along[1], along[0]))
+    return SignalPlace(road.id, s, -float(right_m), math.atan2(along[1], along[0]))
 
 
 def _kind(item: TrafficSignal | TrafficSign) -> tuple[str, str] | None:

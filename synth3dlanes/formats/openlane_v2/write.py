@@ -14,7 +14,7 @@ from synth3dlanes.arrays import Matrix4
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.format import SampleFrame
-from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments, pavement_edges, runs
+from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, lane_segments
 from synth3dlanes.formats.openlane_v2.convention import (
     AHEAD_M,
     ASIDE_M,
@@ -34,6 +34,7 @@ from synth3dlanes.formats.openlane_v2.convention import (
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.frames import invert, transform
+from synth3dlanes.geometry.ground import runs
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.world import World, resolve
 
@@ -259,7 +260,7 @@ def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: 
             if _in_area(quad_ego, behind_m).all():
                 yield {"id": index, "category": PEDESTRIAN_CROSSING, "points": _rounded(quad_ego)}
                 index += 1
-    for edge_world in pavement_edges(world, world_from_ego[:3, 3]):
+    for edge_world in world.ground.pavement_edges(world_from_ego[:2, 3], REACH_M):
         edge_ego = transform(ego_from_world, edge_world)
         for run in runs(edge_ego, _in_area(edge_ego, behind_m)):
             if _length_m(run) >= LEAST_LENGTH_M:

@@ -9,13 +9,14 @@ from jaxtyping import Float
 from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.geometry.placement import footprint, overlaps_any
+from synth3dlanes.host import Shot
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.sampling.town.layout import TownMap, lay_out
 from synth3dlanes.sampling.town.plan import poses
 from synth3dlanes.sampling.town.streets import LANES, PARKING_M
 from synth3dlanes.sampling.town.traffic import CarBody, HostPlan, MovingCar, TownDrive, body_places, plan_host, simulate
-from synth3dlanes.scene import Car, Markings, Shot, Terrain
+from synth3dlanes.scene import Car, Markings, Terrain
 from synth3dlanes.town import ROUNDABOUTS, Town
 
 # A parked car takes so much of the kerb; it stands so far from the end of the parking lane.

@@ -10,6 +10,7 @@ import numpy as np
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.placement import overlaps_any
 from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.roadside import Building, Post, Roadside
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.roadside import FRONTS, ROOFS, SIZES_M, floor_plan, shaded
 from synth3dlanes.sampling.town.junctions import Arm
@@ -19,7 +20,7 @@ from synth3dlanes.sampling.town.paint import line_m
 from synth3dlanes.sampling.town.plan import PlanPose, poses
 from synth3dlanes.sampling.town.rules import JunctionRules
 from synth3dlanes.sampling.town.streets import LaneAt, Street
-from synth3dlanes.scene import Building, Post, Roadside, Tree
+from synth3dlanes.scene import Tree
 from synth3dlanes.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
 
 Rng = np.random.Generator
