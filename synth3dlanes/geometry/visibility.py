@@ -20,7 +20,7 @@ def seen_over_ground(
     ray = np.repeat(np.arange(len(to)), n_steps - 1)
     step = np.arange(len(ray)) - np.repeat(np.cumsum(n_steps - 1) - (n_steps - 1), n_steps - 1) + 1
     sight = eye_world + to[ray] * (step / n_steps[ray])[:, None]
-    hidden = ground.height(sight[:, :2]) > sight[:, 2] + TOLERANCE_M
+    hidden = ground.is_in(sight + np.array([0.0, 0.0, TOLERANCE_M]))
     seen = np.ones(len(to), dtype=bool)
     seen[ray[hidden]] = False
     for crest in ground.crests():
