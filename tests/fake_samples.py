@@ -12,13 +12,13 @@ import numpy as np
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.format import Picture, encode
 from synth3dlanes.ground_truth import label
+from synth3dlanes.host import Shot
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import PackedSample, Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.scene import Shot
 from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
 from tests.scenes import FLAT
@@ -155,6 +155,11 @@ def insist_on_one_core(recipe: Recipe, index: int) -> PackedSample:
 def main() -> None:
     """Arguments: folder, n, workers, and the address of a Ray cluster if it is to do it."""
     (out, n, workers), address = sys.argv[1:4], sys.argv[4:]
+    if address:
+        from synth3dlanes.production import cluster
+
+        # On a busy machine, the program that asks for the cluster's health takes its time.
+        cluster.HEALTH_S = 120.0
     plan = Plan(out, int(n), recipe(), workers=int(workers), shard_size=10, maker=make_slowly)
 
     def tell(event: object) -> None:

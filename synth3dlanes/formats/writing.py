@@ -11,7 +11,6 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.frames import invert, project, turned
 from synth3dlanes.labels import CameraLabel, Labels, Lane
-from synth3dlanes.scene import Scene
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
@@ -94,8 +93,9 @@ class FrameAnnotation:
     shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
-def world_from_host(camera: CameraLabel, scene: Scene) -> Matrix4:
-    """The host's own road frame, in which cameras and lidars keep their places through a clip."""
+def world_from_host(camera: CameraLabel, right_m: float, forward_m: float) -> Matrix4:
+    """The host's own road frame, in which cameras and lidars keep their places through a clip; the camera is that far
+    to its right and forward."""
     world_from_road = camera.world_from_cam @ invert(camera.road_from_cam)
-    host_from_road = turned(0.0, scene.camera.right_m, scene.camera.forward_m)
+    host_from_road = turned(0.0, right_m, forward_m)
     return np.asarray(world_from_road @ invert(host_from_road))

@@ -10,7 +10,7 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Points3, Scalars
-from synth3dlanes.geometry.map_roads import plan_line
+from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.section_road import CrossSection, Profile
 from synth3dlanes.geometry.terrain import grid_weights, height_at
 from synth3dlanes.road_map import MapRoad, RoadMap
@@ -55,7 +55,7 @@ def road_points(road: MapRoad) -> Points3:
     return np.concatenate(found)
 
 
-def _lowest(xyz: Points3) -> Points3:
+def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:
     """Those of places that have no other far below them close by."""
     pairs = cKDTree(xyz[:, :2]).query_pairs(BESIDE_M, output_type="ndarray")
     apart = xyz[pairs[:, 0]] - xyz[pairs[:, 1]]

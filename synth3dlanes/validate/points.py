@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Passes, Points2
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
@@ -40,6 +41,8 @@ OBJECTS = [SEMANTIC_IDS[name] for name in ("car", "tree", "host", *SURFACES)]
 MIN_MOVED, MOVED = 3, 2
 # Depth by this factor off is in another unit; objects hide few points that the labels have as visible.
 OTHER_UNIT, MIN_SCALED = 1.5, 10
+# Farther away, a pixel at a crest shows what lies behind it.
+SCALED_M = 30.0
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
 # A shoulder so much nearer than a point, in depth, may be a kerb before it.
@@ -91,6 +94,9 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
             found += _surface(lane, strip, uv, passes)
         if "depth" in passes and "semantic" in passes:
             sight = _sight(camera, lane, strip, uv, passes)
+            # The deck of a bridge is as thin as its road: from below its points are at their depths, too.
+            stacked = evidence.world.ground.is_stacked(transform(camera.world_from_cam, lane.xyz_cam)[:, :2])
+            sight = Sight(*(of & ~stacked for of in sight))
             found += _against_masks(lane, sight)
             moved += _wrong_if_moved(lane, sight)
         measures += found
@@ -193,7 +199,7 @@ def _scale(evidence: Evidence) -> Iterator[Result]:
     """Finding if depth is in another unit."""
     camera, depth_m = evidence.camera, evidence.passes["depth"]
     points = np.concatenate([lane.xyz_cam[lane.visible] for lane in evidence.labels.lanes])
-    points = points[points[:, 1] > 0]
+    points = points[(points[:, 1] > 0) & (points[:, 1] < SCALED_M)]
     if len(points) < MIN_SCALED:
         return
     uv = np.clip(camera.project(points), 0, np.array(depth_m.shape[::-1]) - 1).astype(int)

@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.element_labels import ElementLabel
-from synth3dlanes.formats.lane_map import STEP_M, LaneSegment, lane_segments, pavement_edges
+from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.network import LINES_STEP_M
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.labels import Labels, Marking, PaintColor, Pair
 from synth3dlanes.schema import SymbolKind
@@ -17,6 +18,8 @@ from synth3dlanes.world import World
 
 REACH_M = 150.0
 """How far lanes reach beyond all places of the host in the clip, and as far the other way."""
+STEP_M = 0.5
+"""How far apart points of lines are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
     return Scenario(
         tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
         tuple(_lines(world, place, reach_m)),
-        tuple(pavement_edges(world, place, reach_m)),
+        tuple(world.ground.pavement_edges(place[:2], reach_m)),
         tuple(_symbols(world)),
         _elements(pictures),
     )
@@ -74,7 +77,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
 
 def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[LaneLine]:
     network, markings = world.network, world.scene.markings
-    near = np.sort(network.stations(float(place[1]) + np.arange(-reach_m, reach_m + STEP_M / 2, STEP_M)))
+    near = network.stations_near(place[:2], reach_m)
     for line in network.delimiters:
         points = _points(line, near)
         if line.is_measured:
@@ -88,7 +91,7 @@ def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Itera
 
 def _points(line: LaneCurve, near: Float[np.ndarray, " n"]) -> Points3:
     if line.is_measured:
-        s = np.linspace(line.start_m, line.end_m, 2 + int((line.end_m - line.start_m) / STEP_M))
+        s = np.linspace(line.start_m, line.end_m, 2 + int((line.end_m - line.start_m) / LINES_STEP_M))
     else:
         s = near[(near >= line.start_m) & (near <= line.end_m)]
     return line.points_world(s)

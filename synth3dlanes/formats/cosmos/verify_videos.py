@@ -21,7 +21,7 @@ GREYS = {"rgb": 24, "depth": 8, "seg": 64}
 # What is moved by so many pixels must fit worse.
 MOVED_PX, LEAST_EDGES = 4, 200
 # Of the points of painted lines on which the lane map is dark.
-LEAST_LIT, DARK, LINE_POINTS, FARTHEST_M = 0.9, 60, 8, 60.0
+LEAST_LIT, DARK, LINE_POINTS, FARTHEST_M, MORE_LIGHT = 0.9, 60, 8, 60.0, 1.05
 
 
 def video_problems(
@@ -117,6 +117,11 @@ def _hdmap(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) ->
         share = float((lit[row, column] > DARK).mean())
         if share < LEAST_LIT:
             return f"expected {LEAST_LIT:.0%} of the points of painted lines drawn, got {share:.0%}"
+        light = frame.max(axis=2).astype(float)
+        for name, aside in (("left", -MOVED_PX), ("right", MOVED_PX)):
+            there = light[row, (column + aside).clip(0, light.shape[1] - 1)].mean()
+            if there > MORE_LIGHT * light[row, column].mean():
+                return f"expected painted lines in their place, got them nearer {MOVED_PX} px to the {name}"
     for item in picture.labels.objects or ():
         inside = picture.labels.camera.shows(item.center_cam[None])[0]
         if inside and item.center_cam[1] > 1.0 and item.corners_cam[:, 1].min() > 1.0:

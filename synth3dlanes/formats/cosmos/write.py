@@ -128,7 +128,7 @@ def _videos(
 
 
 def _world_from_rig(camera: CameraLabel, scene: Scene) -> Matrix4:
-    return np.asarray(world_from_host(camera, scene) @ HOST_FROM_RIG)
+    return np.asarray(world_from_host(camera, scene.camera.right_m, scene.camera.forward_m) @ HOST_FROM_RIG)
 
 
 def _calibration(frame: SampleFrame, views: Mapping[str, str], where: str) -> dict[str, Any]:
