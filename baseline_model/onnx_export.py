@@ -57,11 +57,13 @@ def export_onnx(checkpoint: str | Path, path: str | Path, calibration: str | Pat
     """
     loaded = checkpoints.load(checkpoints.place(checkpoint))
     model = checkpoints.build_lane_net(loaded, torch.device("cpu"))
+    # Opened before the export, which takes half a minute.
+    pictures = None if calibration is None else open_pictures(calibration, None)
     target, proto = Path(path), exported(model)
-    if calibration is not None:
+    if pictures is not None:
         from .onnx_int8 import quantised
 
-        proto = quantised(proto, open_pictures(calibration, None).images, checkpoints.detector_of(loaded, model))
+        proto = quantised(proto, pictures.images, checkpoints.detector_of(loaded, model))
     onnx = _onnx()
     onnx.helper.set_model_props(proto, metadata_of(model.config))
     write(target, proto.SerializeToString())

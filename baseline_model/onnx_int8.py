@@ -37,7 +37,7 @@ def quantised(proto: Any, images: Iterable[CameraImage], detector: Detector) -> 
             image = (pixels.transpose(2, 0, 1)[None] / 255).astype(np.float32)
             yield {"image": image, "intrinsics": np.array([intrinsics], dtype=np.float32)}
 
-    class Reader(CalibrationDataReader):  # type: ignore[misc, unused-ignore]
+    class Calibration(CalibrationDataReader):  # type: ignore[misc, unused-ignore]
         def __init__(self) -> None:
             self.rest = inputs()
 
@@ -52,7 +52,7 @@ def quantised(proto: Any, images: Iterable[CameraImage], detector: Detector) -> 
             quantize_static(
                 proto,
                 str(target),
-                Reader(),
+                Calibration(),
                 quant_format=QuantFormat.QDQ,
                 op_types_to_quantize=["Conv"],
                 per_channel=True,
