@@ -20,7 +20,8 @@ SHARE_OFF = 0.2
 GREYS = {"rgb": 24, "depth": 8, "seg": 64}
 # What is moved by so many pixels must fit worse.
 MOVED_PX, LEAST_EDGES = 4, 200
-# Of the points of painted lines on which the lane map is dark.
+# The share of the points of painted lines, up to so far ahead, that must be brighter than that in the lane map, the
+# least number of points to judge by, and how much brighter the map may be beside them.
 LEAST_LIT, DARK, LINE_POINTS, FARTHEST_M, MORE_LIGHT = 0.9, 60, 8, 60.0, 1.05
 
 
@@ -124,7 +125,7 @@ def _hdmap(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) ->
                 return f"expected painted lines in their place, got them nearer {MOVED_PX} px to the {name}"
     for item in picture.labels.objects or ():
         inside = picture.labels.camera.shows(item.center_cam[None])[0]
-        if inside and item.center_cam[1] > 1.0 and item.corners_cam[:, 1].min() > 1.0:
+        if inside and item.corners_cam[:, 1].min() > 1.0 and item.center_cam[1] < FARTHEST_M:
             column, row = np.floor(picture.labels.camera.project(item.center_cam[None])[0]).astype(int)
             if lit[row, column] <= DARK:
                 return f"expected the box of car {item.id} over its middle, got nothing there"
