@@ -374,12 +374,18 @@ def ablation(
 @click.command()
 @click.argument("checkpoint", metavar="CHECKPOINT|nano|streets")
 @click.argument("path", metavar="FILE.onnx", type=OutputFile(".onnx"))
-def onnx(checkpoint: str, path: Path) -> None:
+@click.option(
+    "--int8",
+    "calibration",
+    metavar="DIR[/SPLIT]|FOLDER",
+    help="Quantise the convolutions to int8; images like those it will see, of a split or a folder, give the ranges.",
+)
+def onnx(checkpoint: str, path: Path, calibration: str | None) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""
     need_torch()
     from synth3dlanes_baseline.onnx_export import export_onnx
 
-    click.echo(export_onnx(checkpoint, path))
+    click.echo(export_onnx(checkpoint, path, calibration))
 
 
 def need_torch() -> None:

@@ -1,6 +1,7 @@
 """From a checkpoint to files: predictions, pictures, reports, ONNX, flat ground; and from files to scores."""
 
 import ast
+import collections
 import dataclasses
 import inspect
 import json
@@ -8,6 +9,7 @@ import subprocess
 import sys
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -15,7 +17,7 @@ from PIL import Image
 from synth3dlanes_baseline import checkpoint as checkpoints
 from synth3dlanes_baseline import evaluate, onnx_decode, sources, statistics
 from synth3dlanes_baseline.config import train_config
-from synth3dlanes_baseline.data import intrinsics_of
+from synth3dlanes_baseline.data import CameraImage, intrinsics_of
 from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions, score
 from synth3dlanes_baseline.flat_ground import through_flat_ground
 from synth3dlanes_baseline.inference import choose_device, layout_of, predictions_of
@@ -23,6 +25,7 @@ from synth3dlanes_baseline.lanes import read_predictions, write_predictions
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.onnx_decode import decode
 from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
+from synth3dlanes_baseline.onnx_int8 import quantised
 from synth3dlanes_baseline.overlay import _lines, save_pictures
 from synth3dlanes_baseline.pictures import assumed_intrinsics
 from synth3dlanes_baseline.predict import PredictConfig, PredictionSummary, detector_for, predict
@@ -212,6 +215,19 @@ def test_onnx_gives_equal_outputs(tmp_path):
     metadata = session.get_modelmeta().custom_metadata_map
     assert json.loads(metadata["config"])["has_visibility"] is True
     assert metadata == metadata_of(model.config)
+
+    # In int8 are the convolutions alone; what they give is near.
+    pictures = [CameraImage("0", (255 * image[0]).byte().permute(1, 2, 0).numpy(), (138.6, 138.6, 80.0, 60.0))]
+    small = quantised(onnx.load(path), pictures, checkpoints.detector(tmp_path / "best.pt", torch.device("cpu")))
+    by_kind = collections.Counter(node.op_type for node in small.graph.node)
+    weights = {one.name: one.data_type for one in small.graph.initializer}
+    n_int8 = sum(kind == onnx.TensorProto.INT8 and name.endswith("_quantized") for name, kind in weights.items())
+    assert n_int8 == by_kind["Conv"] > 20
+    session = onnxruntime.InferenceSession(small.SerializeToString(), providers=["CPUExecutionProvider"])
+    again = session.run(list(OUTPUTS), {"image": image.numpy(), "intrinsics": intrinsics.numpy()})
+    for value, other in zip(again, values, strict=True):
+        off = np.abs(value - other).mean() / np.abs(other).mean()
+        assert 0 < off < 0.1
 
 
 @pytest.mark.parametrize("row", ["full", "improved"])
