@@ -43,7 +43,7 @@ def test_a_dimension_has_one_size_in_arguments_and_result():
 
 
 def test_sizes_that_came_before_say_nothing_of_others():
-    """Any two may be equal; neither two that differ are right, nor another than the 3 that is asked for."""
+    """Those of 4 and 5 were right; so are any two equal ones, but not 3 where 2 is asked for, nor two that differ."""
     for n in (4, 5, 6, 2, 1):
         assert joined(np.zeros(n), np.ones(n), n).shape == (2, n)
         Line(np.zeros((n, 3)), np.zeros(n))

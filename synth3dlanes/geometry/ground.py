@@ -277,6 +277,18 @@ class Ground:
         """Height of the ground as built."""
         return terrain.height_at(self.network.terrain, xy_world) + self.above_terrain(xy_world)
 
+    def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+        """Which points lie in the ground as built."""
+        return np.asarray(self.height(points_world[:, :2]) > points_world[:, 2])
+
+    def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """At which places one road passes over another."""
+        return np.zeros(len(xy_world), dtype=bool)
+
+    def height_near(self, points_world: Points3) -> Scalars:
+        """Height of the ground as built at points, of several surfaces that nearest to each."""
+        return self.height(points_world[:, :2])
+
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
         flat = xy_world.reshape(-1, 2)
