@@ -5,6 +5,7 @@ made before is a promise of its own (tests/blender/test_clips.py). Tests of the 
 """
 
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
@@ -25,6 +26,8 @@ USERS = (bench, local, made_again, renderer, workers)
 # What differs between tests and does not matter to a worker.
 NOT_ASKED = ("PYTEST_CURRENT_TEST", "COLUMNS", "LINES")
 _kept: list[tuple[dict[str, str], Worker]] = []
+# Folders of the workers, each of its own; some tests have other temporary folders.
+HOME = Path(tempfile.mkdtemp(prefix="synth3dlanes-warm-"))
 
 
 def use(is_warm: bool) -> None:
@@ -34,9 +37,10 @@ def use(is_warm: bool) -> None:
 
 
 def stop() -> None:
-    """Kill what is left."""
+    """Kill what is left, and remove the folders."""
     while _kept:
         _end(_kept.pop()[1])
+    shutil.rmtree(HOME, ignore_errors=True)
 
 
 def _end(worker: Worker) -> None:
@@ -74,7 +78,7 @@ class Warm(Pool):
                 return worker
             _end(worker)
         # What it prints must stay when this pool's own folder goes.
-        self._scratch, scratch = Path(tempfile.mkdtemp()), self._scratch
+        self._scratch, scratch = Path(tempfile.mkdtemp(dir=HOME)), self._scratch
         worker = super()._launch(slot)
         self._scratch = scratch
         return worker
