@@ -17,7 +17,6 @@ from synth3dlanes.schema import DocumentPart, Name, Number, SymbolKind
 MAX_ROADS, MAX_LANES = 2000, 20
 Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
-Width = Annotated[float, Field(ge=0, le=100)]
 GroundPoint = tuple[Number, Number]
 # Of a file, whose coordinates may be those of a UTM grid.
 Coordinate = Annotated[float, Field(ge=-1e8, le=1e8)]

@@ -18,6 +18,7 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.maps.cubics import is_zero, read_cubics, steepened, times, value
 from synth3dlanes.maps.document import MAX_FILE_BYTES, number, parse_xml
+from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
 from synth3dlanes.maps.furniture import edges_at, read_furniture
 from synth3dlanes.maps.lanes import read_sections
 from synth3dlanes.maps.links import LinkedRoad, ascends, lane_links, read_end
@@ -78,6 +79,8 @@ class GivenMap:
     junctions: tuple[MapJunction, ...]
     paint: tuple[MapPaint, ...]
     islands: tuple[MapIsland, ...]
+    elements: tuple[GivenElement, ...]
+    bodies: tuple[GivenBody, ...]
     left_out: dict[str, int] = field(default_factory=dict)
 
     @cached_property
@@ -171,7 +174,7 @@ def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
     origin, names = _origin(elements, where), _names(_ids(elements, where))
     has_heights = any(_has_heights(element, where) for element in elements)
     roads, linked = dict[Name, MapRoad](), dict[str, LinkedRoad]()
-    paint, islands = list[MapPaint](), list[MapIsland]()
+    paint, islands, in_file = list[MapPaint](), list[MapIsland](), list[FileRoad]()
     by_id = {element.get("id", ""): element for element in root.iterfind("junction")}
     junction_names = _names([name for name, at in by_id.items() if at.get("type", "default") == "default"])
     for element, (id_of_file, name) in zip(elements, names.items(), strict=True):
@@ -183,15 +186,26 @@ def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
         found = read_furniture(element, roads[name], at, left_out)
         paint += found.paint
         islands += found.islands
+        in_file.append(FileRoad(element, roads[name], found.others, at))
     links = _touching(lane_links(linked, by_id, left_out), roads, left_out)
     junctions = tuple(
         MapJunction(id=name, yields=_yields(by_id[id_of_file], linked, left_out))
         for id_of_file, name in junction_names.items()
     )
-    for tag in ("controller", "junctionGroup", "station"):
+    controllers = {
+        control.get("signalId", ""): at.get("id", "")
+        for at in root.iterfind("controller")
+        for control in at.iter("control")
+    }
+    standing = (
+        read_elements(in_file, controllers, left_out),
+        tuple(body for of in in_file for body in read_bodies(of, left_out)),
+    )
+    for tag in ("junctionGroup", "station"):
         left_out[f"{tag}s"] += len(root.findall(tag))
     counts = {what: n for what, n in left_out.items() if n}
-    return GivenMap(source, digest, origin, names, roads, links, junctions, tuple(paint), tuple(islands), counts)
+    lying = tuple(paint), tuple(islands)
+    return GivenMap(source, digest, origin, names, roads, links, junctions, *lying, *standing, counts)
 
 
 def _origin(elements: list[Element], where: str) -> tuple[float, float]:

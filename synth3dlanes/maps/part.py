@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.maps.cubics import SAME_M, moved, part, rounded, value
+from synth3dlanes.maps.elements import GivenBody, GivenElement
 from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.places import MapStation, draw_route
 from synth3dlanes.maps.plan import plan_points
@@ -45,11 +46,14 @@ class _Cut:
 
 
 class MapPart(NamedTuple):
-    """A part of a map, and where the host is on it: the number of its lane on the route, and a station of its road."""
+    """A part of a map, and where the host is on it: the number of its lane on the route, and a station of its road; and
+    what stands there."""
 
     map: RoadMap
     lane: int
     s_m: float
+    elements: tuple[GivenElement, ...] = ()
+    bodies: tuple[GivenBody, ...] = ()
 
 
 def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
@@ -101,7 +105,10 @@ def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> M
         "digest": given.digest,
         "given_frame": (frame.x + given.origin[0], frame.y + given.origin[1], frame.z, frame.turn),
     }
-    return MapPart(RoadMap.model_validate(found), number - first, round(at.s_m - cuts[lane.road.id].from_m, DECIMALS))
+    standing = tuple(filter(None, (frame.element(item, names) for item in given.elements)))
+    bodies = tuple(body for body in map(frame.body, given.bodies) if _is_near([(body.x_m, body.y_m)]))
+    s_m = round(at.s_m - cuts[lane.road.id].from_m, DECIMALS)
+    return MapPart(RoadMap.model_validate(found), number - first, s_m, standing, bodies)
 
 
 def _renamed(
@@ -236,6 +243,21 @@ class _Frame:
                 "lane_offsets": rounded(road.lane_offsets),
             }
         )
+
+    def element(self, item: GivenElement, names: Mapping[LaneName, LaneName]) -> GivenElement | None:
+        """A signal or sign of the map in the world, with those of its lanes that are kept; None of one far away."""
+        of = item.element
+        x, y = self.point((of.x_m, of.y_m))
+        if not _is_near([(x, y)]):
+            return None
+        lanes = tuple(names[name] for name in of.lanes if name in names)
+        yaw_rad = round(_wrapped(of.yaw_rad - self.turn), DECIMALS)
+        return item._replace(element=of.model_copy(update={"x_m": x, "y_m": y, "yaw_rad": yaw_rad, "lanes": lanes}))
+
+    def body(self, item: GivenBody) -> GivenBody:
+        """A building or a tree of the map in the world."""
+        x, y = self.point((item.x_m, item.y_m))
+        return item._replace(x_m=x, y_m=y, heading_rad=round(_wrapped(item.heading_rad - self.turn), DECIMALS))
 
     def _piece(self, piece: PlanPiece) -> PlanPiece:
         x, y = self.point((piece.x_m, piece.y_m))

@@ -54,7 +54,14 @@ def test_signals_of_paint_and_their_lanes() -> None:
     light = '<signal id="3" type="1000001" s="26" t="-9"/>'
     found = read("", stop + arrow + light)
     assert [(paint.kind, paint.lane) for paint in found.paint] == [("stop_line", "1.0.-2"), ("arrow_left", "1.0.-1")]
-    assert found.left_out == {"signals and signs": 1}
+    assert [item.element.height_m for item in found.elements] == [2.3]
+    assert found.left_out == {}
+
+
+def test_a_line_across_one_direction_is_there_whatever_its_orientation_says() -> None:
+    """RoadRunner's files say the direction in which a thing faces, not that of its traffic."""
+    found = read('<object id="1" type="-1" name="StopLine" s="20" t="-3.5" width="7" orientation="-"/>').paint
+    assert {paint.lane for paint in found} == {"1.0.-1", "1.0.-2"}
 
 
 def test_a_traffic_island_has_its_outline_and_height() -> None:
