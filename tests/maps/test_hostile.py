@@ -13,8 +13,10 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.maps.given_map import read_map, read_opendrive
 from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.road_map import PlanPiece
+from synth3dlanes.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.sampling.on_map import MapPlace
+from tests.map_scenes import FOUR_WAY, map_scene
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 from tests.maps.test_parts import link
 
@@ -174,3 +176,27 @@ def test_a_host_on_a_lane_without_width_does_not_end_the_program(width: str) -> 
     given = read_opendrive(opendrive(road(plan(("<line/>", 300.0)), section(lane(-1, thin)))), "x.xodr", "map x.xodr")
     world = sample_world(Scenes(load_params("tiny", ("cars.n=1", "trees.n=0")), 1, "train", map=MapPlace(given)), 0)
     assert ground_truth(world.scene).lanes
+
+
+def test_cars_and_rails_of_a_scene_on_roads_that_are_not_there_are_refused() -> None:
+    """A scene of somebody else's making may have a car in a lane without width, or beyond what is looked at."""
+    far = FOUR_WAY.roads[1].model_copy(
+        update={"id": "far", "plan": (PlanPiece(x_m=900.0, y_m=0.0, heading_rad=0.0, length_m=50.0),), "junction": None}
+    )
+    thin = FOUR_WAY.roads[1].model_copy(
+        update={
+            "id": "thin",
+            "sections": tuple(
+                section.model_copy(
+                    update={"lanes": tuple(at.model_copy(update={"widths": ()}) for at in section.lanes)}
+                )
+                for section in FOUR_WAY.roads[1].sections
+            ),
+        }
+    )
+    roads = FOUR_WAY.model_copy(update={"roads": (*FOUR_WAY.roads, far, thin)})
+    car = sample_scene(Scenes(load_params("tiny"), 1, "train"), 0).cars[0]
+    for name in ("far.0.1", "thin.0.1"):
+        scene = map_scene(roads, cars=(car.model_copy(update={"lane": name, "s_m": 10.0}),))
+        with pytest.raises(InputError, match=f"expected lanes of traffic near the host, with a width, got {name}"):
+            ground_truth(scene)

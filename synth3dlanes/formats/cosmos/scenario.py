@@ -10,6 +10,7 @@ from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.motion import host_driven
 from synth3dlanes.geometry.network import LINES_STEP_M
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.labels import Labels, Marking, PaintColor, Pair
@@ -65,7 +66,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
     """The scenario of a world, of which `labels` are those of the first picture; the traffic elements are those of all
     `pictures` of the clip."""
     place, shot = world.view.world_from_host[:3, 3], world.scene.shot
-    reach_m = REACH_M + shot.speed_m_s * shot.duration_s
+    reach_m = REACH_M + host_driven(shot, shot.duration_s)
     return Scenario(
         tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
         tuple(_lines(world, place, reach_m)),
