@@ -4,7 +4,7 @@ BIN := .venv/bin
 # a small machine, as tests wait for programs at times.
 PYTEST := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15
 DEMO ?= demo
-EXTRAS ?= dev,train,cluster,docs
+EXTRAS ?= dev,train,cluster,video,docs
 export MPLBACKEND := Agg
 # The tests start hundreds of programs: each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
@@ -32,7 +32,7 @@ demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explain
 	$(BIN)/synth3dlanes inspect $(DEMO)/data/train:00000000 --out $(DEMO)/inspect.png
 	@echo "Look at $(DEMO)/gallery.png and $(DEMO)/inspect.png"
 
-test: .venv/ready  ## the tests, in some thirteen minutes on two cores
+test: .venv/ready  ## the tests; how long they take is in CONTRIBUTING.md
 	scripts/browser
 	$(PYTEST)
 

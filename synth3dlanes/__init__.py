@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from synth3dlanes.api import (
-        Rendered,
-        Renderer,
         change_scene,
         check_drive,
         dataset_stats,
@@ -25,7 +23,6 @@ if TYPE_CHECKING:
         open_assets,
         open_dataset,
         open_drive,
-        render,
         report_dataset,
         sample_scene,
         save_scene,
@@ -48,6 +45,7 @@ if TYPE_CHECKING:
     from synth3dlanes.formats.export import Export
     from synth3dlanes.labels import Labels, Lane, SymbolLabel
     from synth3dlanes.params import Params
+    from synth3dlanes.renderer import Rendered, Renderer, render
     from synth3dlanes.scene import Scene
     from synth3dlanes.sensors.cameras import CameraSpec
     from synth3dlanes.sources import read_scene
@@ -116,6 +114,7 @@ _HOMES = {
     "Lane": "labels",
     "Params": "params",
     "Reader": "dataset.read",
+    **dict.fromkeys(("Rendered", "Renderer", "render"), "renderer"),
     "Sample": "dataset.format",
     "Scene": "scene",
     "SymbolLabel": "labels",

@@ -1,38 +1,20 @@
 """The functions of `import synth3dlanes` (docs/api.md).
 
-No function loads Blender into this process: `render` and `generate_dataset` start worker processes for it.
+No function loads Blender into this process: `generate_dataset` and `render`, in renderer.py, start worker processes for
+it.
 """
 
-import atexit
-import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from threading import Lock
 from typing import TYPE_CHECKING
 
-import numpy as np
-from jaxtyping import Shaped, UInt8
-
-from synth3dlanes import labels as labels_format
 from synth3dlanes import scene as scene_format
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.change import change_scene as _change_scene
 from synth3dlanes.dataset.format import (
-    HEIGHT,
     IMAGE_FORMATS,
-    LABELS,
-    LIDAR,
-    PASSES,
-    Picture,
-    decode_image,
-    encode,
-    read_passes,
-    read_sweep,
 )
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge as _merge
@@ -55,12 +37,11 @@ from synth3dlanes.params import load_params as _load_params
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.production.render_file import PATIENCE, render_members
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import RunReport
 from synth3dlanes.production.user_assets import open_library
-from synth3dlanes.production.workers import Pool
-from synth3dlanes.sample import Scenes, with_lidar
+from synth3dlanes.renderer import STANDARD, one_of, render_settings, several
+from synth3dlanes.sample import Scenes
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.sampling.like import read_like
 from synth3dlanes.scene import Scene
@@ -68,9 +49,7 @@ from synth3dlanes.sensors.camera_files import load_camera as _load_camera
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.rig_files import load_rig as _load_rig
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import DEVICES, MAX_SAMPLES, MAX_SEED, QUALITY_SAMPLES, RenderSettings
-from synth3dlanes.settings import PASSES as PASS_NAMES
+from synth3dlanes.settings import MAX_SAMPLES, MAX_SEED
 from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
 from synth3dlanes.sources import provenance_of, read_scene
@@ -81,34 +60,6 @@ if TYPE_CHECKING:
     import synth3dlanes.formats.format
     import synth3dlanes.formats.verify
     import synth3dlanes.validate.report
-
-STANDARD = QUALITY_SAMPLES["standard"]
-
-
-@dataclass(frozen=True, eq=False)
-class Rendered:
-    """A rendered scene. The image, labels, passes and lidar sweep equal those of the same scene in a data set of PNG
-    images. `sweep` is None for a scene without a lidar."""
-
-    scene: Scene
-    image: UInt8[np.ndarray, "h w 3"]
-    labels: Labels
-    passes: dict[str, Shaped[np.ndarray, "..."]]
-    sweep: Sweep | None = None
-
-    def save(self, path: str | Path) -> list[Path]:
-        """Write the image (.png or .jpg), and beside it the labels, the scene and the passes. Returns the paths.
-
-        For `scene.png` the other files are `scene.labels.json`, `scene.scene.json` and `scene.passes.exr`. Raises
-        InputError for another suffix.
-        """
-        path = Path(path)
-        image_format = _one_of("path", path.suffix.removeprefix("."), IMAGE_FORMATS)
-        text = scene_format.to_json(self.scene)
-        members = encode(Picture(self.image, self.labels, self.passes, self.sweep), text, image_format)
-        for name, data in members.items():
-            write(path.with_suffix(f".{name}"), data)
-        return [path.with_suffix(f".{name}") for name in members]
 
 
 def open_assets(folder: str | Path) -> Library:
@@ -131,7 +82,7 @@ def load_params(
 
     Raises InputError with a line for every problem.
     """
-    return _load_params(str(source), _several(overrides), assets.assets)
+    return _load_params(str(source), several(overrides), assets.assets)
 
 
 def load_camera(source: str | Path) -> CameraSpec:
@@ -181,7 +132,7 @@ def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
     The keys are those of `scene.json`; an angle may be given in degrees. Raises InputError with a line for every
     problem.
     """
-    return _change_scene(scene, _several(changes))
+    return _change_scene(scene, several(changes))
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -198,93 +149,6 @@ def label(scene: Scene) -> Labels:
     """Compute the exact labels of a scene without rendering it. `object_visible` is None, because only `render`
     computes it."""
     return ground_truth(scene)
-
-
-class Renderer:
-    """Renders scenes one after the other in one process of its own, so that only the first waits for Blender to start.
-
-    Use it as a context manager, or call `close`. Arguments and errors are those of `render`; pictures are equal bytes.
-    """
-
-    def __init__(
-        self,
-        *,
-        samples: int = STANDARD,
-        passes: str | Sequence[str] = (),
-        device: str = "auto",
-        assets: Library = BUILT_IN,
-    ) -> None:
-        self._settings, self._assets = _settings(samples, passes, device), assets
-        self._open: ExitStack | None = None
-        self._pool = Pool(1, PATIENCE)
-
-    def __enter__(self) -> "Renderer":
-        if self._open is None:
-            self._open = ExitStack()
-            self._open.enter_context(self._pool)
-        return self
-
-    def _with(self, pool: Pool) -> "Renderer":
-        """This renderer, with a process that others open and close."""
-        self._pool, self._open = pool, ExitStack()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the process; the next call of `render` starts another."""
-        if self._open is not None:
-            self._open.close()
-            self._open = None
-
-    def render(self, scene: Scene, *, lidar: str | Path | None = None) -> Rendered:
-        """Render a scene."""
-        require_assets(scene.assets, self._assets, "scene")
-        scene = with_lidar(scene, None if lidar is None else load_lidar(str(lidar)))
-        self.__enter__()
-        members = render_members(scene, self._settings, "png", self._assets, "render", self._pool)
-        found: dict[str, Shaped[np.ndarray, ...]] = {}
-        for name in (PASSES, HEIGHT):
-            if name in members:
-                found |= read_passes(members[name], name)
-        labels = labels_format.from_json(members[LABELS], LABELS)
-        sweep = None if labels.lidar is None else read_sweep(members[LIDAR], LIDAR, labels.lidar)
-        return Rendered(scene, decode_image(members["png"], "png"), labels, found, sweep)
-
-
-def render(
-    scene: Scene,
-    *,
-    samples: int = STANDARD,
-    passes: str | Sequence[str] = (),
-    lidar: str | Path | None = None,
-    device: str = "auto",
-    assets: Library = BUILT_IN,
-) -> Rendered:
-    """Render a scene with `samples` samples per pixel, in a process of its own, which stays until this one ends: only
-    the first call waits for Blender to start. A `Renderer` ends its process when it is closed.
-
-    `passes` are some of depth, normal, semantic, instance and height, or "all". `lidar` is a YAML file or the name of a
-    ready lidar (docs/lidar.md); without it, the scene's own lidar is used, if it has one. Raises InputError for a wrong
-    argument, or if `assets` are not those that the scene was drawn with; MissingPackageError without Blender;
-    WorkerError if Blender fails.
-    """
-    renderer = Renderer(samples=samples, passes=passes, device=device, assets=assets)
-    with _ONE_AT_A_TIME:
-        return renderer._with(_kept_pool(os.getpid())).render(scene, lidar=lidar)
-
-
-_ONE_AT_A_TIME = Lock()
-
-
-@cache
-def _kept_pool(pid: int) -> Pool:
-    """The pool of `render` in the process of this number. A fork neither uses nor ends the one of its parent."""
-    stack, pool = ExitStack(), Pool(1, PATIENCE)
-    stack.enter_context(pool)
-    atexit.register(lambda: stack.close() if os.getpid() == pid else None)
-    return pool
 
 
 def generate_dataset(
@@ -321,15 +185,15 @@ def generate_dataset(
     `problem`, `done` and `asked` of the result.
     """
     _within(0, MAX_SEED, seed=seed)
-    settings = _settings(samples, passes, device)
+    settings = render_settings(samples, passes, device)
     shots = _shots(camera, rig, frames, fps)
     if lidar is not None:
         settings = replace(settings, passes=(*settings.passes, "lidar"))
         shots = shots.model_copy(update={"lidar": load_lidar(str(lidar))})
-    image_format = _one_of("image_format", image_format, IMAGE_FORMATS)
+    image_format = one_of("image_format", image_format, IMAGE_FORMATS)
     if spreads and not like:
         raise InputError("spreads: expected none without scenes to be like")
-    given = read_like(drawn(like, params, assets.assets, "like"), _several(spreads)) if like else None
+    given = read_like(drawn(like, params, assets.assets, "like"), several(spreads)) if like else None
     scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=given)
     recipe = Recipe(scenes, settings, image_format, assets)
     plan = Plan(out, n, recipe, workers)
@@ -359,7 +223,7 @@ def export_dataset(
     argument, and for a format, a size or a camera that does not exist. `Export(...).write` does the same and reports
     its progress.
     """
-    return Export(str(source), Path(out), format_name, size_px, tuple(_several(cameras))).write(workers)
+    return Export(str(source), Path(out), format_name, size_px, tuple(several(cameras))).write(workers)
 
 
 def verify_export(export: Export, *, most_frames: int = 500) -> "tuple[synth3dlanes.formats.verify.Verification, ...]":
@@ -516,19 +380,6 @@ def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fp
     return clips(frames, fps, tuple(rig) if camera is None else (camera,))
 
 
-def _settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:
-    """The checked render settings, with the passes in the order of `PASSES`."""
-    _at_least(1, samples=samples)
-    asked = PASS_NAMES if passes == "all" else [_one_of("passes", name, PASS_NAMES) for name in _several(passes)]
-    ordered = tuple(name for name in PASS_NAMES if name in asked)
-    return RenderSettings(samples, ordered, _one_of("device", device, DEVICES))
-
-
-def _several(values: str | Sequence[str]) -> Sequence[str]:
-    """The values as a sequence: a single text becomes a list with one item."""
-    return [values] if isinstance(values, str) else values
-
-
 def _at_least(least: int, **arguments: int) -> None:
     for name, value in arguments.items():
         if value < least:
@@ -539,9 +390,3 @@ def _within(least: int, most: int, **arguments: int) -> None:
     for name, value in arguments.items():
         if not least <= value <= most:
             raise InputError(f"{name}: expected {least} to {most}, got {value}")
-
-
-def _one_of(argument: str, value: str, known: Iterable[str]) -> str:
-    if value not in known:
-        raise InputError(f"{argument}: expected one of {', '.join(known)}, got {value!r}")
-    return value

@@ -15,8 +15,8 @@ from pydantic import Field, with_config
 
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.frames import from_axes, rotation, transform
-from synth3dlanes.json_arrays import JsonPixelRectangle, JsonQuaternion, JsonRectangle, JsonSize3, JsonVector3, rounded
-from synth3dlanes.object_labels import CORNERS
+from synth3dlanes.json_arrays import JsonPixelRectangle, JsonQuaternion, JsonRectangle, JsonSize3, JsonVector3
+from synth3dlanes.object_labels import CORNERS, document_of, rows
 from synth3dlanes.schema import STRICT, Unit
 from synth3dlanes.traffic_elements import ElementCategory, ElementKind, ElementState, GovernedLanes
 
@@ -88,12 +88,6 @@ class TrafficElements:
 
 def element_arrays(items: Sequence[ElementLabel], segments: Sequence[str]) -> TrafficElements:
     """Traffic elements as arrays; `segments` are the ids of the lane graph in its order."""
-
-    def rows(name: str, *shape: int) -> Float[np.ndarray, "..."]:
-        values = (getattr(item, name) for item in items)
-        filled = [np.full(shape, np.nan) if value is None else np.asarray(value, float) for value in values]
-        return np.array(filled).reshape(len(items), *shape)
-
     governs = [[int(segment in item.lanes) for segment in segments] for item in items]
     return TrafficElements(
         id=np.array([item.id for item in items], int),
@@ -102,14 +96,14 @@ def element_arrays(items: Sequence[ElementLabel], segments: Sequence[str]) -> Tr
         state=tuple(item.state for item in items),
         lanes=tuple(item.lanes for item in items),
         governs=np.array(governs, int).reshape(len(items), len(segments)),
-        size_m=rows("size_m", 3),
-        cam_from_element=rows("cam_from_element", 4, 4),
-        corners_cam=rows("corners_cam", 8, 3),
-        normal_cam=rows("normal_cam", 3),
-        box_px=rows("box_px", 4),
-        unclipped_box_px=rows("unclipped_box_px", 4),
-        seen_box_px=rows("seen_box_px", 4),
-        visible_fraction=rows("visible_fraction"),
+        size_m=rows(items, "size_m", 3),
+        cam_from_element=rows(items, "cam_from_element", 4, 4),
+        corners_cam=rows(items, "corners_cam", 8, 3),
+        normal_cam=rows(items, "normal_cam", 3),
+        box_px=rows(items, "box_px", 4),
+        unclipped_box_px=rows(items, "unclipped_box_px", 4),
+        seen_box_px=rows(items, "seen_box_px", 4),
+        visible_fraction=rows(items, "visible_fraction"),
     )
 
 
@@ -119,8 +113,4 @@ DECIMALS = {"size_m": 4, "center_cam": 4, "rotation_wxyz": 6, "box_px": 1, "uncl
 
 def element_document(item: ElementLabel) -> dict[str, Any]:
     """The JSON form of a traffic element."""
-    document = dict(vars(item))
-    for name, decimals in DECIMALS.items():
-        document[name] = None if document[name] is None else rounded(document[name], decimals)
-    seen = item.seen_box_px
-    return {**document, "lanes": list(item.lanes), "seen_box_px": None if seen is None else seen.tolist()}
+    return {**document_of(vars(item), DECIMALS), "lanes": list(item.lanes)}

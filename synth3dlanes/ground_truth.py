@@ -12,9 +12,10 @@ from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.motion import host_driven, host_stations
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.geometry.visibility import seen_over_ground
+from synth3dlanes.host import Camera
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
 from synth3dlanes.object_truth import label_objects
-from synth3dlanes.scene import Camera, Scene
+from synth3dlanes.scene import Scene
 from synth3dlanes.world import View, World, resolve
 
 STEP_M = 1.0

@@ -4,7 +4,7 @@ The frame of an object has its origin in the middle of the box and the axes of t
 Rectangles are (left, top, right, bottom) in pixels.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -87,27 +87,28 @@ class Objects:
         return len(self.id)
 
 
+def rows(items: Sequence[object], name: str, *shape: int) -> Float[np.ndarray, "..."]:
+    """A field of a shape of each item; NaN where it is None."""
+    values = (getattr(item, name) for item in items)
+    filled = [np.full(shape, np.nan) if value is None else np.asarray(value, float) for value in values]
+    return np.array(filled).reshape(len(items), *shape)
+
+
 def stacked(items: Sequence[ObjectLabel]) -> Objects:
     """Objects as arrays."""
-
-    def rows(name: str, *shape: int) -> Float[np.ndarray, "..."]:
-        values = (getattr(item, name) for item in items)
-        filled = [np.full(shape, np.nan) if value is None else np.asarray(value, float) for value in values]
-        return np.array(filled).reshape(len(items), *shape)
-
     counts = [-1 if item.lidar_points is None else item.lidar_points for item in items]
     return Objects(
         id=np.array([item.id for item in items], int),
         category=tuple(item.category for item in items),
-        size_m=rows("size_m", 3),
-        cam_from_object=rows("cam_from_object", 4, 4),
-        corners_cam=rows("corners_cam", 8, 3),
-        velocity_cam=rows("velocity_cam", 3),
-        box_px=rows("box_px", 4),
-        unclipped_box_px=rows("unclipped_box_px", 4),
-        seen_box_px=rows("seen_box_px", 4),
-        visible_fraction=rows("visible_fraction"),
-        truncation=rows("truncation"),
+        size_m=rows(items, "size_m", 3),
+        cam_from_object=rows(items, "cam_from_object", 4, 4),
+        corners_cam=rows(items, "corners_cam", 8, 3),
+        velocity_cam=rows(items, "velocity_cam", 3),
+        box_px=rows(items, "box_px", 4),
+        unclipped_box_px=rows(items, "unclipped_box_px", 4),
+        seen_box_px=rows(items, "seen_box_px", 4),
+        visible_fraction=rows(items, "visible_fraction"),
+        truncation=rows(items, "truncation"),
         lidar_points=np.array(counts, int),
     )
 
@@ -147,9 +148,11 @@ DECIMALS = {
 
 def object_document(item: ObjectLabel) -> dict[str, Any]:
     """The JSON form of an object."""
-    document = dict(vars(item))
-    for name, decimals in DECIMALS.items():
-        document[name] = None if document[name] is None else rounded(document[name], decimals)
-    seen = item.seen_box_px
-    document["seen_box_px"] = None if seen is None else seen.tolist()
-    return document
+    return document_of(vars(item), DECIMALS)
+
+
+def document_of(fields: Mapping[str, Any], decimals: Mapping[str, int]) -> dict[str, Any]:
+    """The JSON form of the fields of a label, some of them rounded."""
+    seen = fields["seen_box_px"]
+    numbers = {name: None if fields[name] is None else rounded(fields[name], n) for name, n in decimals.items()}
+    return {**fields, **numbers, "seen_box_px": None if seen is None else seen.tolist()}

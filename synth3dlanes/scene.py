@@ -4,19 +4,18 @@ World frame, metres and radians. Pure data: nothing here reads files or computes
 added later; older scenes can still be read and render as before. New ones have every key: all are of one schema.
 """
 
-import math
 from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
-from synth3dlanes.lens import PINHOLE, Lens
+from synth3dlanes.host import Camera, DrivenTrack, Host, Lidar, Shot
 from synth3dlanes.road_map import LaneName, RoadMap, Station
+from synth3dlanes.roadside import Roadside
 from synth3dlanes.schema import (
-    AHEAD_DEG,
-    MAX_PX,
+    Color,
     DocumentPart,
     Metres,
     Name,
@@ -25,30 +24,22 @@ from synth3dlanes.schema import (
     Seed,
     SymbolKind,
     Unit,
+    is_empty,
     parse,
 )
 from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 from synth3dlanes.town import Town
-from synth3dlanes.traffic_elements import MAX_FREE, MAX_LANES, LaneSignal, TrafficSign, TrafficSignal
 
 SCENE_VERSION = 1
-
-
-Color = tuple[Unit, Unit, Unit]
 # The most models, textures or skies of one kind.
 MAX_ASSETS = 9999
 # A narrower median has no room for an edge line at each side.
 MIN_MEDIAN_M = 1.0
 # Instance ids of symbols end where the host's begins.
 MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
-# Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
-MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
-MAX_BEAMS = 256
 # Of a grid of heights.
 MAX_GRID = 200
-Seconds = Annotated[float, Field(ge=0, le=1e6)]
-Driven = Annotated[float, Field(ge=0, le=1e6)]
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -211,24 +202,6 @@ class Symbol(DocumentPart):
     s_m: Metres
 
 
-def _is_empty(value: tuple[object, ...]) -> bool:
-    return not value
-
-
-def _goes_on(track: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-    """Check that a track goes on in time and along the way."""
-    for (time_s, length_m), (next_s, next_m) in pairwise(track):
-        if next_s <= time_s or next_m < length_m:
-            raise ValueError(f"expected instants in order and no way back, got {next_s:g} s, {next_m:g} m")
-    return track
-
-
-# Instants (seconds of a clip), and lengths driven by then.
-DrivenTrack = Annotated[
-    tuple[tuple[Seconds, Driven], ...], AfterValidator(_goes_on), Field(max_length=10_000, exclude_if=_is_empty)
-]
-
-
 class Car(DocumentPart):
     """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line; of
     a map the lane's road's own), heading as the lane does, `offset_m` to its driver's right of the lane's centre:
@@ -247,7 +220,7 @@ class Car(DocumentPart):
     saturation: Unit = 1.0
     offset_m: Metres = 0.0
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
-    route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
+    route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=is_empty)] = ()
     track: DrivenTrack = ()
 
 
@@ -267,99 +240,6 @@ class Vegetation(DocumentPart):
 
     translucency: Unit = 0.0
     grass_m: Annotated[float, Field(ge=0, le=1)] = 0.0
-
-
-class Camera(DocumentPart):
-    """The host's place and its camera. The host: `lane` is counted from the left in driving direction, station `y_m`
-    (at the start of a clip), lateral offset positive to the right; on a map, lane 1 and the length `y_m` along its
-    route. The camera: `right_m` and `forward_m` are relative
-    to the host's place in the host's road frame, `height_m` is over the plane of that frame; yaw is positive
-    counter-clockwise seen from above, roll about the viewing axis is positive clockwise as the driver sees it."""
-
-    lane: Annotated[int, Field(ge=1, le=8)]
-    y_m: Station
-    offset_m: Metres
-    height_m: Annotated[float, Field(gt=0, le=1000)]
-    pitch_rad: Number
-    width_px: Annotated[int, Field(ge=8, le=MAX_PX)]
-    height_px: Annotated[int, Field(ge=8, le=MAX_PX)]
-    fx_px: Positive
-    fy_px: Positive
-    cx_px: Number
-    cy_px: Number
-    roll_rad: Number = 0.0
-    name: Name = ""
-    right_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
-    forward_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
-    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
-    lens: Lens = PINHOLE
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether it looks where the host drives, and not aside or back."""
-        return abs(math.degrees(self.yaw_rad)) <= AHEAD_DEG
-
-
-class Shot(DocumentPart):
-    """Which picture of the world a scene describes: frame `frame` of a clip of `n_frames` frames at `fps` frames per
-    second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`; on
-    a map its `track` may say how far it has driven (metres) at instants (seconds) of the clip. Lanes are labelled from
-    `behind_m` metres behind the host."""
-
-    frame: Annotated[int, Field(ge=0, lt=MAX_FRAMES)] = 0
-    n_frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
-    fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
-    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
-    camera: Annotated[int, Field(ge=0, lt=MAX_CAMERAS)] = 0
-    n_cameras: Annotated[int, Field(ge=1, le=MAX_CAMERAS)] = 1
-    behind_m: Annotated[float, Field(ge=0, le=MAX_BEHIND_M)] = 0.0
-    track: DrivenTrack = ()
-
-    @model_validator(mode="after")
-    def _is_one_of_them(self) -> "Shot":
-        """Check that there are so many frames and cameras."""
-        for name in ("frame", "camera"):
-            number, count = getattr(self, name), getattr(self, f"n_{name}s")
-            if number >= count:
-                raise ValueError(f"{name}: expected less than {count}, got {number}")
-        return self
-
-    @property
-    def time_s(self) -> float:
-        """Seconds since the clip's first frame."""
-        return self.frame / self.fps
-
-    @property
-    def duration_s(self) -> float:
-        """Seconds from the clip's first frame to its last."""
-        return (self.n_frames - 1) / self.fps
-
-
-class Lidar(DocumentPart):
-    """A spinning lidar on the host. All beams start at one point; their elevations are listed from the top beam down.
-    The other values are the number of azimuths per turn, the ranges (metres) that it measures, and its place, given as
-    for a camera."""
-
-    name: Name = ""
-    elevations_rad: Annotated[
-        tuple[Annotated[float, Field(ge=-1.5, le=1.5)], ...], Field(min_length=1, max_length=MAX_BEAMS)
-    ]
-    azimuths: Annotated[int, Field(ge=16, le=MAX_PX)]
-    min_range_m: Annotated[float, Field(ge=0, le=1000)]
-    max_range_m: Annotated[float, Field(gt=0, le=1000)]
-    height_m: Annotated[float, Field(ge=0.3, le=10)]
-    right_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
-    forward_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
-    yaw_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
-    pitch_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
-    roll_rad: Annotated[float, Field(ge=-4, le=4)] = 0.0
-
-    @model_validator(mode="after")
-    def _is_sorted(self) -> "Lidar":
-        """Check that the beams are in order."""
-        if any(lower >= upper for upper, lower in pairwise(self.elevations_rad)):
-            raise ValueError("elevations_rad: expected the top beam first, and each elevation once")
-        return self
 
 
 class Light(DocumentPart):
@@ -404,94 +284,6 @@ class Weather(DocumentPart):
     snow: Unit = 0.0
     snow_on_road: Unit = 0.0
     headlights: bool = False
-
-
-class Host(DocumentPart):
-    """The host's own bonnet: the share of the image's height that it covers (0 for none), its gray value and its
-    gloss."""
-
-    bonnet: Annotated[float, Field(ge=0, le=0.3)] = 0.0
-    gray: Unit = 0.0
-    gloss: Unit = 0.0
-
-
-RoadSide = Literal["left", "right", "median"]
-RailKind = Literal["guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"]
-PostKind = Literal["lamp", "sign", "delineator"]
-N_SIGN_FACES = 16
-
-
-class Rail(DocumentPart):
-    """A barrier, wall, kerb or power line along a road (`main`, `exit`, or one of a map) between two plan stations. Its
-    front is `aside_m` from the edge of the pavement on a side of the plan; on the side `median` its middle is at plan
-    offset `aside_m` of the road. A `walkway` is a kerb with a paved path behind it."""
-
-    kind: RailKind
-    road: Name
-    side: RoadSide
-    from_m: Metres
-    to_m: Metres
-    aside_m: Metres
-    height_m: Annotated[float, Field(gt=0, le=30)]
-    color: Color
-
-
-class Post(DocumentPart):
-    """A lamp post, sign or delineator at a plan station, placed like a `Rail`. `face` numbers the picture of a sign
-    from 1; a `turned` sign shows it to the traffic in the other direction."""
-
-    kind: PostKind
-    road: Name
-    side: RoadSide
-    s_m: Metres
-    aside_m: Metres
-    height_m: Annotated[float, Field(gt=0, le=30)]
-    face: Annotated[int, Field(ge=1, le=N_SIGN_FACES)] = 1
-    turned: bool = False
-
-
-class Crossing(DocumentPart):
-    """A gantry or bridge across all roads at a plan station of the main road: its free height `clearance_m` over every
-    pavement, and its width along the road. A gantry has boards, or else the signals over lanes that are listed."""
-
-    kind: Literal["gantry", "bridge"]
-    s_m: Metres
-    clearance_m: Annotated[float, Field(ge=4.7, le=30)]
-    width_m: Annotated[float, Field(gt=0, le=100)]
-    color: Color
-    signals: Annotated[tuple[LaneSignal, ...], Field(max_length=MAX_LANES)] = ()
-
-
-class Building(DocumentPart):
-    """A house with a gable, an industrial hall or a block of flats: the middle of its floor plan, the direction of its
-    length (counter-clockwise from world y), and the height of its walls."""
-
-    kind: Literal["house", "hall", "block"]
-    x_m: Number
-    y_m: Number
-    yaw_rad: Number
-    width_m: Annotated[float, Field(gt=0, le=1000)]
-    length_m: Annotated[float, Field(gt=0, le=1000)]
-    height_m: Annotated[float, Field(gt=0, le=300)]
-    color: Color
-    roof: Color
-
-
-class Roadside(DocumentPart):
-    """What stands beside and over the road. In the instance pass, structures are numbered in this order: rails, posts,
-    crossings, buildings, poles of signals and of signs, then the heads of signals and the signs that these hold."""
-
-    rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
-    posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
-    crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
-    buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
-    signals: Annotated[tuple[TrafficSignal, ...], Field(max_length=MAX_FREE)] = ()
-    signs: Annotated[tuple[TrafficSign, ...], Field(max_length=MAX_FREE)] = ()
-
-    @property
-    def free_elements(self) -> tuple[TrafficSignal | TrafficSign, ...]:
-        """The signals and signs that have places of their own."""
-        return (*self.signals, *self.signs)
 
 
 class Scene(DocumentPart):

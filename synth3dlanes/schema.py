@@ -25,6 +25,7 @@ STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Metres = Annotated[float, Field(ge=-1000, le=1000)]
 Unit = Annotated[float, Field(ge=0, le=1)]
+Color = tuple[Unit, Unit, Unit]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 PixelCount = Annotated[int, Field(ge=1, le=MAX_PX)]
 Seed = Annotated[int, Field(ge=0, le=2**128)]
@@ -161,3 +162,8 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     """What is wrong with a key, with the known one that it is close to."""
     close = difflib.get_close_matches(key, list(known), n=1)
     return "unknown key" + (f"; did you mean {close[0]}?" if close else "")
+
+
+def is_empty(value: tuple[object, ...]) -> bool:
+    """Whether a field that may be left out is left out."""
+    return not value

@@ -15,7 +15,7 @@ MAX_SEED = 2**128
 SPLIT_NAME, MAX_SAMPLES, MAX_SHARD_SIZE = "[A-Za-z0-9_-]+", 100_000_000, 1_000_000
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")
 BEST_DEVICE_FIRST = ("optix", "cuda", "hip", "oneapi", "metal", "cpu")
-QUALITY_SAMPLES = {"draft": 2, "standard": 4, "high": 8}
+QUALITY_SAMPLES = {"train": 1, "draft": 2, "standard": 4, "high": 8}
 
 
 @dataclass(frozen=True)

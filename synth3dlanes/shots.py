@@ -5,8 +5,8 @@ from typing import Annotated, NamedTuple
 from pydantic import Field, ValidationError
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.host import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
 from synth3dlanes.params import Group
-from synth3dlanes.scene import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
 from synth3dlanes.schema import validation_problems
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.lidars import LidarSpec

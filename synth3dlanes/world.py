@@ -31,7 +31,10 @@ from synth3dlanes.geometry.placement import tree_positions, world_from_car
 from synth3dlanes.geometry.seams import ghost_mesh, tar_mesh
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.symbols import SymbolShape, shape, symbol_mesh
-from synth3dlanes.scene import Camera, Lidar, Roadside, Scene, Tree
+from synth3dlanes.host import Camera, Lidar
+from synth3dlanes.road_map import MapPaint
+from synth3dlanes.roadside import Roadside
+from synth3dlanes.scene import Scene, Tree
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
@@ -112,16 +115,22 @@ class View:
 @dataclass(frozen=True, eq=False)
 class Site:
     """What does not move: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
-    instant, so all views of a world share it. Values are computed on first access and kept."""
+    instant, so all views of a world share it. Values are computed on first access and kept. `has_seams` says whether
+    tar, removed lines and joints may show on its pavement."""
 
     ground: Ground
     trees: tuple[Tree, ...]
     roadside: Roadside
+    has_seams = True
 
     @property
     def lines(self) -> tuple[LaneCurve, ...]:
         """All centre lines and delimiters."""
         return self.ground.network.curves
+
+    def symbol_shapes(self, scene: Scene) -> list[SymbolShape]:
+        """The shapes of all symbols of a scene on it, in the order of their labels."""
+        return [shape(self.ground, symbol) for symbol in scene.symbols]
 
     @cached_property
     def pavement(self) -> list[meshes.Mesh]:
@@ -170,19 +179,22 @@ class Site:
         return roadside.lamp_heads(self.ground, self.roadside)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MapSite(Site):
     """The site of a map: its roads, junctions and islands, and the terrain around them."""
 
-    @property
-    def _built(self) -> MapGround:
-        assert isinstance(self.ground, MapGround), "a map's site is on its ground"
-        return self.ground
+    ground: MapGround
+    paint: tuple[MapPaint, ...]
+    has_seams = False
+
+    def symbol_shapes(self, scene: Scene) -> list[SymbolShape]:
+        """The shapes of the map's paint that bounds no lane."""
+        return map_symbols(self.ground, self.paint)
 
     @cached_property
     def pavement(self) -> list[meshes.Mesh]:
         """All roads, junctions and islands."""
-        return map_meshes.pavement_meshes(self._built)
+        return map_meshes.pavement_meshes(self.ground)
 
     @cached_property
     def verges(self) -> list[meshes.Mesh]:
@@ -192,7 +204,7 @@ class MapSite(Site):
     @cached_property
     def terrain(self) -> meshes.Mesh:
         """The terrain around the pavement, up to the horizon."""
-        return map_meshes.terrain_mesh(self._built)
+        return map_meshes.terrain_mesh(self.ground)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,18 +252,16 @@ class World:
     @cached_property
     def symbol_shapes(self) -> list[SymbolShape]:
         """The shapes of all symbols on the road, in the order of their labels."""
-        if self.scene.map is not None and isinstance(self.network, MapNetwork):
-            return map_symbols(self.ground, self.network, self.scene.map.paint)
-        return [shape(self.ground, symbol) for symbol in self.scene.symbols]
+        return self.site.symbol_shapes(self.scene)
 
     def tar(self, view: View) -> meshes.Mesh | None:
         """Cracks filled with tar, raised less than paint; None without any."""
-        amount = self.scene.surface.tar if self.scene.map is None else 0.0
+        amount = self.scene.surface.tar if self.site.has_seams else 0.0
         return tar_mesh(self.ground, amount, view.eye_world, self.scene.stream) if amount else None
 
     def ghost_lines(self, view: View) -> meshes.Mesh | None:
         """Removed lines, raised less than paint; None without any."""
-        if not self.scene.surface.ghost_lines or self.scene.map is not None:
+        if not self.scene.surface.ghost_lines or not self.site.has_seams:
             return None
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
 
@@ -271,14 +281,14 @@ def resolve(scene: Scene, network: Network | None = None) -> World:
     network = network.around(network.host_points(camera, np.zeros(1))[0, :2], AROUND_HOST_M)
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
-    if isinstance(network, MapNetwork):
+    place, furniture = (driven_m, shot.behind_m > 0), (scene.trees, scene.roadside)
+    # Nothing else asks for the kind of a network.
+    if scene.map is not None and isinstance(network, MapNetwork):
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
-        hills = replace(hills, center_world=(x, y))
-        islands = scene.map.islands if scene.map is not None else ()
-        place = network, camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0
-        return World(scene, MapSite(MapGround(*place, roads=network, islands=islands), scene.trees, scene.roadside))
-    ground = Ground(network, camera.y_m, scene.markings, hills, driven_m, shot.behind_m > 0)
-    return World(scene, Site(ground, scene.trees, scene.roadside))
+        around = camera.y_m, scene.markings, replace(hills, center_world=(x, y))
+        ground = MapGround(*around, *place, network=network, islands=scene.map.islands)
+        return World(scene, MapSite(*furniture, ground=ground, paint=scene.map.paint))
+    return World(scene, Site(Ground(network, camera.y_m, scene.markings, hills, *place), *furniture))
 
 
 def scene_network(scene: Scene) -> Network:

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.scene import Air, Camera, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain
+from synth3dlanes.host import Camera
+from synth3dlanes.scene import Air, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain
 from synth3dlanes.world import World
 
 FLAT = Scene(

@@ -1,6 +1,7 @@
 """A scene with traffic elements of all kinds on a straight flat road."""
 
-from synth3dlanes.scene import Crossing, Post, Roadside, Scene
+from synth3dlanes.roadside import Crossing, Post, Roadside
+from synth3dlanes.scene import Scene
 from synth3dlanes.traffic_elements import LaneSignal, Phase, TrafficSign, TrafficSignal
 from tests.scenes import changed
 

@@ -16,11 +16,11 @@ from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import plan as export_plan
 from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.ground_truth import label
+from synth3dlanes.host import MAX_BEHIND_M
 from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.scene import MAX_BEHIND_M
 from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.shots import Shots
 from synth3dlanes.world import resolve

@@ -16,8 +16,9 @@ from synth3dlanes.frames import rotation, transform
 from synth3dlanes.geometry.sign_faces import SIGN_FACES
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.params import load_params
+from synth3dlanes.roadside import Crossing, Roadside
 from synth3dlanes.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.scene import Crossing, Roadside, Scene, from_json, to_json
+from synth3dlanes.scene import Scene, from_json, to_json
 from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.settings import FIRST_STRUCTURE_ID
 from synth3dlanes.shots import Shots

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from synth3dlanes.figures.stats import is_fine, scene_statistics
+from synth3dlanes.host import Host
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Host, Weather, from_json, to_json
+from synth3dlanes.scene import Weather, from_json, to_json
 
 FEW = ["cars.n=2", "trees.n=3"]
 

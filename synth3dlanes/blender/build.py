@@ -135,7 +135,7 @@ def build(
     missing = OF_VIEW if is_built else COLLECTIONS
     _clear(missing, studio.kept)
     if not is_built:
-        set_materials(materials, scene, world.network)
+        set_materials(materials, world)
         set_translucency(studio.assets.trees, scene.vegetation.translucency)
         set_snow_caps(scene.weather.snow)
     # In this order Blender itself gives most of them their names.
@@ -185,8 +185,7 @@ def body_color(car: Car) -> tuple[float, float, float]:
 
 
 def _clear(collections: Sequence[str], kept: frozenset[str]) -> None:
-    """Remove the objects of some collections, and their meshes but those of these names; memory would grow
-    otherwise."""
+    """Remove the objects of some collections, and all unused meshes but `kept`; memory would grow otherwise."""
     bpy.data.batch_remove([item for name in collections for item in bpy.data.collections[name].objects])
     bpy.data.batch_remove([mesh for mesh in bpy.data.meshes if not mesh.users and mesh.name not in kept])
 

@@ -30,10 +30,10 @@ from synth3dlanes.blender.weathering import (
     wet,
     wheel_tracks,
 )
-from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.seams import ghost_shade, joint
-from synth3dlanes.scene import Scene, Surface
+from synth3dlanes.scene import Surface
 from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.world import World
 
 # A texture scale is the number of tiles in 100 m: road tiles of 3 to 10 m, terrain tiles of 7 to 20 m.
 SCALE_LENGTH_M = 100.0
@@ -107,8 +107,9 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
     )
 
 
-def set_materials(materials: Materials, scene: Scene, network: Network) -> None:
+def set_materials(materials: Materials, world: World) -> None:
     """Set the values of one scene: texture scale and direction, gloss, lane width, paint, wetness."""
+    scene, network = world.scene, world.network
     surface, weather, angle_rad = scene.surface, scene.weather, scene.surface.texture_orientation_rad
     lanes = network.across
     lane_width_m, parity, median_m = lanes.width_m, lanes.parity, lanes.median_m
@@ -122,7 +123,7 @@ def set_materials(materials: Materials, scene: Scene, network: Network) -> None:
     wear.translation = (0.25 * parity, 0, 0)
     set_value(road, "median_at_m", lanes.median_at_m)
     set_value(road, "median_m", median_m)
-    joint_m, darker = joint(network, surface.joint, scene.stream) if scene.map is None else (0.0, 0.0)
+    joint_m, darker = joint(network, surface.joint, scene.stream) if world.site.has_seams else (0.0, 0.0)
     set_value(road, "gloss", surface.road_gloss)
     set_value(road, "joint_m", joint_m)
     set_value(road, "darker", darker if surface.joint else 0.0)

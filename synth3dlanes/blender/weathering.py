@@ -65,8 +65,8 @@ def wet(graph: ShaderGraph, dry: Look, ruts: Socket = 0.0) -> Look:
 
 
 def snowed(graph: ShaderGraph, bare: Look, spare: Socket = 0.0, blur: Socket = 0.0) -> Look:
-    """The look under snow, controlled by the node values `snow_level` (of the map), `is_snowy` and `snow`: less where
-    `spare` is 1, and evenly its share where `blur` is 1."""
+    """The look under snow, controlled by the node values `snow_level` (of the map), `is_snowy` and `snow`: with less
+    of it where `spare` is 1, and evenly mixed with it where `blur` is 1."""
     under = graph.math("SUBTRACT", graph.value("snow_level"), _height(graph, SNOW_STRETCH))
     under = graph.math("SUBTRACT", under, graph.math("MULTIPLY", spare, TRACK))
     near = graph.clamp(graph.math("MULTIPLY_ADD", under, 1 / SNOW_SOFTNESS, 0.5))
@@ -80,7 +80,7 @@ def snowed(graph: ShaderGraph, bare: Look, spare: Socket = 0.0, blur: Socket = 0
 
 
 def snow_cap(graph: ShaderGraph, bare: Socket, is_car: bool) -> Any:
-    """The shader `bare` with snow where it looks up, controlled by the node value `cap_level` (see there)."""
+    """The shader `bare` with snow where it looks up, controlled by the node value that `cap_level` gives."""
     up = graph.node("ShaderNodeSeparateXYZ", {0: graph.node("ShaderNodeNewGeometry").outputs["Normal"]}).outputs[2]
     level, least = graph.value("cap_level"), CAR_CAP_FROM if is_car else CAP_FROM
     if is_car:
@@ -98,7 +98,8 @@ def snow_cap(graph: ShaderGraph, bare: Socket, is_car: bool) -> Any:
 
 
 def cap_level(share: float, is_car: bool) -> float:
-    """`cap_level` where this share of the ground is under snow: the share of cars with snow, or the map's level."""
+    """The node value `cap_level` with this share of the ground under snow: the share of cars with snow on them, or the
+    level of the map."""
     return share * CAR_SHARE if is_car else rub_level(share)
 
 

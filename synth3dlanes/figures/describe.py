@@ -12,10 +12,11 @@ from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import horizontal_fov_rad
+from synth3dlanes.host import Camera, Host
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.lens import Lens
 from synth3dlanes.object_labels import ObjectLabel
-from synth3dlanes.scene import Camera, Host, PaperRoad, Scene, Weather
+from synth3dlanes.scene import PaperRoad, Scene, Weather
 
 Facts = dict[str, str]
 

@@ -10,9 +10,7 @@ from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.section_road import SectionRoad
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.world import World, resolve
@@ -70,23 +68,11 @@ class SceneView:
         return np.asarray(self.labels.camera.road_from_cam @ invert(self.labels.camera.world_from_cam))
 
     @cached_property
-    def _stations(self) -> Float[np.ndarray, " n"]:
-        """Stations from behind the host to AHEAD_M, in driving order."""
-        y_m = self.world.view.camera.y_m
-        return self.network.stations(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
-
-    @cached_property
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
         """Both edges of each road in range, shoulders included, by its id."""
         edges_world = {}
         for road in self.network.roads:
-            if isinstance(road, SectionRoad):
-                s = road.plan.stations
-                near = np.hypot(*(road.xy(s, 0.0) - self.world.view.world_from_host[:2, 3]).T) < AHEAD_M
-                if near.any():
-                    edges_world[road.id] = road.points(s, road.left(s)), road.points(s, road.right(s))
-                continue
-            s = self._stations[(self._stations >= road.start_m) & (self._stations <= road.end_m)]
+            s = self.network.road_stations(road, self.world.view.camera, self.behind_m, AHEAD_M)
             if s.size > 1:
                 edges_world[road.id] = road.points(s, road.left(s)), road.points(s, road.right(s))
         return {
@@ -97,11 +83,9 @@ class SceneView:
     @cached_property
     def ground_along_main(self) -> Points3:
         """The surface along the main road's reference line, on a map along the host's way."""
-        if isinstance(self.network, MapNetwork):
-            on_way = np.unique(np.clip(self._stations, 0.0, self.network.way.end_m))
-            return transform(self.road_from_world, self.network.way.points_world(on_way))
-        points_world = self.network.main.points(self._stations, 0.0)
-        return transform(self.road_from_world, points_world)
+        y_m = self.world.view.camera.y_m
+        along_world = self.network.along_host(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
+        return transform(self.road_from_world, along_world)
 
     @property
     def ramp_foot(self) -> Float[np.ndarray, "3"] | None:

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.solids import GroundFrame
-from synth3dlanes.scene import RoadSide
+from synth3dlanes.roadside import RoadSide
 
 
 def beside(ground: Ground, road: str, side: RoadSide, s: Scalars, aside_m: Scalars | float) -> Points2:

@@ -9,7 +9,7 @@ from synth3dlanes.arrays import Matrix4, Numbers
 from synth3dlanes.frames import turned
 from synth3dlanes.geometry.camera import rays
 from synth3dlanes.geometry.meshes import Mesh, grid
-from synth3dlanes.scene import Camera
+from synth3dlanes.host import Camera
 
 HALF_WIDTH_M, FROM_M, TO_M = 0.78, 0.02, 1.6
 # It falls towards the nose and the sides; two folds run along it.

@@ -6,7 +6,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.beside import ground_over
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.solids import SINK_M, Body, GroundFrame, Quads
-from synth3dlanes.scene import Building
+from synth3dlanes.roadside import Building
 
 Range = tuple[float, float]
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import AnyPoints3, Matrix4
 from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry.network import Network
-from synth3dlanes.scene import Camera
+from synth3dlanes.host import Camera
 
 TANGENT_STEP_M = 1e-3
 BORDER_PX = 1

@@ -14,7 +14,7 @@ from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.sign_faces import Patch, board
 from synth3dlanes.geometry.signals import LANE_HEAD_M
 from synth3dlanes.geometry.solids import METAL, SINK_M, Body, GroundFrame, Quads
-from synth3dlanes.scene import Crossing
+from synth3dlanes.roadside import Crossing
 
 # Least gap between a crossing's supports and any pavement, and how far from its axis supports are looked for.
 SUPPORT_GAP_M, MAX_SPAN_M = 0.8, 90.0

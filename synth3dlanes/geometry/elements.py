@@ -12,7 +12,7 @@ from synth3dlanes.geometry.posts import post_frames, sign_place
 from synth3dlanes.geometry.sign_faces import BOARD_KINDS, FACE_KINDS, FACES, SIGN_FACES
 from synth3dlanes.geometry.signals import head_body, head_light, lane_head_body, lane_light, mounted
 from synth3dlanes.geometry.solids import Body
-from synth3dlanes.scene import Crossing, Post, Roadside
+from synth3dlanes.roadside import Crossing, Post, Roadside
 from synth3dlanes.traffic_elements import ElementCategory, ElementKind, ElementState, LaneSignal, TrafficSignal
 
 

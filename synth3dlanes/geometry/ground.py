@@ -5,6 +5,7 @@ where the road is raised, until it passes below the terrain mesh, which is lower
 `meshes.py` builds exactly this surface; `visibility.py` tests lines of sight against it.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -12,12 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import AnyPoints2, AnyScalars, Scalars
+from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.geometry import terrain
 from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import Road
+from synth3dlanes.polylines import stretches
 from synth3dlanes.scene import Markings
 
 Spread = Float[np.ndarray, "*#n"]
@@ -48,6 +50,8 @@ ROAD_BEHIND_M = 30.0
 FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
 # A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
 STEEP_M = 1.0
+# A median this wide is grass between inner shoulders; a narrower one is all shoulder.
+GRASS_FROM_M, INNER_SHOULDER_M = 3.0, 0.5
 
 
 class Beside(NamedTuple):
@@ -132,6 +136,62 @@ class Ground:
         """Width of a road's pavement outside its outermost lanes: it covers the paint of their edge lines."""
         outer_m = self.markings.width_m * (1.5 if self.markings.left_double else 0.5)
         return min(outer_m + PAINT_ROOM_M, road.shoulder_m)
+
+    def beside_median_m(self, road: Road, width_m: float) -> tuple[float, float]:
+        """How far into a median of a road its pavement goes on beside the inner lines, and how far its shoulders do."""
+        paved_m = min(self.under_paint_m(road), width_m / 4)
+        return paved_m, min(paved_m + INNER_SHOULDER_M, 0.45 * width_m)
+
+    def grass_in_medians(self, road: Road) -> list[tuple[float, float]]:
+        """Offsets between which a road's medians are grass."""
+        found = []
+        for left_m, right_m in road.medians:
+            width_m = right_m - left_m
+            if width_m >= GRASS_FROM_M:
+                _, inner_m = self.beside_median_m(road, width_m)
+                found.append((left_m + inner_m, left_m + (width_m - inner_m)))
+        return found
+
+    def is_grass(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are on grass that the pavement surrounds, or at most `room_m` beside it."""
+        _, t = self.network.main.line.project(xy_world)
+        found = np.zeros(len(xy_world), dtype=bool)
+        for low_m, high_m in self.grass_in_medians(self.network.main):
+            found |= (t >= low_m - room_m) & (t <= high_m + room_m)
+        return found
+
+    def pavement_edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
+        """The edges of the pavement, shoulders included, and of a median's grass, within about `reach_m` of a place of
+        the host."""
+        for road, s, (left, *grass, right) in self._pavement_lines(xy_world, reach_m):
+            for t in (left, right, *grass):
+                points = road.points(s, t)
+                alone = stretches(~self.is_on_other(road, points[:, :2]))
+                yield from (points[first:end] for first, end in alone if end - first > 1)
+
+    def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
+        """Both edges of each strip of pavement within about `reach_m` of a place of the host: of every road, and on
+        both sides of a median's grass."""
+        for road, s, offsets in self._pavement_lines(xy_world, reach_m):
+            for low, high in zip(offsets[::2], offsets[1::2], strict=True):
+                if len(s) > 1:
+                    yield road.points(s, low), road.points(s, high)
+
+    def _pavement_lines(
+        self, xy_world: Float[np.ndarray, "2"], reach_m: float
+    ) -> Iterator[tuple[Road, Scalars, list[Scalars]]]:
+        """Of every road the stations, and the offsets where pavement begins and ends in turn, as t grows."""
+        stations = self.network.stations_near(xy_world, reach_m)
+        for road in self.network.roads:
+            s = stations[(stations >= road.start_m) & (stations <= road.end_m)]
+            grass = [np.full(len(s), t) for median in self.grass_in_medians(road) for t in median]
+            yield road, s, [road.left(s), *grass, road.right(s)]
+
+    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+        """Places at stations as the host drives, `aside_m` beside the pavement on both sides."""
+        road, s = self.network.main, self.network.stations(driven_m)
+        aside = np.concatenate([road.left.base_m - aside_m, road.right.base_m + aside_m])
+        return road.xy(np.tile(s, len(aside)), np.repeat(aside, len(s)))
 
     @cached_property
     def fine(self) -> tuple[float, float, float, float]:

@@ -16,9 +16,10 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
-from synth3dlanes.geometry.ground import CELL_M, EMBANKMENT_SLOPE, FINE_M, GROWTH, MAX_CELL_SCALE, Ground
+from synth3dlanes.geometry.areas import clipped, filled, polygon_between, polygons_of, signed_distance, solid
+from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, FINE_M, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.map_network import Junction, MapNetwork
+from synth3dlanes.geometry.map_network import AS_FAR, Junction, MapNetwork
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.geometry.section_road import KERB_M, RAISED, CrossSection, SectionRoad
 from synth3dlanes.geometry.terrain import height_at
@@ -27,12 +28,8 @@ from synth3dlanes.road_map import MapIsland
 # Places along the host's way from which distances are measured, and rows along roads by their distance from it.
 WAY_STEP_M = 5.0
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
-# Holes in a junction's pavement that are smaller than this are paved.
-LEAST_HOLE_M2 = 150.0
-# Smaller parts of raised areas are left out.
-SLIVER_M2 = 0.01
-# Points this close to grass may show it.
-GRASS_ROOM_M = 0.1
+# Half the width of a street with its walkways, about.
+HALF_STREET_M = 6.0
 # Roads with heights are looked for this far from points of areas.
 NEAR_M = 3.0
 # The terrain under the edges of the pavement is so much lower than that, times the size of its cells.
@@ -43,8 +40,6 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
-# Smaller areas are slivers.
-LEAST_AREA_M2 = 0.02
 # Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
 BERM_M = 1.5
 
@@ -57,25 +52,19 @@ class GroundArea(NamedTuple):
     kind: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MapGround(Ground):
     """The ground of a map. Distances ahead are those from the host's way, from above."""
 
-    roads: MapNetwork | None = None
-    islands: tuple[MapIsland, ...] = ()
-
-    @property
-    def map(self) -> MapNetwork:
-        """The roads."""
-        assert self.roads is not None, "a map's ground has its network"
-        return self.roads
+    network: MapNetwork
+    islands: tuple[MapIsland, ...]
 
     # -- distances from the host
 
     @cached_property
     def _way(self) -> Points2:
         s = np.linspace(self.near_m, self.near_m + self.driven_m, 1 + int(np.ceil(self.driven_m / WAY_STEP_M)))
-        return self.map.way.xy_world(s)
+        return self.network.way.xy_world(s)
 
     @cached_property
     def _way_tree(self) -> cKDTree:
@@ -97,10 +86,10 @@ class MapGround(Ground):
         """The stations of the rows of a curve's paint."""
         return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
 
-    def road_rows(self, road: Road) -> Scalars:
+    def road_rows(self, road: SectionRoad) -> Scalars:
         """The stations of the rows of a road."""
         rows = self.rows(road.end_m, lambda s: self.away_along(road, s))
-        starts = [section.start_m for section in road.sections] if isinstance(road, SectionRoad) else []
+        starts = (section.start_m for section in road.sections)
         return np.union1d(rows, [start for start in starts if 0 < start < road.end_m])
 
     def section_rows(self, road: SectionRoad, section: CrossSection) -> Scalars:
@@ -119,7 +108,7 @@ class MapGround(Ground):
     @cached_property
     def fine(self) -> tuple[float, float, float, float]:
         """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and as far as it looks."""
-        ahead = self.map.way.xy_world(np.array([self.near_m, self.near_m + 1.0]))
+        ahead = self.network.way.xy_world(np.array([self.near_m, self.near_m + 1.0]))
         angle = np.arctan2(*(ahead[1] - ahead[0])[::-1]) + np.linspace(-0.9, 0.9, 9)
         reach = FINE_M * np.stack([np.cos(angle), np.sin(angle)], -1)
         far = (
@@ -131,19 +120,12 @@ class MapGround(Ground):
         (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
         return float(x0), float(y0), float(x1), float(y1)
 
-    def cell_scale(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Terrain cell size as a multiple of CELL_M."""
-        x0, y0, x1, y1 = self.fine
-        x, y = xy_world[..., 0], xy_world[..., 1]
-        out = np.maximum(np.maximum(x0 - x, x - x1), np.maximum(y0 - y, y - y1))
-        return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
-
     # -- areas
 
-    def strip(self, road: SectionRoad, first: int | None = None, last: int | None = None) -> BaseGeometry:
+    def strip(self, road: SectionRoad) -> BaseGeometry:
         """The pavement of a road from above."""
         s = self.road_rows(road)
-        return _polygon(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
+        return polygon_between(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
 
     @cached_property
     def arms(self) -> BaseGeometry:
@@ -153,21 +135,21 @@ class MapGround(Ground):
     @property
     def outside(self) -> list[SectionRoad]:
         """The roads that are in no junction."""
-        known = {at.id for at in self.map.junctions}
-        return [self.map.road(at.id) for at in self.map.roads if self.map.road(at.id).junction not in known]
+        known = {at.id for at in self.network.junctions}
+        return [road for road in self.network.roads if road.junction not in known]
 
     @cached_property
     def areas(self) -> list[GroundArea]:
         """The surfaces of junctions and islands."""
         found = []
-        for at in self.map.junctions:
-            paved, raised = map(_solid, self._junction(at))
+        for at in self.network.junctions:
+            paved, raised = map(solid, self._junction(at))
             if not paved.is_empty:
                 found.append(GroundArea(paved, 0.0, "road"))
-            found += [GroundArea(part, KERB_M, "walkway") for part in _polygons(raised)]
+            found += [GroundArea(part, KERB_M, "walkway") for part in polygons_of(raised)]
         for island in self.islands:
-            polygon = _solid(shapely.Polygon(island.outline))
-            found += [GroundArea(part, island.height_m, island.surface) for part in _polygons(polygon)]
+            polygon = solid(shapely.Polygon(island.outline))
+            found += [GroundArea(part, island.height_m, island.surface) for part in polygons_of(polygon)]
         return found
 
     def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
@@ -175,13 +157,11 @@ class MapGround(Ground):
         lanes, raised = list[BaseGeometry](), list[BaseGeometry]()
         for road in at.roads:
             for section in road.sections:
-                s = self.section_rows(road, section)
                 for i, lane in enumerate(section.lanes):
                     if lane.kind != "none":
-                        xy = [road.xy(s, section.edge(edge, s)) for edge in (i, i + 1)]
-                        (raised if lane.kind in RAISED else lanes).append(_polygon(*xy))
+                        (raised if lane.kind in RAISED else lanes).append(self._between(road, section, (i, i + 1)))
         outline = [shapely.make_valid(shapely.Polygon(at.outline))] if len(at.outline) > 2 else []
-        paved = shapely.difference(_filled(shapely.union_all([*lanes, *outline])), self.arms)
+        paved = shapely.difference(filled(shapely.union_all([*lanes, *outline])), self.arms)
         walkways = shapely.difference(shapely.union_all(raised), shapely.union(paved, self.arms))
         return paved, walkways
 
@@ -192,33 +172,41 @@ class MapGround(Ground):
         shapely.prepare(whole)
         return whole
 
-    def rings(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> list[Points2]:
-        """The edges of the pavement of traffic, walkways left out, within a box around a place: lines with a point a
-        metre apart."""
-        (x0, y0), (x1, y1) = xy_world - reach_m, xy_world + reach_m
+    def pavement_edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
+        """The edges of the pavement of traffic, walkways left out, within about `reach_m` of a place: lines with points
+        a metre apart."""
+        (x0, y0), (x1, y1) = xy_world - AS_FAR * reach_m, xy_world + AS_FAR * reach_m
         lines = clipped(shapely.boundary(self.carriageways), (x0, y0, x1, y1))
-        merged = shapely.get_parts(shapely.line_merge(lines))
-        return [shapely.get_coordinates(shapely.segmentize(line, 1.0)) for line in merged if not line.is_empty]
+        for line in shapely.get_parts(shapely.line_merge(lines)):
+            if not line.is_empty:
+                ring = shapely.get_coordinates(shapely.segmentize(line, 1.0))
+                yield np.column_stack([ring, self.under(ring)])
 
     @cached_property
     def _raised_strips(self) -> list[BaseGeometry]:
         """The raised lanes of roads outside junctions."""
-        found = []
-        for road in self.outside:
-            for section in road.sections:
-                s = self.section_rows(road, section)
-                for a, b in section.raised:
-                    found.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (a, b))))
-        return found
+        sections = ((road, section) for road in self.outside for section in road.sections)
+        return [self._between(*at, edges) for at in sections for edges in at[1].raised]
 
-    def paved_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
-        """Both edges of the pavement of every road within a distance of a place, those in junctions included."""
-        for at in self.map.roads:
-            road = self.map.road(at.id)
+    def _between(self, road: SectionRoad, section: CrossSection, edges: tuple[int, int]) -> BaseGeometry:
+        """The area between two edges of a road's section."""
+        s = self.section_rows(road, section)
+        left, right = (road.xy(s, section.edge(edge, s)) for edge in edges)
+        return polygon_between(left, right)
+
+    def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
+        """Both edges of the pavement of every road within about `reach_m` of a place, those in junctions included."""
+        for road in self.network.roads:
             s = self.road_rows(road)
             left, right = (road.points(s, edge(s)) for edge in (road.left, road.right))
-            if (np.hypot(*(left[:, :2] - xy_world).T) < reach_m).any():
+            if (np.hypot(*(left[:, :2] - xy_world).T) < AS_FAR * reach_m).any():
                 yield left, right
+
+    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+        """Places at lengths along the host's way, so far beside what is about its pavement on both sides."""
+        way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
+        s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))
+        return way.points_beside(s, np.repeat(aside, len(driven_m)))[:, :2]
 
     @cached_property
     def carriageways(self) -> BaseGeometry:
@@ -233,17 +221,15 @@ class MapGround(Ground):
         found = [area.polygon for area in self.areas if area.kind == "grass"]
         for road in self.outside:
             for section in road.sections:
-                s = self.section_rows(road, section)
-                for i, lane in enumerate(section.lanes):
-                    if lane.kind == "median":
-                        found.append(_polygon(*(road.xy(s, section.edge(edge, s)) for edge in (i, i + 1))))
-        grass = shapely.buffer(shapely.union_all(found), GRASS_ROOM_M)
+                medians = [i for i, lane in enumerate(section.lanes) if lane.kind == "median"]
+                found += [self._between(road, section, (i, i + 1)) for i in medians]
+        grass = shapely.union_all(found)
         shapely.prepare(grass)
         return grass
 
-    def is_grass(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
-        """Which points may be on the grass of medians and islands."""
-        return np.asarray(shapely.contains_xy(self._grass, xy_world[:, 0], xy_world[:, 1]))
+    def is_grass(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are on the grass of medians and islands, or at most `room_m` beside it."""
+        return np.asarray(shapely.dwithin(self._grass, shapely.points(xy_world), room_m))
 
     # -- heights and distances
 
@@ -273,7 +259,7 @@ class MapGround(Ground):
         n = int(near.sum())
         low, high, paved = np.full(n, -np.inf), np.full(n, np.inf), np.full(n, -np.inf)
         for road, which, s, t in roads:
-            own, at = self.map.road(road.id), np.flatnonzero(which)
+            own, at = self.network.road(road.id), np.flatnonzero(which)
             if own.heights is None:
                 continue
             on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
@@ -289,7 +275,7 @@ class MapGround(Ground):
 
     @cached_property
     def _has_heights(self) -> bool:
-        return any(self.map.road(road.id).heights is not None for road in self.network.roads)
+        return any(road.heights is not None for road in self.network.roads)
 
     def area_height(self, area: GroundArea, xy_world: Points2) -> Scalars:
         """Height of an area's surface: on the terrain, or between the heights of its roads there."""
@@ -310,7 +296,7 @@ class MapGround(Ground):
         total, weights = np.zeros((2, len(xy_world)))
         rows = np.flatnonzero(near)
         for road, which, s, t in roads:
-            own = self.map.road(road.id)
+            own = self.network.road(road.id)
             on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
             base = own.base_points(on, across)
             raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
@@ -335,7 +321,7 @@ class MapGround(Ground):
 
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement, negative on it."""
-        return _signed_distance(self.pavement, xy_world)
+        return signed_distance(self.pavement, xy_world)
 
     def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at most so far from a pavement, to half a per cent of that."""
@@ -345,7 +331,7 @@ class MapGround(Ground):
 
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""
-        return _signed_distance(self.carriageways, xy_world)
+        return signed_distance(self.carriageways, xy_world)
 
     def shows(self, curve: LaneCurve) -> bool:
         """Whether a line's paint is near enough to be drawn."""
@@ -363,52 +349,3 @@ class MapGround(Ground):
                 if len(xy) > 1:
                     found.append(np.column_stack([xy, self.under(xy) + raised_m]))
         return found
-
-
-def _signed_distance(area: BaseGeometry, xy_world: AnyPoints2) -> AnyScalars:
-    """Distance of points from an area, negative in it."""
-    flat = shapely.points(xy_world.reshape(-1, 2))
-    inside = shapely.contains_properly(area, flat)
-    distance = np.where(inside, -shapely.distance(shapely.boundary(area), flat), shapely.distance(area, flat))
-    return np.asarray(distance.reshape(xy_world.shape[:-1]))
-
-
-def _solid(area: BaseGeometry) -> BaseGeometry:
-    """The polygons of an area, without slivers."""
-    parts = shapely.get_parts(shapely.make_valid(area))
-    polygons = [part for part in parts if shapely.get_dimensions(part) == 2 and shapely.area(part) > LEAST_AREA_M2]
-    return shapely.MultiPolygon([at for part in polygons for at in shapely.get_parts(part)])
-
-
-def _polygon(left: Points2, right: Points2) -> BaseGeometry:
-    """The polygon between two lines; of a road that folds, what it covers."""
-    ring = np.concatenate([left, right[::-1]])
-    polygon = shapely.Polygon(ring)
-    if polygon.is_valid:
-        return polygon
-    quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
-    return shapely.union_all(shapely.make_valid(quads))
-
-
-def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseGeometry:
-    """What of an area is within (x0, y0, x1, y1)."""
-    try:
-        return shapely.clip_by_rect(area, *box)
-    except shapely.errors.GEOSException:
-        # The fast way refuses parts that only touch the box.
-        return shapely.intersection(area, shapely.box(*box))
-
-
-def _polygons(area: BaseGeometry) -> list[shapely.Polygon]:
-    """The polygons that an area consists of, without slivers."""
-    return [part for part in shapely.get_parts(area) if isinstance(part, shapely.Polygon) and part.area > SLIVER_M2]
-
-
-def _filled(area: BaseGeometry) -> BaseGeometry:
-    """An area without its small holes."""
-    parts = [
-        shapely.Polygon(part.exterior, [hole for hole in part.interiors if shapely.Polygon(hole).area > LEAST_HOLE_M2])
-        for part in shapely.get_parts(area)
-        if isinstance(part, shapely.Polygon)
-    ]
-    return shapely.union_all(parts)

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Polyline2
 from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine, paired
+from synth3dlanes.road_map import PlanPiece
 
 # A point's station is looked for among places this far apart.
 GUESS_STEP_M = 4.0
@@ -21,6 +22,8 @@ NODES = NODES + 0.5
 STRAIGHT = 1e-9
 # Lengths along a cubic are measured in so many steps.
 CUBIC_STEPS = 2000
+# Metres per parameter; what is slower stands still.
+LEAST_SPEED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +99,8 @@ class Cubic(FiniteLine):
             for a, b, c, d in (self.x, self.y)
         ]
         (px, py), (dx, dy), (ddx, ddy) = zip(*values, strict=True)
-        speed = np.hypot(dx, dy)
+        # In a cusp the curve stands still and has no normal.
+        speed = np.maximum(np.hypot(dx, dy), LEAST_SPEED)
         normals = paired(dy, -dx) / speed[..., None]
         return LineFrames(paired(px, py), normals, speed, (dy * ddx - dx * ddy) / speed**2)
 
@@ -168,3 +172,22 @@ class Chain(FiniteLine):
             for whole, part in zip(found, self.lines[i].frames(s[at] - starts[i]), strict=True):
                 whole[at] = part
         return found
+
+
+def plan_line(plan: Sequence[PlanPiece]) -> Chain:
+    """The reference line of a road's plan."""
+    lines = ((piece.length_m, line_of(piece)) for piece in plan)
+    return Chain.of([MeasuredCubic(m, line) if isinstance(line, Cubic) else line for m, line in lines])
+
+
+def line_of(piece: PlanPiece) -> Spiral | Cubic:
+    """The line of a piece of a plan; the stations of a cubic are its parameter."""
+    start, length_m = (piece.x_m, piece.y_m), piece.length_m
+    if piece.u is None or piece.v is None:
+        bends = (piece.curvature_end - piece.curvature) / length_m
+        return Spiral(length_m, start, piece.heading_rad, piece.curvature, bends)
+    cos, sin = float(np.cos(piece.heading_rad)), float(np.sin(piece.heading_rad))
+    (x0, *x), (y0, *y) = (
+        [a * u + b * v for u, v in zip(piece.u, piece.v, strict=True)] for a, b in ((cos, -sin), (sin, cos))
+    )
+    return Cubic(piece.parameter_end, (x0 + start[0], x[0], x[1], x[2]), (y0 + start[1], y[0], y[1], y[2]))

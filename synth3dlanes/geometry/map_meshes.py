@@ -12,7 +12,8 @@ from jaxtyping import Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.map_ground import GroundArea, MapGround, clipped
+from synth3dlanes.geometry.areas import clipped
+from synth3dlanes.geometry.map_ground import GroundArea, MapGround
 from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, facing_up, grid, terrain_axes, terrain_heights
 from synth3dlanes.geometry.section_road import KERB_M, CrossSection, SectionRoad
 from synth3dlanes.road_map import MapLaneKind
@@ -62,7 +63,7 @@ def _strips(ground: MapGround, road: SectionRoad, section: CrossSection, s: Scal
             n = max(int(np.ceil((edges[k + 1] - edges[k]).mean() / COLUMN_M)), 1)
             share = np.linspace(0, 1, n + 1)[0 if k == i else 1 :]
             columns += [edges[k] + (edges[k + 1] - edges[k]) * at for at in share]
-            across += ((k + share) * ground.map.lane_width_m).tolist()
+            across += ((k + share) * ground.network.lane_width_m).tolist()
             surfaces += [SURFACES.get(section.lanes[k].kind, ROAD)] * n
         t = np.stack(columns, axis=1)
         vertices = road.base_points(np.broadcast_to(s[:, None], t.shape), t)

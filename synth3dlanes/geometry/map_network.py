@@ -2,7 +2,7 @@
 the rules are in docs/network.md."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -10,14 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.arrays import AnyPoints3, AnyScalars, Points2, Scalars
+from synth3dlanes.arrays import AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.frames import cross
 from synth3dlanes.geometry.lane_curves import LaneCurve, measured
-from synth3dlanes.geometry.network import APART_M, LanePattern, Nearby, Network
-from synth3dlanes.geometry.roads import NetworkLane
+from synth3dlanes.geometry.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
+from synth3dlanes.geometry.roads import NetworkLane, Road
 from synth3dlanes.geometry.section_road import SectionRoad
+from synth3dlanes.host import Camera
 from synth3dlanes.labels import LaneGraph, Segment
-from synth3dlanes.scene import Camera, Car
+from synth3dlanes.scene import Car
 
 # Points of the labels are this far apart, measured along each line from its beginning.
 STEP_M = 1.0
@@ -25,6 +26,8 @@ STEP_M = 1.0
 ACROSS_M = 0.5
 # The host's direction is measured over this length to both sides.
 TANGENT_M = 0.01
+# Roads of maps turn: what lies so many times as far from a place, from above, is near it.
+AS_FAR = 2.0
 
 
 class Junction(NamedTuple):
@@ -45,25 +48,20 @@ class _Samples(NamedTuple):
     starts: Int[np.ndarray, " _"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MapNetwork(Network):
     """Roads with stations of their own. `given_paths` are its centre lines: on through links where there is only one
-    way, up to a junction, and every connector through one. `route` is the host's way."""
+    way, up to a junction, and every connector through one. `way` is the host's."""
 
-    given_paths: tuple[LaneCurve, ...] = ()
-    junctions: tuple[Junction, ...] = ()
-    route: LaneCurve | None = None
+    roads: tuple[SectionRoad, ...]
+    given_paths: tuple[LaneCurve, ...]
+    junctions: tuple[Junction, ...]
+    way: LaneCurve
 
     @property
     def paths(self) -> tuple[LaneCurve, ...]:
         """The centre lines."""
         return self.given_paths
-
-    @property
-    def way(self) -> LaneCurve:
-        """The host's way."""
-        assert self.route is not None, "every map has a route"
-        return self.route
 
     @property
     def lane_width_m(self) -> float:
@@ -91,7 +89,7 @@ class MapNetwork(Network):
 
     @cached_property
     def _road_of(self) -> dict[str, SectionRoad]:
-        return {road.id: road for road in self.roads if isinstance(road, SectionRoad)}
+        return {road.id: road for road in self.roads}
 
     def road(self, name: str) -> SectionRoad:
         """A road by its id."""
@@ -174,10 +172,6 @@ class MapNetwork(Network):
         lengths, points = zip(nothing, *parts, strict=True)
         return _Samples(np.concatenate(lengths), np.concatenate(points), starts)
 
-    def sampled_xy(self, curve: LaneCurve) -> Float[np.ndarray, "_ 2"]:
-        """Places along a curve, half of STEP_M apart."""
-        return curve.xy_world(np.linspace(0.0, curve.end_m, 2 + int(2 * curve.end_m / STEP_M)))
-
     def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The lengths of the points of every line that are within the greatest of these lengths of the host, and not
         farther behind it than the least, with those between them, in the line's order."""
@@ -239,7 +233,39 @@ class MapNetwork(Network):
         yields = tuple(pair for at in self.junctions for pair in at.yields if pair[0] in kept and pair[1] in kept)
         return LaneGraph(tuple(segments), successors, None, yields)
 
+    def neighbours(self, segment: Segment) -> tuple[str | None, str | None]:
+        """The lanes to the left and the right of one of the lane graph, as its own traffic drives."""
+        return segment.left, segment.right
+
     # -- places
+
+    def lane_lines(
+        self, lane: NetworkLane, xy_world: Float[np.ndarray, "2"], reach_m: float
+    ) -> tuple[Points3, Points3, Points3] | None:
+        """A lane's middle, its left and its right edge, as its traffic drives: points i are beside each other. None
+        where it is farther from a place than about `reach_m`."""
+        road, (first_m, last_m) = self.road(lane.road), lane.driven
+        s = np.linspace(first_m, last_m, max(2 + int(abs(last_m - first_m) / LINES_STEP_M), 3))
+        middle, low, high = (road.points(s, offset(s)) for offset in road.lines_of(lane))
+        if not _is_near(middle, xy_world, reach_m):
+            return None
+        return (middle, low, high) if lane.ascends else (middle, high, low)
+
+    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Points2]:
+        """Places along the painted lines within about `reach_m` of a place."""
+        points = ((line, np.linspace(0.0, line.end_m, 2 + int(line.end_m / LINES_STEP_M))) for line in self.delimiters)
+        found = {line: line.xy_world(s) for line, s in points}
+        return {line: xy for line, xy in found.items() if _is_near(xy, xy_world, reach_m)}
+
+    def along_host(self, driven_m: Scalars) -> Points3:
+        """Points on the host's way at lengths along it; those beyond its ends are left out."""
+        return self.way.points_world(np.unique(np.clip(driven_m, 0.0, self.way.end_m)))
+
+    def road_stations(self, road: Road, camera: Camera, behind_m: float, ahead_m: float) -> Scalars:
+        """All stations of a road; none where it is farther than `ahead_m` from the host, from above."""
+        s = self.road(road.id).plan.stations
+        away_m = np.hypot(*(road.xy(s, 0.0) - self.host_points(camera, np.zeros(1))[0, :2]).T)
+        return s if (away_m < ahead_m).any() else s[:0]
 
     def nearby(
         self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
@@ -289,4 +315,9 @@ class MapNetwork(Network):
 
     def around(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> "MapNetwork":
         """Itself: it has been read around its host."""
-        return replace(self)
+        return self
+
+
+def _is_near(points: Float[np.ndarray, "n _"], xy_world: Float[np.ndarray, "2"], reach_m: float) -> bool:
+    """Whether any of some points is within about `reach_m` of a place."""
+    return bool((np.linalg.norm(points[:, :2] - xy_world, axis=1) < AS_FAR * reach_m).any())

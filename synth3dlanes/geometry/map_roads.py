@@ -7,16 +7,15 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
 
 from synth3dlanes.geometry.lane_curves import LaneCurve, measured
-from synth3dlanes.geometry.map_lines import Chain, Cubic, FiniteLine, MeasuredCubic, Spiral
+from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.map_network import Junction, MapNetwork
 from synth3dlanes.geometry.map_paint import beside_lanes, bounded, edges_of, lines
 from synth3dlanes.geometry.roads import NetworkLane, Offset
 from synth3dlanes.geometry.section_road import CrossSection, Profile, SectionRoad, Shapes
 from synth3dlanes.labels import Direction
-from synth3dlanes.road_map import MapRoad, PlanPiece, RoadMap
+from synth3dlanes.road_map import MapRoad, RoadMap
 from synth3dlanes.scene import Terrain
 
 # Roads farther from the host than this are left out.
@@ -30,33 +29,11 @@ def map_network(roads: RoadMap, terrain: Terrain, at_m: float) -> MapNetwork:
     return _Reading(roads, terrain).network(at_m)
 
 
-def plan_line(plan: Sequence[PlanPiece]) -> Chain:
-    """The reference line of a road's plan."""
-    return Chain.of([_plan_piece(piece) for piece in plan])
-
-
-def _plan_piece(piece: PlanPiece) -> FiniteLine:
-    start, length_m = (piece.x_m, piece.y_m), piece.length_m
-    if piece.u is None or piece.v is None:
-        bends = (piece.curvature_end - piece.curvature) / length_m
-        return Spiral(length_m, start, piece.heading_rad, piece.curvature, bends)
-    c, s = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
-    u, v = np.array(piece.u), np.array(piece.v)
-    x, y = c * u - s * v, s * u + c * v
-    x[0], y[0] = x[0] + piece.x_m, y[0] + piece.y_m
-    return MeasuredCubic(length_m, Cubic(piece.parameter_end, _four(x), _four(y)))
-
-
-def _four(values: Float[np.ndarray, "4"]) -> tuple[float, float, float, float]:
-    a, b, c, d = values.tolist()
-    return a, b, c, d
-
-
 class _Reading:
     """A map and what is made of it step by step."""
 
     def __init__(self, roads: RoadMap, terrain: Terrain) -> None:
-        self.map, self.terrain = roads, terrain
+        self.map, self.terrain, self.route = roads, terrain, frozenset(roads.route)
 
     def network(self, at_m: float) -> MapNetwork:
         near = self._near(at_m)
@@ -84,12 +61,12 @@ class _Reading:
         )
         return MapNetwork(
             self.terrain,
-            tuple(roads.values()),
-            tuple(line for line, _ in drawn),
-            tuple(links),
+            roads=tuple(roads.values()),
+            delimiters=tuple(line for line, _ in drawn),
+            links=tuple(links),
             given_paths=tuple(bounded(path, beside) for path in paths),
             junctions=tuple(at for at in junctions if at.roads),
-            route=self._route(roads, lanes),
+            way=self._route(roads, lanes),
         )
 
     # -- roads
@@ -117,7 +94,7 @@ class _Reading:
         )
         lanes = [
             lane for i, section in enumerate(sections) if section.end_m > section.start_m
-            for lane in _lanes(road, i, section)
+            for lane in _lanes(road, i, section, self.route)
         ]  # fmt: skip
         made = SectionRoad(
             road.id,
@@ -130,7 +107,7 @@ class _Reading:
             start_m=0.0,
             end_m=line.length_m,
             sections=sections,
-            chain=line,
+            plan=line,
             heights=Profile(road.heights) if road.heights else None,
             banks=Profile(road.banks) if road.banks else None,
             shapes=Shapes(road.shapes) if road.shapes else None,
@@ -176,7 +153,7 @@ class _Reading:
         """The direction of every lane: on the roads that the host drives along, and on what goes on from these, it is
         that of its traffic relative to the host. A connector has that of the lanes that it connects, if it is one."""
         on_route = {lanes[name].road: lanes[name].ascends for name in self.map.route}
-        route = frozenset(self.map.route)
+        route = self.route
         found: dict[str, Direction] = {}
         connectors = []
         for chain in chains:
@@ -195,13 +172,15 @@ class _Reading:
     # -- painted lines
 
 
-def _lanes(road: MapRoad, number: int, section: CrossSection) -> Iterator[NetworkLane]:
-    """The lanes of traffic of a section, from the left; numbers count from the left as their traffic drives."""
+def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[str]) -> Iterator[NetworkLane]:
+    """The lanes of traffic of a section, from the left; numbers count from the left as their traffic drives. Those of
+    the host's route may have any width."""
     s = np.linspace(section.start_m, section.end_m, 5)
     edges = section.edges(s)
     driving = [
         i for i, lane in enumerate(section.lanes)
-        if lane.kind == "driving" and (edges[i + 1] - edges[i]).max() > LEAST_WIDTH_M
+        if lane.kind == "driving"
+        and ((edges[i + 1] - edges[i]).max() > LEAST_WIDTH_M or f"{road.id}.{number}.{lane.number}" in route)
     ]  # fmt: skip
     up = {i: (section.lanes[i].number < 0) ^ road.keeps_left ^ section.lanes[i].against for i in driving}
     for i in driving:

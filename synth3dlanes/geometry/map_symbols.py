@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.symbols import (
     ARROWS,
@@ -23,9 +23,9 @@ from synth3dlanes.road_map import MapPaint
 INSET_M, TOOTH_M, TOOTH_GAP_M, TOOTH_LENGTH_M = 0.1, 0.5, 0.3, 0.6
 
 
-def map_symbols(ground: Ground, network: MapNetwork, paint: Sequence[MapPaint]) -> list[SymbolShape]:
-    """The shapes of a map's paint on the lanes that the network has, in the map's order."""
-    found = []
+def map_symbols(ground: MapGround, paint: Sequence[MapPaint]) -> list[SymbolShape]:
+    """The shapes of a map's paint on the lanes that its network has, in the map's order."""
+    found, network = [], ground.network
     for item in paint:
         if item.kind == "crosswalk":
             if len(item.outline) == 4:
@@ -68,7 +68,7 @@ def _teeth(half_m: float) -> list[Polygon]:
     return [tooth + np.array([x, 0.0]) for x in middles]
 
 
-def _crosswalk(ground: Ground, corners: Float[np.ndarray, "4 2"]) -> SymbolShape:
+def _crosswalk(ground: MapGround, corners: Float[np.ndarray, "4 2"]) -> SymbolShape:
     """Bars from the first side to the third one: metres along the first side and towards the third one."""
     a, b, c, d = corners
     length_m, depth_m = float(np.hypot(*(b - a))), float(np.hypot(*(d - a)))

@@ -12,6 +12,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import (
     CELL_M,
     EMBANKMENT_SLOPE,
+    GRASS_FROM_M,
     GROWTH,
     HORIZON_M,
     VERGE_M,
@@ -28,8 +29,6 @@ BEHIND_M = 300.0
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER, MEDIAN = 0, 1, 2
-# A median this wide is grass between inner shoulders; a narrower one is all shoulder.
-GRASS_FROM_M, INNER_SHOULDER_M = 3.0, 0.5
 # Carriageways closer than this share a line.
 LEAST_MEDIAN_M = 0.01
 
@@ -191,17 +190,10 @@ def _median_columns(ground: Ground, road: Road, left_m: float, right_m: float) -
     width_m = right_m - left_m
     if width_m < LEAST_MEDIAN_M:
         return np.zeros(0), np.zeros(0, dtype=int)
-    paved_m = min(ground.under_paint_m(road), width_m / 4)
-    inner_m = min(paved_m + INNER_SHOULDER_M, 0.45 * width_m)
+    paved_m, inner_m = ground.beside_median_m(road, width_m)
     across = np.array([paved_m, inner_m, width_m / 2, width_m - inner_m, width_m - paved_m])
     middle = MEDIAN if width_m >= GRASS_FROM_M else SHOULDER
     return left_m + across, np.array([ROAD, SHOULDER, middle, middle, SHOULDER, ROAD])
-
-
-def grass_in_medians(ground: Ground, road: Road) -> list[tuple[float, float]]:
-    """Offsets between which a road's medians are grass."""
-    columns = [_median_columns(ground, road, *median) for median in road.medians]
-    return [(float(offsets[1]), float(offsets[3])) for offsets, surface in columns if MEDIAN in surface]
 
 
 def _pavement(ground: Ground, road: Road, s: Scalars) -> Mesh:

@@ -6,7 +6,8 @@ from scipy.interpolate import PchipInterpolator
 
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
-from synth3dlanes.scene import Camera, Car, Shot
+from synth3dlanes.host import Camera, Shot
+from synth3dlanes.scene import Car
 
 STEP_M = 0.25
 

@@ -10,13 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import AnyPoints2, AnyPoints3, AnyScalars, Scalars
+from synth3dlanes.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry.lane_curves import LaneCurve, joined
 from synth3dlanes.geometry.roads import NetworkLane, Road, lift
 from synth3dlanes.geometry.terrain import gradient_at
+from synth3dlanes.host import Camera
 from synth3dlanes.labels import LaneGraph, Segment
-from synth3dlanes.scene import Camera, Car, Terrain
+from synth3dlanes.scene import Car, Terrain
 
 # The lane graph ends at these stations.
 GRAPH_END_M = 100.0
@@ -24,6 +25,9 @@ GRAPH_END_M = 100.0
 APART_M = 0.01
 # Steps along a road in which its extent is measured.
 EXTENT_STEP_M = 10.0
+# Points of the middle and the edges of lanes are this far apart, and where a lane begins at the end of another that is
+# on another road at least so far beyond that.
+LINES_STEP_M, LEAST_GAP_M = 0.5, 0.25
 
 
 class Nearby(NamedTuple):
@@ -137,6 +141,11 @@ class Network:
         """The lanes that follow a lane."""
         return [self.lanes[after] for before, after in self.links if before == lane]
 
+    def neighbours(self, segment: Segment) -> tuple[str | None, str | None]:
+        """The lanes to the left and the right of one of the lane graph, as its own traffic drives."""
+        is_oncoming = self.lanes[segment.id].direction == "oncoming"
+        return (segment.right, segment.left) if is_oncoming else (segment.left, segment.right)
+
     def joined_to(self, lane: NetworkLane) -> list[NetworkLane]:
         """The lanes that a lane is linked to."""
         return [self.lanes[name] for link in self.links if lane.id in link for name in link if name != lane.id]
@@ -242,6 +251,45 @@ class Network:
         if arc[-1] < lengths_m[-1]:
             return self._along(road, driven_m, lengths_m, sign, 1.5 * reach)
         return np.interp(lengths_m, arc, grid)
+
+    def stations_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Scalars:
+        """Stations up to a distance before and beyond a place of the host, in ascending order."""
+        driven_m = float(xy_world[1]) + np.arange(-reach_m, reach_m + LINES_STEP_M / 2, LINES_STEP_M)
+        return np.sort(self.stations(driven_m))
+
+    def lane_lines(
+        self, lane: NetworkLane, xy_world: Float[np.ndarray, "2"], reach_m: float
+    ) -> tuple[Points3, Points3, Points3] | None:
+        """A lane's middle, its left and its right edge within about `reach_m` of a place of the host, as its traffic
+        drives: points i are beside each other. None where it is farther away."""
+        road = self.road(lane.road)
+        s = np.unique(np.clip(self.stations_near(xy_world, reach_m), lane.start_m, lane.end_m))
+        if len(s) < 2:
+            return None
+        lines = [road.points(s, offset(s)) for offset in road.lines_of(lane)]
+        before = next((at for at in self.joined_to(lane) if at.road != lane.road and at.end_m == lane.start_m), None)
+        if before is not None and s[0] <= lane.start_m:
+            # It begins where the lane before it ends, on another road; its own first points may lie behind that.
+            other = self.road(before.road)
+            ahead = np.all([other.line.project(line[:, :2])[0] > s[0] + LEAST_GAP_M for line in lines], axis=0)
+            starts = [other.points(s[:1], offset(s[:1])) for offset in other.lines_of(before)]
+            lines = [np.concatenate([start, line[ahead]]) for start, line in zip(starts, lines, strict=True)]
+        middle, low, high = (line[:: 1 if lane.ascends else -1] for line in lines)
+        return (middle, low, high) if lane.ascends != road.line.is_mirrored else (middle, high, low)
+
+    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Points2]:
+        """Places along the painted lines within about `reach_m` of a place of the host."""
+        s = self.stations_near(xy_world, reach_m)
+        return {line: line.xy_world(s[(s >= line.start_m) & (s <= line.end_m)]) for line in self.delimiters}
+
+    def along_host(self, driven_m: Scalars) -> Points3:
+        """Points on the main road's line, at stations as the host drives."""
+        return self.main.points(self.stations(driven_m), 0.0)
+
+    def road_stations(self, road: Road, camera: Camera, behind_m: float, ahead_m: float) -> Scalars:
+        """Stations of a road from behind the host to ahead of it, as it drives; none where the road is not there."""
+        s = self.stations(np.arange(camera.y_m - behind_m, camera.y_m + ahead_m + 0.5))
+        return np.asarray(s[(s >= road.start_m) & (s <= road.end_m)])
 
     def nearby(
         self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars

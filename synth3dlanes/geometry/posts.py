@@ -20,7 +20,7 @@ from synth3dlanes.geometry.solids import (
     GroundFrame,
     Quads,
 )
-from synth3dlanes.scene import Post
+from synth3dlanes.roadside import Post
 
 # From the middle of a post to that of its board.
 SIGN_BEFORE_M = 0.07

@@ -11,7 +11,7 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.beside import beside, frames_beside, on_ground
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.solids import BLACK, SINK_M, Body, Quads
-from synth3dlanes.scene import Rail, RailKind
+from synth3dlanes.roadside import Rail, RailKind
 
 # Lengths of a rail's pieces: up to these distances ahead of the host, and beyond.
 PIECES_M = ((60.0, 2.0), (140.0, 4.0), (np.inf, 8.0))

@@ -173,6 +173,11 @@ class Road:
         beyond = sum(t + HAIR_M > (low_m + high_m) / 2 for low_m, high_m in self.medians)
         return self.carriageways[beyond].direction == "oncoming"
 
+    def lines_of(self, lane: NetworkLane) -> tuple[Offset, Offset, Offset]:
+        """The lines of a lane's middle and of its edges, as t grows."""
+        half_m = lane.width_m / 2
+        return lane.middle, lane.middle.shifted(-half_m), lane.middle.shifted(half_m)
+
     def lanes_at(self, s: float) -> list[NetworkLane]:
         """Its lanes at a station, as t grows."""
         here = [lane for lane in self.lanes if lane.start_m <= s < lane.end_m]
@@ -185,6 +190,10 @@ class Road:
     def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface."""
         return lift(self.terrain, self.xy(s, t), self.raised(s, t))
+
+    def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
+        """Points on its surface without raised lanes."""
+        return self.points(s, t)
 
     def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
         """Height of its surface over the terrain at places."""

@@ -18,7 +18,7 @@ from synth3dlanes.geometry.posts import lamp_heads_of, post_body, post_frames
 from synth3dlanes.geometry.rails import WALKWAY_M, rail_body
 from synth3dlanes.geometry.signals import pole_body
 from synth3dlanes.geometry.solids import Body
-from synth3dlanes.scene import Building, Crossing, Rail, Roadside
+from synth3dlanes.roadside import Building, Crossing, Rail, Roadside
 
 
 def bodies(ground: Ground, roadside: Roadside) -> list[Body]:

@@ -143,23 +143,17 @@ class CrossSection:
         return runs
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SectionRoad(Road):
     """A road of sections over the stations [0, end_m], on the terrain or at `heights` (world z of its line), turned
     about that by `banks` (radians, positive where its right side is lower)."""
 
-    sections: tuple[CrossSection, ...] = ()
-    chain: Chain | None = None
+    plan: Chain
+    sections: tuple[CrossSection, ...]
     heights: Profile | None = None
     banks: Profile | None = None
     shapes: Shapes | None = None
     junction: str | None = None
-
-    @property
-    def plan(self) -> Chain:
-        """Its reference line."""
-        assert self.chain is not None, "every road of a map has one"
-        return self.chain
 
     @property
     def lane_width_m(self) -> float:
@@ -171,12 +165,12 @@ class SectionRoad(Road):
         """Whether it leaves the terrain anywhere."""
         return self.heights is not None or self._has_kerbs
 
-    def edges_of(self, lane: NetworkLane) -> tuple[Offset, Offset]:
-        """The lines of a lane's left and right edge, as s grows."""
+    def lines_of(self, lane: NetworkLane) -> tuple[Offset, Offset, Offset]:
+        """The lines of a lane's middle and of its edges, from the left."""
         _, section, number = lane.id.rsplit(".", 2)
         across = self.sections[int(section)]
         at = next(i for i, given in enumerate(across.lanes) if given.number == int(number))
-        return across.edge_line(at), across.edge_line(at + 1)
+        return lane.middle, across.edge_line(at), across.edge_line(at + 1)
 
     def section_at(self, s: AnyScalars) -> np.ndarray:
         """The numbers of the sections at stations."""

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.scene import N_SIGN_FACES, Color
+from synth3dlanes.roadside import N_SIGN_FACES
+from synth3dlanes.schema import Color
 from synth3dlanes.traffic_elements import FaceKind, SignKind
 
 Outline = Float[np.ndarray, "n 2"]
@@ -163,10 +164,17 @@ SIGN_FACES: dict[SignKind, tuple[Patch, ...]] = {
     "give_way": (Patch(disc(3, 0.55, 0.5), RED), Patch(disc(3, 0.36, 0.5), WHITE)),
     "priority": (Patch(disc(4, 0.5), BLACK), Patch(disc(4, 0.485), WHITE), Patch(disc(4, 0.36), YELLOW)),
     "no_entry": _round(RED, WHITE, [_rectangle(0.52, 0.13)]),
+    "speed_20": _ring(_text("20", 0.28)),
     "speed_30": _ring(_text("30", 0.28)),
+    "speed_40": _ring(_text("40", 0.28)),
     "speed_50": _ring(_text("50", 0.28)),
+    "speed_60": _ring(_text("60", 0.28)),
     "speed_70": _ring(_text("70", 0.28)),
+    "speed_80": _ring(_text("80", 0.28)),
+    "speed_90": _ring(_text("90", 0.28)),
     "speed_100": _ring(_text("100", 0.22)),
+    "speed_120": _ring(_text("120", 0.22)),
+    "speed_130": _ring(_text("130", 0.22)),
     "ahead_only": _round(BLUE, WHITE, arrow(0, -0.02, 0.55, 0.0)),
     "left_only": _round(BLUE, WHITE, arrow(0, 0, 0.55, LEFT_RAD)),
     "right_only": _round(BLUE, WHITE, arrow(0, 0, 0.55, RIGHT_RAD)),

@@ -8,7 +8,7 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.mounted import Mounted, board_size
 from synth3dlanes.geometry.sign_faces import SIGN_FACES, Outline, Patch, arrow, bar, disc
 from synth3dlanes.geometry.solids import DARK_METAL, LIT_GLOSS, METAL, SINK_M, Body, GroundFrame, Quads
-from synth3dlanes.scene import Color
+from synth3dlanes.schema import Color
 from synth3dlanes.traffic_elements import LaneState, LensForm, SignalState, TrafficSign, TrafficSignal
 
 HOUSING, DARK_LENS = (0.012, 0.014, 0.012, 0.25), (0.03, 0.03, 0.03, 0.5)

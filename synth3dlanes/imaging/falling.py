@@ -30,7 +30,7 @@ NEAREST_M = 1.7  # beyond the host's bonnet
 
 
 class Precipitation(NamedTuple):
-    """What falls: how many at full strength for 480 x 360 pixels, how fast, how large, how opaque, and up to where."""
+    """What falls: how many at full strength for 480 x 360 pixels, how fast, how large, how opaque, and how far away."""
 
     n: int
     m_per_s: float

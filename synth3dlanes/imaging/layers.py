@@ -26,7 +26,8 @@ class Layers:
     normal: Float[np.ndarray, "h w 3"] | None = None
 
     def only(self, is_seen: Bool[np.ndarray, "h w"]) -> "Layers":
-        """The layers of a lens that has a picture only there: black elsewhere, without depth, ids and normals."""
+        """These pixels of the layers, as of a lens that shows no others: the rest is black, without depth, ids and
+        normals."""
         if is_seen.all():
             return self
         seen = is_seen[..., None]

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.geometry.camera import rays, rays_of_pixels
-from synth3dlanes.scene import Camera
+from synth3dlanes.host import Camera
 
 
 def cosines(camera: Camera, direction_cam: Float[np.ndarray, "3"]) -> Float[np.ndarray, "h w"]:
@@ -29,7 +29,7 @@ def azimuths(camera: Camera, world_from_cam: Matrix4) -> Float[np.ndarray, "h w"
 
 
 def points(camera: Camera, uv: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
-    """What pixels see at depths y."""
+    """The points in the camera frame that pixels see at depths y."""
     if camera.lens.is_pinhole:
         return points_away(camera, uv, depth_m)
     found = rays(camera, uv)
@@ -39,7 +39,7 @@ def points(camera: Camera, uv: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarr
 def points_away(
     camera: Camera, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """What pixels see at distances, which are depths y for a pinhole."""
+    """The points in the camera frame that pixels see at distances from the eye, of a pinhole at depths y."""
     if not camera.lens.is_pinhole:
         return np.asarray(rays(camera, uv) * away_m[:, None])
     found = [(uv[:, 0] - camera.cx_px) / camera.fx_px, np.ones(len(uv)), (camera.cy_px - uv[:, 1]) / camera.fy_px]

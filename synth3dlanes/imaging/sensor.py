@@ -6,9 +6,9 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import LinearImage
 from synth3dlanes.geometry.camera import project
+from synth3dlanes.host import Camera
 from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
 from synth3dlanes.imaging.lens import points
-from synth3dlanes.scene import Camera
 
 # Largest distance between samples along a pixel's motion, the shortest motion that is blurred, and numbers of samples.
 TAP_PX, SHORTEST_PX, TAPS = 2.5, 0.3, (2, 3, 4, 6, 8, 12, 16, 24, 32)

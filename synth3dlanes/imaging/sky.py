@@ -53,7 +53,7 @@ def _below_deg(light: Light) -> float:
 
 
 def dusk(light: Light) -> LinearRgb:
-    """The share of the horizon's-sun sky that is left; 1 by day."""
+    """The sky's light as a share of that with the sun on the horizon; 1 by day."""
     below_deg = _below_deg(light)
     return np.asarray(DUSK_PER_DEG**below_deg * DUSK_TINT ** min(below_deg / BLUE_DEG, 2.0), np.float32)
 

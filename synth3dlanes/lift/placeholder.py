@@ -1,8 +1,9 @@
 """The scene of a lifted sample. Nobody drew its world, so it has only what is known: the camera, and which frame of the
 drive it is. All else is a placeholder, a straight flat road without anything on it, which no check compares."""
 
+from synth3dlanes.host import Camera, Shot
 from synth3dlanes.labels import CameraLabel
-from synth3dlanes.scene import Camera, Light, Markings, PaperRoad, Scene, Shot, Surface, Terrain
+from synth3dlanes.scene import Light, Markings, PaperRoad, Scene, Surface, Terrain
 
 ROAD = PaperRoad(
     topology=1,

@@ -18,11 +18,11 @@ from synth3dlanes.dataset.format import LABELS, SCENE, decode_image, encode_imag
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.host import MAX_FRAMES, Shot
 from synth3dlanes.lift.placeholder import placeholder_scene
 from synth3dlanes.lift.precision import Precision
 from synth3dlanes.lift.run import AROUND, LiftedFrame, lifted_frames
 from synth3dlanes.production.plan import SHARD_SIZE
-from synth3dlanes.scene import MAX_FRAMES, Shot
 from synth3dlanes.shots import SINGLE, Shots
 
 # The picture of a frame without an image.

@@ -10,7 +10,7 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Points3, Scalars
-from synth3dlanes.geometry.map_roads import plan_line
+from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.section_road import CrossSection, Profile
 from synth3dlanes.geometry.terrain import grid_weights, height_at
 from synth3dlanes.road_map import MapRoad, RoadMap

@@ -8,8 +8,8 @@ from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.motion import stations_after
 from synth3dlanes.geometry.network import Network
+from synth3dlanes.host import Camera, Shot
 from synth3dlanes.params import MotionParams
-from synth3dlanes.scene import Camera, Shot
 from synth3dlanes.shots import Shots
 
 # Between two instants that are checked no car gains more on another than the gap between them.

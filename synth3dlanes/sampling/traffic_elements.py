@@ -8,8 +8,8 @@ from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import NetworkLane, Side
 from synth3dlanes.geometry.roadside import footprints
 from synth3dlanes.geometry.sign_faces import SIGN_FACES
+from synth3dlanes.roadside import Crossing, Roadside
 from synth3dlanes.sampling.draws import Draw
-from synth3dlanes.scene import Crossing, Roadside
 from synth3dlanes.traffic_elements import LaneSignal, LaneState, SignKind, TrafficSign
 from synth3dlanes.world import World
 

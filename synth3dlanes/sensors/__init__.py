@@ -1,1 +1,1 @@
-"""A user's cameras, rigs and lidars: what they are like, the files that say so, and a lidar's sweep."""
+"""A user's cameras, rigs and lidars, their files, and the sweep of a lidar."""

@@ -48,8 +48,8 @@ def coefficient() -> Any:
 class CameraSpec(Group):
     """A camera on the host. Names are as in `scene.json`, with degrees instead of radians.
 
-    Where `fx_px` is left out, `horizontal_fov_deg` gives it: what is seen half of it aside is half the image's width
-    from the principal point. `fy_px` is that of x where it is left out, the principal point the image's middle.
+    Without `fx_px`, `horizontal_fov_deg` gives it: a ray half of that aside meets the image half its width beside the
+    principal point. Without `fy_px` it is `fx_px`, without a principal point that is the image's middle.
     """
 
     name: Name = ""
@@ -108,12 +108,12 @@ class CameraSpec(Group):
         return bool(middle["lens"].angle_rad(radius) > math.radians(ASIDE_DEG))
 
     def black_share(self) -> float:
-        """The share of the picture that lies beyond the lens's field and is black: the most of the ends and the middle
-        of all ranges."""
+        """The share of the picture that is beyond the lens's field, and black: the largest of three, with all ranges at
+        their lower end, middle and upper end."""
         return max(_black_share(self.drawn(partial(float, u))) for u in (0.0, 0.5, LAST))
 
     def drawn(self, u: Callable[[], float]) -> dict[str, Any]:
-        """The fields of a scene's camera, with `u` in [0, 1) for each that has no one value.
+        """The fields of a scene's camera; `u` gives a number in [0, 1) for each field that is drawn.
 
         Raises InputError where the field of view is wider than the lens's.
         """
@@ -140,7 +140,7 @@ class CameraSpec(Group):
 
 
 def black_pictures(cameras: Sequence[CameraSpec]) -> list[str]:
-    """A line for each camera of whose picture more than the corners' rounding is black."""
+    """A line for each camera whose picture is black in more than rounded corners."""
     shares = {camera.name: camera.black_share() for camera in cameras}
     return [
         f"{share:.0%} of the picture{f' of {name}' * bool(name)} is black, beyond the lens's field: it ends inside the "
@@ -160,7 +160,7 @@ def _black_share(drawn: dict[str, Any]) -> float:
 
 
 def _radius(lens: Lens, fov_deg: float) -> float:
-    """Where the lens has what lies half the field of view aside, in focal lengths."""
+    """How far from the principal point the lens shows what is half the field of view aside, in focal lengths."""
     if not math.radians(fov_deg / 2) < lens.field_rad:
         widest = 2 * math.degrees(lens.field_rad)
         raise InputError(f"camera: horizontal_fov_deg: expected less than the lens's {widest:.4g}, got {fov_deg:g}")

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, field_validator
 
 from synth3dlanes.distributions import Real, reals
+from synth3dlanes.host import MAX_BEAMS
 from synth3dlanes.params import Group
-from synth3dlanes.scene import MAX_BEAMS
 from synth3dlanes.schema import MAX_PX, Name
 from synth3dlanes.sensors.cameras import ZERO, Angle, Mount
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.host import MAX_CAMERAS
 from synth3dlanes.params import find_preset
-from synth3dlanes.scene import MAX_CAMERAS
 from synth3dlanes.schema import MAX_PROBLEMS, shown
 from synth3dlanes.sensors.camera_files import load_camera, read_camera, read_document
 from synth3dlanes.sensors.cameras import CameraSpec

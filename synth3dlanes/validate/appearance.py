@@ -7,9 +7,10 @@ chroma, which is the share of a channel in the light, minus that of the road.
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_dilation, binary_opening
 
+from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.settings import FIRST_DELIMITER_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
@@ -19,10 +20,14 @@ from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
 LOWEST_SUN_RAD, MIN_VISIBILITY_M = 1.1, 1_500.0
 # Terrain within so many metres, and least numbers of pixels of terrain, road and paint.
 TERRAIN_M, MIN_PIXELS, MIN_PAINT = 60.0, 200, 150
+# Less light than this share of that in the sun is the sky's.
+SHADE = 0.25
+# So near to walls the ground has their light: beside red ones grass has more red than green, by 0.04 over the road's.
+WALL_LIGHT_M = 3.0
 # The built-in terrains have less blue than the road, in 86 images at least 0.056; red over green is -0.065 to 0.008 on
-# green grass and 0.055 to 0.151 on dry grass.
+# green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass.
 MAX_BLUE = -0.02
-RED_OVER_GREEN = {1: (-0.1, 0.03), 2: (0.0, 0.2)}
+RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.2)}
 # Pixels of narrower paint show as much of the road: an id is that at a pixel's centre.
 RESOLVED_PX = 2
 # Red over blue of a white line: at most 0.035 in 114 lines; a yellow one has 0.25.
@@ -30,6 +35,8 @@ MAX_YELLOW = 0.12
 # How many times brighter than the pavement around it paint is that stands out, at least 1.12 in 90 lines; and the reach
 # of that pavement.
 BRIGHTER, AROUND_PX = 1.05, 4
+# Quantiles of the light on paint and pavement that are compared.
+SORTED = (0.2, 0.5, 0.8)
 # A road of more light than this, of 1 for white, leaves paint no room to be brighter.
 MAX_LIGHT = 0.6
 # Share of a picture, without sky, that may be black: at most 0.0007 in 120.
@@ -50,15 +57,21 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     if black > MAX_BLACK:
         yield Finding("", f"image: expected light everywhere by day, got {100 * black:.1f} % of the picture black")
     linear = _linear(evidence)
-    yield from _terrain(evidence, linear, _chroma(linear[road]))
+    yield from _terrain(evidence, linear, _lit(linear[road]))
     if "instance" in evidence.passes and evidence.paint.is_dry:
-        yield from _paint(evidence, linear, _chroma(linear[road]))
+        yield from _paint(evidence, linear)
 
 
 def _linear(evidence: Evidence) -> Float[np.ndarray, "h w 3"]:
     """The picture's light."""
     values = np.arange(256) / 255
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)[evidence.picture]
+
+
+def _lit(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
+    """Those of a surface's pixels that lie in no shadow, whose light is the sky's."""
+    light = pixels.sum(axis=1)
+    return pixels[light > SHADE * np.quantile(light, 0.9)]
 
 
 def _chroma(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
@@ -68,15 +81,17 @@ def _chroma(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3"]:
 
 
 def _terrain(
-    evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Float[np.ndarray, "3"]
+    evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[np.ndarray, "n 3"]
 ) -> Iterator[Result]:
     texture = evidence.scene.surface.terrain_texture
     if evidence.scene.assets.terrains or evidence.scene.assets.roads or texture not in RED_OVER_GREEN:
         return
     at = (evidence.passes["semantic"] == SEMANTIC_IDS["terrain"]) & (evidence.passes["depth"] < TERRAIN_M)
+    at &= linear.sum(axis=2) > SHADE * np.median(road.sum(axis=1))
+    at[at] = _off_walls(evidence, *np.nonzero(at))
     if at.sum() < MIN_PIXELS:
         return
-    red, green, blue = _chroma(linear[at]) - of_road
+    red, green, blue = _chroma(linear[at]) - _chroma(road)
     low, high = RED_OVER_GREEN[texture]
     yield Bounded("appearance.blue", float(blue), most=MAX_BLUE)
     yield Bounded(f"appearance.red_over_green_{texture}", float(red - green), low, high)
@@ -87,7 +102,20 @@ def _terrain(
         yield Finding("", f"image: expected grass with {low} to {high} of red over green, got {found}")
 
 
-def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Float[np.ndarray, "3"]) -> Iterator[Result]:
+def _off_walls(
+    evidence: Evidence, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Which pixels of the ground have light that no wall has coloured or shaded."""
+    ground = evidence.points_world(rows, columns)
+    clear = np.ones(len(ground), dtype=bool)
+    for building in evidence.scene.roadside.buildings:
+        at = building_frame(building).of_world(ground)
+        reach_m = np.array([building.width_m, building.length_m]) / 2 + WALL_LIGHT_M
+        clear &= (np.abs(at[:, :2]) > reach_m).any(axis=1)
+    return clear
+
+
+def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[Result]:
     near = evidence.passes["depth"] < PROOF_M
     for number, lane in enumerate(lane for lane in evidence.labels.lanes if lane.kind == "delimiter"):
         at = (evidence.passes["instance"] == FIRST_DELIMITER_ID + number) & near
@@ -95,12 +123,15 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Floa
         color = lane.color or "white"
         if at.sum() < MIN_PAINT or not evidence.paint.shows or not evidence.paint.stands_out(color):
             continue
-        red, _, blue = _chroma(linear[at]) - of_road
+        beside = linear[_pavement_beside(evidence, at)]
+        if not len(beside):
+            continue
+        red, _, blue = _chroma(linear[at]) - _chroma(beside)
         if color == "white":
             yield Bounded("appearance.yellow", float(red - blue), most=MAX_YELLOW)
         if color == "white" and red - blue > MAX_YELLOW:
             yield Finding(lane.id, f"image: expected white paint, got yellow ({red - blue:+.2f} of red over blue)")
-        times = brighter(evidence, linear, at)
+        times = brighter(linear[at], beside)
         if np.isinf(times):
             continue
         yield Bounded("appearance.brighter", times, BRIGHTER)
@@ -112,10 +143,13 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], of_road: Floa
             )
 
 
-def brighter(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], at: Bool[np.ndarray, "h w"]) -> float:
-    """How many times brighter paint is than the pavement around it; infinite in glare, which whitens both."""
+def _pavement_beside(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     paved = np.isin(evidence.passes["semantic"], [SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]])
-    beside = binary_dilation(at, iterations=AROUND_PX) & paved
-    light = linear.mean(axis=-1)
-    of_road = float(np.median(light[beside])) if beside.any() else 1.0
-    return float(np.median(light[at]) / max(of_road, 1e-6)) if of_road < MAX_LIGHT else np.inf
+    return np.asarray(binary_dilation(at, iterations=AROUND_PX) & paved)
+
+
+def brighter(paint: Float[np.ndarray, "n 3"], beside: Float[np.ndarray, "m 3"]) -> float:
+    """How many times brighter paint is than the pavement beside it, where it is most: an edge of a shadow may run along
+    a line. Infinite in glare, which whitens both."""
+    of_paint, of_road = (np.quantile(pixels.mean(axis=1), SORTED) for pixels in (paint, beside))
+    return float((of_paint / np.maximum(of_road, 1e-6)).max()) if of_road[1] < MAX_LIGHT else np.inf

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.arrays import Points3
 from synth3dlanes.frames import from_axes, transform
 from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.scene import Building, Crossing, Post, Rail, RoadSide
+from synth3dlanes.roadside import Building, Crossing, Post, Rail, RoadSide
 from synth3dlanes.traffic_elements import TrafficSign, TrafficSignal
 from synth3dlanes.world import World
 

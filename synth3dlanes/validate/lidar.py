@@ -8,7 +8,6 @@ the sixteen around it show one surface without an edge.
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool
 
 from synth3dlanes.arrays import Passes
 from synth3dlanes.frames import transform
@@ -18,10 +17,9 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
-from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import around, depth_between
-from synth3dlanes.validate.places import RoadPlaces
-from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, is_firm, misplaced, pavement_at
+from synth3dlanes.validate.places import places
+from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
 from synth3dlanes.world import World
 
 # Of the points, and of those that may be wrong.
@@ -39,10 +37,10 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
     assert points is not None
     points_world = transform(world.view.world_from_lidar, points.xyz_lidar)
     paved = np.isin(points.semantic, PAVEMENT) & (points.range_m < PROOF_M)
-    paved[paved] = is_firm(world, points_world[paved])
+    paved[paved] = places(world.ground, points_world[paved, :2]).is_firm()
     eye_world, range_m = world.view.world_from_lidar[:3, 3], points.range_m[paved].astype(float)
     pavement = pavement_at(world, eye_world, points_world[paved], range_m, points.semantic[paved])
-    pavement = pavement.at(_is_fine(world, pavement.places))
+    pavement = pavement.at(pavement.places.is_fine(FINE_M))
     ground = Measure("lidar_ground_m", pavement.range_m, np.abs(pavement.gap_m))
     yield ground
     yield from _judge(ground, MAX_GAP_M, "the pavement of the scene")
@@ -60,16 +58,6 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"lidar: expected points on what the depth pass shows, got {n_behind} in front of it")
     if n_otherwise > max(MIN_POINTS, MAX_SHARE * n):
         yield Finding("", f"lidar: expected the ids of the passes, got others at {n_otherwise} of {n} points")
-
-
-def _is_fine(world: World, at: RoadPlaces | MapPlaces) -> Bool[np.ndarray, " n"]:
-    """Which places are where the pavement's rows are close. Far behind a host without rear cameras they are not, and
-    the pavement is straight between them."""
-    if isinstance(at, MapPlaces):
-        return np.ones(len(at.xy_world), dtype=bool)
-    rows = np.sort(world.network.stations(world.ground.rows_driven_m))
-    before = np.searchsorted(rows, at.s) - 1
-    return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < FINE_M)
 
 
 def _judge(measure: Measure, limit_m: float, of: str) -> Iterator[Result]:

@@ -1,9 +1,10 @@
 """Positions of points, seen from above, on the roads and junctions of a map, and the surface expected there. Metres."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.lane_curves import LaneCurve
@@ -27,33 +28,46 @@ IDS = {ROAD: SEMANTIC_IDS["road"], SHOULDER: SEMANTIC_IDS["shoulder"], MEDIAN: S
 class MapPlaces:
     """Points on the ground of a map, by the questions that `RoadPlaces` answers for the paper's roads."""
 
-    map_ground: MapGround
+    ground: MapGround
     xy_world: Points2
-    memory: dict[str, Scalars] = field(default_factory=dict)
 
     def at(self, which: Bool[np.ndarray, " n"]) -> "MapPlaces":
         """The selected points."""
-        return replace(self, xy_world=self.xy_world[which], memory={})
+        return MapPlaces(self.ground, self.xy_world[which])
 
     def outside(self) -> Scalars:
         """Distance from the nearest pavement, negative on it."""
-        return self.map_ground.clearance(self.xy_world)
+        return self.ground.clearance(self.xy_world)
+
+    def off_carriageways(self) -> Scalars:
+        """Distance from the nearest pavement of traffic, negative on it."""
+        return self.ground.off_carriageways(self.xy_world)
+
+    @cached_property
+    def _raised(self) -> Scalars:
+        return self.ground.above_terrain(self.xy_world)
 
     def raised(self) -> Scalars:
         """Height of the pavement over the terrain."""
-        if "raised" not in self.memory:
-            self.memory["raised"] = self.map_ground.above_terrain(self.xy_world)
-        return self.memory["raised"]
+        return self._raised
 
     def on_slope(self) -> Bool[np.ndarray, " n"]:
         """Which points are beside a kerb, or where a road leaves the terrain."""
         steps = KERB_ROOM_M * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-        around = [self.map_ground.above_terrain(self.xy_world + step) for step in steps]
+        around = [self.ground.above_terrain(self.xy_world + step) for step in steps]
         return np.ptp([self.raised(), *around], axis=0) > KERB_ROOM_M / 4
+
+    def is_firm(self) -> Bool[np.ndarray, " n"]:
+        """Which points have one height from above: those beside kerbs have not."""
+        return ~self.on_slope()
+
+    def is_fine(self, row_m: float) -> Bool[np.ndarray, " n"]:
+        """All points: rows are close wherever roads are laid."""
+        return np.ones(len(self.xy_world), dtype=bool)
 
     def slope(self) -> Points2:
         """Rise of the pavement along world x and y."""
-        height = self.map_ground.height
+        height = self.ground.height
         steps = [
             (height(self.xy_world + step) - height(self.xy_world - step)) / (2 * STEP_M) for step in STEP_M * np.eye(2)
         ]
@@ -85,8 +99,8 @@ class MapPlaces:
     def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
         """Semantic id of what a lane is paved with, given a margin, on roads outside junctions; 0 elsewhere."""
         found, taken = np.zeros((2, len(self.xy_world)), dtype=int)
-        inner = {road.id for road in self.map_ground.outside}
-        near, roads = self.map_ground.network.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
+        inner = {road.id for road in self.ground.outside}
+        near, roads = self.ground.network.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
         rows = np.flatnonzero(near)
         for road, which, s, t in roads:
             at = rows[which]
@@ -94,7 +108,7 @@ class MapPlaces:
             taken[at[inside]] += 1
             if road.id not in inner:
                 continue
-            own = self.map_ground.map.road(road.id)
+            own = self.ground.network.road(road.id)
             sections = own.section_at(s)
             for i in np.unique(sections):
                 section = own.sections[i]
@@ -105,8 +119,3 @@ class MapPlaces:
                     within = inside[here] & (t[here] > edges[k] + margin_m) & (t[here] < edges[k + 1] - margin_m)
                     found[at[here[within]]] = 0 if lane.kind == "none" else IDS[SURFACES.get(lane.kind, ROAD)]
         return np.where(taken == 1, found, 0)
-
-
-def stations_beside(ground: MapGround, curve: LaneCurve, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
-    """Stations of points beside a curve."""
-    return MapPlaces(ground, xy_world).station(curve)

@@ -1,43 +1,43 @@
 """Check the boxes of objects: against the scene, and against what depth, ids and the sweep show.
 
-Points of an object must be in its box, and reach the sides that are seen: so a box that is too small, turned or moved
-is found by points outside it, one that is too large by the gap before a side.
+Points of an object must be in its box, and reach the sides that are seen.
 """
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.object_labels import ObjectLabel, object_document, rectangle_around
+from synth3dlanes.object_labels import ObjectLabel, object_document
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, differences, some
+from synth3dlanes.validate.findings import PROOF_M, Finding, Result, findings_of, some
+from synth3dlanes.validate.labelled_boxes import (
+    MIN_SEEN,
+    PLACES,
+    SeenPart,
+    SideLimit,
+    before_sides,
+    check_seen_box,
+    otherwise,
+    outside,
+    seen_by_pixels,
+)
 
-# How far points of an object may be outside its box: built-in models reach at most 2 cm beyond theirs. And how many.
-ROOM_M, MAX_OUTSIDE, MAX_SINGLE = 0.02, 0.002, 2
-# How far before a side of a box its points may end, and which part of what lies between two pixels or beams.
-MAX_GAP_M, MAX_PART = 0.035, 0.75
-# Objects with fewer points are not judged, and sides only of those that are in the image and seen as a whole.
-MIN_POINTS, MIN_SEEN = 150, 0.99
+# Share of an object's points that may be outside its box: built-in models reach at most 2 cm beyond theirs.
+MAX_OUTSIDE = 0.002
+# How far before a side of a box its points may end, and which part of what lies between two pixels, or between two
+# beams, of which one may return nothing.
+MAX_GAP_M, MAX_PART = 0.035, {"pixels": 0.75, "points": 2.0}
+# Objects with fewer points are not judged.
+MIN_POINTS = 150
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
 BEYOND_M, ACROSS, ALONG = 0.5, 0, 1
 # The lowest, highest and widest parts are this share of half the length behind the nearer end, at most.
 SET_BACK = 0.25
-# Numbers of a label that follow from the scene are rounded in files; the projection of those adds to that.
-PLACES = {"size_m": 2e-4, "center_cam": 2e-4, "rotation_wxyz": 2e-6, "velocity_cam": 2e-3}
-RECTANGLES = {"box_px": 0.2, "unclipped_box_px": 0.2}
+# Mirrors reach at most so far beyond a body.
+MIRROR_M = 0.07
 MAX_TRUNCATION_OFF = 0.005
-
-
-class SeenPart(NamedTuple):
-    """Points of an object in its frame, the eye in it, and how far points are from each other at most."""
-
-    source: str
-    points: Float[np.ndarray, "n 3"]
-    eye: Float[np.ndarray, "3"]
-    apart_m: float
 
 
 def check_boxes(evidence: Evidence) -> Iterator[Result]:
@@ -59,12 +59,7 @@ def check_boxes(evidence: Evidence) -> Iterator[Result]:
 
 def _otherwise(item: ObjectLabel, true: ObjectLabel) -> Iterator[str]:
     """How an object differs from the scene's, by more than rounding."""
-    found, expected = object_document(item), object_document(true)
-    for name in ("category", *PLACES, *RECTANGLES):
-        most = (PLACES | RECTANGLES).get(name)
-        a, b = expected[name], found[name]
-        if most is None or a is None or b is None or not np.allclose(a, b, rtol=1e-6, atol=most):
-            yield from differences(a, b, name)
+    yield from otherwise(object_document(item), object_document(true), ("category", *PLACES))
     if abs(item.truncation - true.truncation) > MAX_TRUNCATION_OFF:
         yield f"truncation: expected {true.truncation:.3f}, got {item.truncation:.3f}"
 
@@ -72,10 +67,7 @@ def _otherwise(item: ObjectLabel, true: ObjectLabel) -> Iterator[str]:
 def _counts(evidence: Evidence, item: ObjectLabel) -> Iterator[Finding]:
     """Compare the rectangle of an object's pixels and the number of its points with those that are there."""
     if "instance" in evidence.has:
-        there = rectangle_around(*np.nonzero(evidence.passes["instance"] == item.id))
-        shown = [None if box is None else box.tolist() for box in (there, item.seen_box_px)]
-        if shown[0] != shown[1]:
-            yield Finding("", f"objects.{item.id}.seen_box_px: expected {shown[0]} by its pixels, got {shown[1]}")
+        yield from check_seen_box(evidence, item, f"objects.{item.id}")
     n = None if evidence.returns is None else int((evidence.returns.instance == item.id).sum())
     if item.lidar_points != n:
         expected, got = ("none" if count is None else count for count in (n, item.lidar_points))
@@ -84,68 +76,55 @@ def _counts(evidence: Evidence, item: ObjectLabel) -> Iterator[Finding]:
 
 def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
     """What pixels and points there are of an object near the camera, if enough."""
-    distance_m, views = float(np.linalg.norm(item.center_cam)), []
-    if distance_m > PROOF_M:
-        return []
-    object_from_cam = invert(item.cam_from_object)
-    if {"depth", "instance"} <= evidence.has:
-        at = evidence.passes["instance"] == item.id
-        rows, columns = np.nonzero(at & np.isfinite(evidence.passes["depth"]))
-        if len(rows) >= MIN_POINTS:
-            points_cam = evidence.points_cam(rows, columns)
-            apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
-            views.append(SeenPart("pixels", transform(object_from_cam, points_cam), object_from_cam[:3, 3], apart_m))
-    points = evidence.returns
-    if evidence.sweep is not None and points is not None:
+    by_pixels = seen_by_pixels(evidence, item.id, item.cam_from_object, MIN_POINTS)
+    views, points = [] if by_pixels is None else [by_pixels], evidence.returns
+    distance_m = float(np.linalg.norm(item.center_cam))
+    if evidence.sweep is not None and points is not None and distance_m <= PROOF_M:
         own = points.instance == item.id
         if own.sum() >= MIN_POINTS:
-            lidar = evidence.sweep.lidar
+            lidar, object_from_cam = evidence.sweep.lidar, invert(item.cam_from_object)
             eye = transform(object_from_cam, lidar.cam_from_lidar[:3, 3])
-            step_rad = float(np.ptp(lidar.elevations_rad)) / max(1, len(lidar.elevations_rad) - 1)
             points_object = transform(object_from_cam, points.xyz_cam[own])
-            views.append(SeenPart("points", points_object, eye, distance_m * step_rad))
+            apart_m = distance_m * _step_rad(lidar.elevations_rad, points.xyz_lidar[own])
+            views.append(SeenPart("points", points_object, eye, apart_m))
     return views
+
+
+def _step_rad(elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3"]) -> float:
+    """The largest angle between two neighbouring beams, of those that meet points and one on either side."""
+    beams = np.sort(elevations_rad)
+    up_rad = np.arctan2(xyz_lidar[:, 2], np.hypot(*xyz_lidar[:, :2].T))
+    first, last = np.searchsorted(beams, [up_rad.min(), up_rad.max()])
+    return float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
 
 
 def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
     """Findings where points of an object are outside its box, or end before a side that is seen."""
-    half = item.size_m / 2
-    beyond_m = np.abs(seen.points) - half
-    n, n_outside = len(seen.points), int((beyond_m > ROOM_M).any(axis=1).sum())
-    most = max(MAX_SINGLE, MAX_OUTSIDE * n)
-    yield Bounded(f"boxes.outside_{seen.source}", n_outside, most=most)
-    if n_outside > most:
-        yield Finding(
-            "",
-            f"objects.{item.id}: expected its {seen.source} in its box, got {n_outside} of {n} up to "
-            f"{beyond_m.max():.2f} m outside",
-        )
-        return
-    if item.truncation > 0 or (item.visible_fraction or 0.0) < MIN_SEEN:
-        return
+    label, half = f"objects.{item.id}", item.size_m / 2
+    found = list(outside(label, "boxes", half, seen, MAX_OUTSIDE))
+    yield from found
+    if not findings_of(found) and item.truncation == 0 and (item.visible_fraction or 0.0) >= MIN_SEEN:
+        yield from before_sides(label, "boxes", half, seen, _sides(half, seen))
+
+
+def _sides(half: Float[np.ndarray, "3"], seen: SeenPart) -> Iterator[SideLimit]:
+    """The sides that are seen."""
     for axis, name in enumerate(("left right", "rear front", "lower upper")):
         for sign, side in zip((-1, 1), name.split(), strict=True):
             has_outline = seen.source == "pixels" and axis != ALONG
             if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
-                gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
-                most_m = (
-                    MAX_GAP_M
-                    + MAX_PART * seen.apart_m
-                    + (_hidden_m(half, seen.eye, axis, sign) if has_outline else 0.0)
-                )
-                yield Bounded(f"boxes.gap_{seen.source}_{side}", gap_m, most=most_m)
-                if gap_m > most_m:
-                    yield Finding(
-                        "",
-                        f"objects.{item.id}: expected its {seen.source} to reach the {side} side of its box, got them "
-                        f"{gap_m:.2f} m before it",
-                    )
+                hidden_m = _hidden_m(half, seen.eye, axis, sign) if has_outline else 0.0
+                yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
 
 
 def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: int, sign: int) -> float:
     """How far before a side what is set back from an object's nearer end may be hidden by this end: wheels under a
-    bumper from an eye above it, what stands on a roof from one below it, the far side of a body that grows wider."""
+    bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
+    wider."""
     away_m, back_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), SET_BACK * half[ALONG]
-    # A body hides its far side from an eye beyond the near one.
-    aside_m = half[axis] - sign * eye[axis] - (2 * half[axis] if axis == ACROSS else 0.0)
-    return float(max(aside_m, 0.0) * back_m / (away_m + back_m))
+    share, aside_m = back_m / (away_m + back_m), half[axis] - sign * eye[axis]
+    if axis != ACROSS:
+        return float(max(aside_m, 0.0) * share)
+    # A body hides its far side from an eye beyond the near one, and the mirror there from one beyond the middle.
+    mirror_m = min(aside_m * share, MIRROR_M) if sign * eye[axis] < 0 else 0.0
+    return float(max((aside_m - 2 * half[axis]) * share, mirror_m))

@@ -13,13 +13,11 @@ from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.assets.catalogue import ROAD_MEANS
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
 from synth3dlanes.scene import Scene
-from synth3dlanes.validate.map_places import MapPlaces, stations_beside
-from synth3dlanes.validate.places import RoadPlaces
+from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.world import World
 
 # Paint narrower, or a dash lower in the image, than this may fall between the pixels' single samples.
@@ -133,7 +131,7 @@ class WorldPaint:
         markings = self.world.scene.markings
         return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
 
-    def beyond_m(self, id_: str, place: RoadPlaces | MapPlaces) -> Scalars:
+    def beyond_m(self, id_: str, place: AnyPlaces) -> Scalars:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
         curve = self._curves[id_]
@@ -148,19 +146,8 @@ class WorldPaint:
         """Length of the shortest stripe's painted stretch at each point; 0 where not all are painted."""
         if id_ not in self._curves:
             return np.zeros(len(points_world))
-        s = self._stations(self._curves[id_], points_world[:, :2])
+        s = places(self.world.ground, points_world[:, :2]).station(self._curves[id_])
         return np.min([_length(stretches, s) for stretches in self._stretches[id_]], axis=0)
-
-    def _stations(self, curve: LaneCurve, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
-        """Stations of points beside a curve."""
-        if isinstance(self.world.ground, MapGround):
-            return stations_beside(self.world.ground, curve, xy_world)
-        s, _ = self.world.network.main.line.project(xy_world)
-        road = curve.pieces[-1].road
-        if road.parting is not None:
-            on_it, _ = road.line.project(xy_world, np.maximum(s, road.start_m))
-            s = np.where((s >= road.start_m) & (on_it >= road.start_m), on_it, s)
-        return s
 
 
 def _length(stretches: Stretches, s: Scalars) -> Scalars:

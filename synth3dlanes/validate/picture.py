@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
@@ -27,8 +26,6 @@ GROUND = ("terrain", "road", "shoulder", "marking")
 
 # Sampled places: metres ahead of the camera, metres beside the pavement, and least distance from any pavement.
 AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.array([2.0, 3.5, 5.0, 7.0, 9.0, 12.0]), 1.5
-# On a map places are so much farther from the host's way: pavement and walkways are between.
-MAP_ASIDE_M = 6.0
 # Some places show trees, which may be bluish, so a high percentile of red minus blue is used. It is at least 3 levels
 # of 255 in 280 rendered images, including the densest fog, and at least 0 in 100 images of 96x72 pixels. Fewer places
 # than MIN_PLACES are not judged. With semantic ids, all pixels of terrain within NEAR_M are used instead.
@@ -140,12 +137,7 @@ def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree hides it."""
     world, camera, ground = evidence.world, evidence.camera, evidence.world.ground
     away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.both_ways else AHEAD_M
-    road, s, ahead = ground.network.main, ground.network.stations(world.view.camera.y_m + away_m), len(away_m)
-    if isinstance(ground, MapGround):
-        xy = _beside_way(ground, world.view.camera.y_m + away_m)
-    else:
-        aside = np.concatenate([road.left.base_m - ASIDE_M, road.right.base_m + ASIDE_M])
-        xy = road.xy(np.tile(s, len(aside)), np.repeat(aside, ahead))
+    xy = ground.beside_pavement(world.view.camera.y_m + away_m, ASIDE_M)
     xy = xy[ground.clearance(xy) > CLEAR_M]
     points_world = np.column_stack([xy, ground.height(xy)])
     eye_world = camera.world_from_cam[:3, 3]
@@ -156,13 +148,6 @@ def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     with np.errstate(invalid="ignore"):
         uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
     return uv[~may_show_cars(world, camera, uv, AHEAD_M[-1])]
-
-
-def _beside_way(ground: MapGround, lengths_m: Float[np.ndarray, " a"]) -> Float[np.ndarray, "n 2"]:
-    """Places beside the host's way on a map."""
-    aside = np.concatenate([-ASIDE_M - MAP_ASIDE_M, ASIDE_M + MAP_ASIDE_M])
-    s = np.tile(np.clip(lengths_m, 0.0, ground.map.way.end_m), len(aside))
-    return ground.map.way.points_beside(s, np.repeat(aside, len(lengths_m)))[:, :2]
 
 
 def _middle(luma: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "r c"]:

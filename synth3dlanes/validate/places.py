@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
@@ -37,6 +37,7 @@ class RoadPlaces:
     """Points by station and offset on every road; NaN where one that parts from another is not near."""
 
     ground: Ground
+    xy_world: Points2
     on: dict[str, tuple[Scalars, Scalars]]
 
     @property
@@ -51,11 +52,16 @@ class RoadPlaces:
 
     def at(self, which: Bool[np.ndarray, " n"]) -> "RoadPlaces":
         """The selected points."""
-        return RoadPlaces(self.ground, {road: (s[which], t[which]) for road, (s, t) in self.on.items()})
+        on = {road: (s[which], t[which]) for road, (s, t) in self.on.items()}
+        return RoadPlaces(self.ground, self.xy_world[which], on)
 
     def outside(self) -> Scalars:
         """Distance from the nearest pavement, negative on it."""
         return np.fmin.reduce([self.outside_of(road) for road in self.ground.network.roads])
+
+    def off_carriageways(self) -> Scalars:
+        """The same; infinite where none is near."""
+        return np.nan_to_num(self.outside(), nan=np.inf)
 
     def outside_of(self, road: Road) -> Scalars:
         """Distance from a road's pavement, which overlaps a little with that of one from which it parts."""
@@ -80,6 +86,21 @@ class RoadPlaces:
         raised = self.raised()
         tops_m = [road.ramp.height_m for road in self.ground.network.roads if road.ramp]
         return (raised > 0) & (raised < min(tops_m, default=0.0))
+
+    def is_firm(self) -> Bool[np.ndarray, " n"]:
+        """All points: the surface has one height everywhere."""
+        return np.ones(len(self.xy_world), dtype=bool)
+
+    def is_fine(self, row_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are where rows are closer than this. Far behind a host without rear cameras they are not, and
+        the pavement is straight between them."""
+        rows = np.sort(self.ground.network.stations(self.ground.rows_driven_m))
+        before = np.searchsorted(rows, self.s) - 1
+        return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < row_m)
+
+    def slope(self) -> Points2:
+        """Rise of the terrain along world x and y."""
+        return gradient_at(self.ground.network.terrain, self.xy_world)
 
     def right_of(self, curve: LaneCurve) -> Scalars:
         """Distance beside a curve, as t grows; infinite where it is not near."""
@@ -127,13 +148,17 @@ class RoadPlaces:
     def _on_grass(self, margin_m: float) -> Bool[np.ndarray, " n"]:
         """Which points may be on the grass of a median."""
         found = np.zeros(self.t.shape, dtype=bool)
-        for low_m, high_m in meshes.grass_in_medians(self.ground, self.ground.network.main):
+        for low_m, high_m in self.ground.grass_in_medians(self.ground.network.main):
             found |= (self.t > low_m - margin_m) & (self.t < high_m + margin_m)
         return found
 
 
-def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> RoadPlaces | MapPlaces:
+AnyPlaces = RoadPlaces | MapPlaces
+
+
+def places(ground: Ground, xy_world: Points2) -> AnyPlaces:
     """Project points near a road onto it."""
+    # Nothing else asks for the kind of a ground.
     if isinstance(ground, MapGround):
         return MapPlaces(ground, xy_world)
     on: dict[str, tuple[Scalars, Scalars]] = {}
@@ -148,7 +173,7 @@ def places(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> RoadPlaces | M
         found = np.full((2, len(s)), np.nan)
         found[:, near] = road.line.project(xy_world[near], np.maximum(s[near], road.start_m))
         on[road.id] = found[0], found[1]
-    return RoadPlaces(ground, on)
+    return RoadPlaces(ground, xy_world, on)
 
 
 def on_road(world: World, camera: CameraLabel, points_cam: Points3) -> tuple[Points3, Bool[np.ndarray, " n"]]:

@@ -40,6 +40,8 @@ OBJECTS = [SEMANTIC_IDS[name] for name in ("car", "tree", "host", *SURFACES)]
 MIN_MOVED, MOVED = 3, 2
 # Depth by this factor off is in another unit; objects hide few points that the labels have as visible.
 OTHER_UNIT, MIN_SCALED = 1.5, 10
+# Farther away, a pixel at a crest shows what lies behind it.
+SCALED_M = 30.0
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
 # A shoulder so much nearer than a point, in depth, may be a kerb before it.
@@ -193,7 +195,7 @@ def _scale(evidence: Evidence) -> Iterator[Result]:
     """Finding if depth is in another unit."""
     camera, depth_m = evidence.camera, evidence.passes["depth"]
     points = np.concatenate([lane.xyz_cam[lane.visible] for lane in evidence.labels.lanes])
-    points = points[points[:, 1] > 0]
+    points = points[(points[:, 1] > 0) & (points[:, 1] < SCALED_M)]
     if len(points) < MIN_SCALED:
         return
     uv = np.clip(camera.project(points), 0, np.array(depth_m.shape[::-1]) - 1).astype(int)

@@ -3,11 +3,9 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Bool
 
 from synth3dlanes.arrays import Passes, Points3, Scalars
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import Ramp
 from synth3dlanes.geometry.terrain import gradient_at, height_at
@@ -16,6 +14,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Signed
+from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
 # Least amount of paint for a value: pixels, or slices of an image.
@@ -86,13 +85,11 @@ def _surface(world: World, labels: Labels, passes: Passes) -> Iterator[Signed]:
     """Height of the rendered road above its labels, and the relative errors of focal length, depth, hills and ramp
     that would explain it."""
     network = world.network
-    points_cam, points_world, on_branch = _seen(network, labels, passes)
+    points_cam, points_world = _seen(network, labels, passes)
     s_m, branch = network.main.line.project(points_world[:, :2])[0], network.roads[-1]
     if branch.parting is not None:
         s_m = branch.line.project(points_world[:, :2], np.maximum(s_m, branch.start_m))[0]
-    raised_m = on_branch * branch.raised(s_m)
-    if isinstance(world.ground, MapGround):
-        raised_m = world.ground.above_terrain(points_world[:, :2])
+    raised_m = places(world.ground, points_world[:, :2]).raised()
     slope = gradient_at(network.terrain, points_world[:, :2])
     up_world = np.column_stack([-slope, np.ones(len(slope))])
     up_world /= np.linalg.norm(up_world, axis=1, keepdims=True)
@@ -131,14 +128,13 @@ def _shares(causes: Mapping[str, Scalars], above_m: Scalars) -> Iterator[Signed]
         yield Signed(name, float(share))
 
 
-def _seen(network: Network, labels: Labels, passes: Passes) -> tuple[Points3, Points3, Bool[np.ndarray, " n"]]:
-    """The surface points that pixels show at visible label points, in camera and world frame, and which of them are on
-    a road that parts. Delimiters are used there only: paint and road cannot be distinguished without semantic ids."""
+def _seen(network: Network, labels: Labels, passes: Passes) -> tuple[Points3, Points3]:
+    """The surface points that pixels show at visible label points, in camera and world frame. Delimiters are used on
+    other roads than the host's only: paint and road cannot be distinguished without semantic ids."""
     camera = labels.camera
     lanes = [lane for lane in labels.lanes if lane.kind == "centerline" or lane.road != network.main.id]
     seen = [lane.visible & (lane.xyz_cam[:, 1] > 0) & (lane.xyz_cam[:, 1] < FAR_M) for lane in lanes]
     labelled_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, seen, strict=True)])
-    on_branch = np.repeat([lane.road != network.main.id for lane in lanes], [int(at.sum()) for at in seen])
     last = [camera.width_px - 1, camera.height_px - 1]
     column, row = np.clip(np.floor(camera.project(labelled_cam)), 0, last).astype(int).T
     depth_m = passes["depth"][row, column].astype(float)
@@ -146,7 +142,7 @@ def _seen(network: Network, labels: Labels, passes: Passes) -> tuple[Points3, Po
     if "semantic" in passes:
         same &= np.isin(passes["semantic"][row, column], PAVEMENT)
     points_cam = camera.points(np.column_stack([column, row])[same] + 0.5, depth_m[same])
-    return points_cam, transform(camera.world_from_cam, points_cam), on_branch[same]
+    return points_cam, transform(camera.world_from_cam, points_cam)
 
 
 def _ramp_share(ramp: Ramp, s_m: Scalars, height_m: Scalars) -> float:

@@ -13,7 +13,6 @@ from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.placement import TREE_SINK_M
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -26,7 +25,7 @@ from synth3dlanes.world import World
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
 # 5 cm), and beyond RANGE_M along the road the ground's faces are metres long. A tree's base is 0.1 m below the ground
 # and its root reaches 0.3 m deeper.
-MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 120.0
+MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 100.0
 # Terrain pixels this far inside the pavement's edge penetrate the road; every STEP-th pixel within NEAR_M is checked.
 INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
 MAX_THROUGH = 3
@@ -132,11 +131,7 @@ def _through(evidence: Evidence) -> Iterator[Result]:
     v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
     points = evidence.points_world(STEP * v, STEP * u)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
-    if isinstance(ground, MapGround):
-        inside &= ~ground.is_grass(points[:, :2])
-    _, t = ground.network.main.line.project(points[:, :2])
-    for low_m, high_m in meshes.grass_in_medians(ground, ground.network.main):
-        inside &= (t < low_m - INSIDE_M) | (t > high_m + INSIDE_M)
+    inside &= ~ground.is_grass(points[:, :2], INSIDE_M)
     through = int(inside.sum())
     yield Bounded("standing.through", float(through), most=MAX_THROUGH)
     if through > MAX_THROUGH:
@@ -148,10 +143,8 @@ def check_roadside(evidence: Evidence) -> Iterator[Finding]:
     left to the road's own checks."""
     ground = evidence.world.ground
     for name, feet in _feet(evidence):
-        if isinstance(ground, MapGround) and not name.startswith("buildings"):
-            inside_m = -ground.off_carriageways(feet)
-        else:
-            inside_m = -np.nan_to_num(places(ground, feet).outside(), nan=np.inf)
+        place = places(ground, feet)
+        inside_m = -(place.outside() if name.startswith("buildings") else place.off_carriageways())
         wrong = int((inside_m > ROOM_M).sum())
         if wrong:
             reason = (

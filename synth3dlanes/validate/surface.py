@@ -17,9 +17,8 @@ from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
-from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import some_pixels
-from synth3dlanes.validate.places import RoadPlaces, places
+from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
 from synth3dlanes.world import World
 
@@ -57,7 +56,7 @@ class Pavement(NamedTuple):
 
     range_m: Scalars
     semantic: Ids
-    places: RoadPlaces | MapPlaces
+    places: AnyPlaces
     up_world: Points3
     gap_m: Scalars
     below_eye_m: Scalars
@@ -77,17 +76,11 @@ def pavement_at(
 ) -> Pavement:
     """Points of pavement, seen from the eye, beside the scene's."""
     terrain, place = world.scene.terrain, places(world.ground, points[:, :2])
-    slope = place.slope() if isinstance(place, MapPlaces) else gradient_at(terrain, points[:, :2])
+    slope = place.slope()
     up = np.column_stack([-slope, np.ones(len(points))])
     up /= np.linalg.norm(up, axis=1, keepdims=True)
     gap_m = (points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()) * up[:, 2]
     return Pavement(range_m, semantic, place, up, gap_m, ((eye_world - points) * up).sum(axis=1))
-
-
-def is_firm(world: World, points: Points3) -> Bool[np.ndarray, " n"]:
-    """Which points have one height from above: those at the kerbs of a map do not."""
-    place = places(world.ground, points[:, :2])
-    return ~place.on_slope() if isinstance(place, MapPlaces) else np.ones(len(points), dtype=bool)
 
 
 def check_pavement(evidence: Evidence) -> Iterator[Result]:
@@ -96,7 +89,7 @@ def check_pavement(evidence: Evidence) -> Iterator[Result]:
     rows, columns = _pixels_of_pavement(passes)
     y_m = passes["depth"][rows, columns].astype(float)
     eye_world, points = evidence.camera.world_from_cam[:3, 3], evidence.points_world(rows, columns)
-    firm = is_firm(evidence.world, points)
+    firm = places(evidence.world.ground, points[:, :2]).is_firm()
     rows, columns, y_m, points = rows[firm], columns[firm], y_m[firm], points[firm]
     pavement = pavement_at(evidence.world, eye_world, points, y_m, passes["semantic"][rows, columns])
     yield from _sky(passes)

@@ -16,9 +16,8 @@ from synth3dlanes.scene import Symbol
 from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding
-from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.validate.pixels import some_pixels
-from synth3dlanes.validate.places import RoadPlaces, on_road, places
+from synth3dlanes.validate.places import AnyPlaces, on_road, places
 from synth3dlanes.world import World
 
 # Pixels this close to an edge of paint may show either side of it.
@@ -51,10 +50,9 @@ def check_symbols(evidence: Evidence) -> Iterator[Finding]:
     number = np.where(shown, 0, -1)
     if "instance" in passes:
         number = passes["instance"][rows, columns].astype(int) - FIRST_SYMBOL_ID
-    if isinstance(place, MapPlaces):
-        beyond_m = np.stack([_beyond_from_above(form, place.xy_world) for form in world.symbol_shapes])
-    else:
-        beyond_m = np.stack([_beyond_m(world, symbol, place) for symbol in world.scene.symbols])
+    # The paint of a map is none of the scene's symbols.
+    of_scene = [_beyond_m(world, symbol, place) for symbol in world.scene.symbols]
+    beyond_m = np.stack(of_scene or [_beyond_from_above(form, place.xy_world) for form in world.symbol_shapes])
     if "instance" not in passes:
         beyond_m = beyond_m.min(axis=0, keepdims=True)
     for i, outside_m in enumerate(beyond_m):
@@ -70,16 +68,18 @@ def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Scalars, margin_
         yield Finding("", f"{name}: expected {inside} pixels of its paint, got another surface at {gaps.sum()} of them")
 
 
-def _beyond_m(world: World, symbol: Symbol, place: RoadPlaces) -> Scalars:
+def _beyond_m(world: World, symbol: Symbol, place: AnyPlaces) -> Scalars:
     """Distance of points on the road outside a symbol's paint, negative inside."""
     network, form = world.network, shape(world.ground, symbol)
     if symbol.kind == "gore":
-        share, s = _between_lines(world, place)
+        share, s = _between_lines(world, place.xy_world)
         polygons = [polygon * np.column_stack([_gap_m(world, polygon[:, 1]), np.ones(4)]) for polygon in form.polygons]
         return _outside(polygons, np.column_stack([share * _gap_m(world, s), s]))
     path = None if symbol.lane is None else network.path(symbol.lane)
-    aside = place.t if path is None else place.right_of(path)
-    s = place.s if path is None else place.station(path)
+    if path is None:
+        s, aside = network.main.line.project(place.xy_world)
+    else:
+        s, aside = place.station(path), place.right_of(path)
     around = network.stations(symbol.s_m + np.array([-0.5, 0.5]))
     ends = network.main.xy(around, 0.0) if path is None else path.xy_world(around)
     ahead = (s * network.onwards - symbol.s_m) * np.hypot(*(ends[1] - ends[0]))
@@ -91,18 +91,18 @@ def _beyond_from_above(form: SymbolShape, xy_world: Points2) -> Scalars:
     return _outside([form.points_world(dense(polygon, SIDE_M))[:, :2] for polygon in form.polygons], xy_world)
 
 
-def _between_lines(world: World, place: RoadPlaces) -> tuple[Scalars, Scalars]:
+def _between_lines(world: World, xy_world: Points2) -> tuple[Scalars, Scalars]:
     """Where points are between the lines of two roads that part: the share of the way, and the station at which both
     lines have them between each other."""
     branch, parting = _gore(world)
     begun = [line for line in world.network.delimiters if line.start_m == parting.station(0.0)]
     near = next(line for line in reversed(begun) if line.pieces[0].road is parting.road)
     far = next(line for line in begun if line.pieces[0].road is branch)
-    xy, s = parting.road.xy(place.s, place.t), np.clip(place.s, near.start_m, None)
+    s = np.clip(parting.road.line.project(xy_world)[0], near.start_m, None)
     mirrored = -1 if branch.line.is_mirrored else 1
     for _ in range(STEPS):
         main, across = near.xy_world(s), far.xy_world(s) - near.xy_world(s)
-        to, length = xy - main, np.maximum(np.hypot(*across.T), 1e-3)
+        to, length = xy_world - main, np.maximum(np.hypot(*across.T), 1e-3)
         ahead_m = (across[:, 0] * to[:, 1] - across[:, 1] * to[:, 0]) / length * mirrored
         s = np.clip(s + ahead_m, near.start_m, None)
     return (to * across).sum(axis=1) / length**2, s

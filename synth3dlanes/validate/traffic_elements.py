@@ -9,23 +9,30 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Points3
 from synth3dlanes.element_labels import ElementLabel, element_document
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.object_labels import rectangle_around
+from synth3dlanes.frames import transform
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, differences, some
+from synth3dlanes.validate.findings import Bounded, Finding, Result, findings_of, some
+from synth3dlanes.validate.labelled_boxes import (
+    MIN_SEEN,
+    SideLimit,
+    before_sides,
+    check_seen_box,
+    otherwise,
+    outside,
+    seen_by_pixels,
+)
 
-# How far pixels may be outside a box, and how many; how far before a side they may end, and which part of the distance
+# Share of the pixels that may be outside a box; how far before a side they may end, and which part of the distance
 # between two pixels.
-ROOM_M, MAX_OUTSIDE, MAX_SINGLE, MAX_GAP_M, MAX_PART = 0.02, 0.01, 2, 0.03, 1.0
-# Elements of fewer pixels are not judged by these, and sides only of those that are seen as a whole.
-MIN_PIXELS, MIN_SEEN = 60, 0.99
+MAX_OUTSIDE, MAX_GAP_M, MAX_PART = 0.01, 0.03, 1.0
+# Elements of fewer pixels are not judged by these.
+MIN_PIXELS = 60
 # Pixels without a label: more than these, at most so far away.
 MAX_UNLABELLED, FARTHEST_M = 4, 190.0
-# Numbers of a label that follow from the scene are rounded in files; the projection of those adds to that.
-PLACES = {"size_m": 2e-4, "center_cam": 2e-4, "rotation_wxyz": 2e-6, "box_px": 0.2, "unclipped_box_px": 0.2}
+# What follows from the scene.
+TOLD = ("category", "kind", "state", "lanes", "size_m", "center_cam", "rotation_wxyz", "box_px", "unclipped_box_px")
 # How far a signal may hang beside the middle of its lane, seen from above; points of a lane are a metre apart.
 BESIDE_LANE_M = 0.6
 # Heads of which fewer rows are seen are not judged by their colours; how much brighter a dark light may be than a lit
@@ -55,18 +62,9 @@ def check_elements(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"traffic_elements: expected the {len(truth)} of the scene ({ids} ...), got other ids")
         return
     for item, true in zip(items, truth, strict=True):
-        wrong = list(_otherwise(item, true))
+        wrong = list(otherwise(element_document(item), element_document(true), TOLD))
         if wrong:
             yield Finding("", f"traffic_elements.{item.id}: {some(wrong)}")
-
-
-def _otherwise(item: ElementLabel, true: ElementLabel) -> Iterator[str]:
-    """How an element differs from the scene's, by more than rounding."""
-    found, expected = element_document(item), element_document(true)
-    for name in ("category", "kind", "state", "lanes", *PLACES):
-        a, b = expected[name], found[name]
-        if name not in PLACES or a is None or b is None or not np.allclose(a, b, rtol=1e-6, atol=PLACES[name]):
-            yield from differences(a, b, name)
 
 
 def _unlabelled(evidence: Evidence, items: tuple[ElementLabel, ...]) -> Iterator[Finding]:
@@ -87,60 +85,33 @@ def judge(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
     """Findings where pixels with an element's id are not in its rectangles and box, or end before a side of it."""
     if "instance" not in evidence.has:
         return
-    at = evidence.passes["instance"] == item.id
-    there = rectangle_around(*np.nonzero(at))
-    shown = [None if box is None else box.tolist() for box in (there, item.seen_box_px)]
-    if shown[0] != shown[1]:
-        yield Finding("", f"traffic_elements.{item.id}.seen_box_px: expected {shown[0]} by its pixels, got {shown[1]}")
-    if item.visible_fraction is not None and (item.visible_fraction > 0) != bool(at.any()) and at.sum() != 1:
-        yield Finding(
-            "",
-            f"traffic_elements.{item.id}.visible_fraction: expected a share of its {at.sum()} pixels, "
-            f"got {item.visible_fraction:g}",
-        )
-    if "depth" not in evidence.has or np.linalg.norm(item.center_cam) > PROOF_M:
+    label, n_pixels = f"traffic_elements.{item.id}", int((evidence.passes["instance"] == item.id).sum())
+    yield from check_seen_box(evidence, item, label)
+    if item.visible_fraction is not None and (item.visible_fraction > 0) != (n_pixels > 0) and n_pixels != 1:
+        reason = f"expected a share of its {n_pixels} pixels, got {item.visible_fraction:g}"
+        yield Finding("", f"{label}.visible_fraction: {reason}")
+    seen = seen_by_pixels(evidence, item.id, item.cam_from_element, MIN_PIXELS)
+    if seen is None:
         return
-    rows, columns = np.nonzero(at & np.isfinite(evidence.passes["depth"]))
-    if len(rows) >= MIN_PIXELS:
-        points_cam = evidence.points_cam(rows, columns)
-        apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
-        yield from _in_box(item, transform(invert(item.cam_from_element), points_cam), apart_m)
+    found = list(outside(label, "elements", item.size_m / 2, seen, MAX_OUTSIDE))
+    yield from found
+    if not findings_of(found) and _is_whole(item):
+        yield from before_sides(label, "elements", item.size_m / 2, seen, _sides(item, seen.apart_m))
 
 
-def _in_box(item: ElementLabel, points: Points3, apart_m: float) -> Iterator[Result]:
-    """Findings where points of an element, in its frame and so far from each other, are not in its box, or end before
-    a side of one that is seen as a whole."""
-    half = item.size_m / 2
-    beyond_m = np.abs(points) - half
-    n, n_outside = len(points), int((beyond_m > ROOM_M).any(axis=1).sum())
-    most = max(MAX_SINGLE, MAX_OUTSIDE * n)
-    yield Bounded("elements.outside", n_outside, most=most)
-    if n_outside > most:
-        yield Finding(
-            "",
-            f"traffic_elements.{item.id}: expected its pixels in its box, got {n_outside} of {n} up to "
-            f"{beyond_m.max():.2f} m outside",
-        )
-        return
+def _is_whole(item: ElementLabel) -> bool:
+    """Whether an element is in the image and seen as a whole."""
     box, whole = item.box_px, item.unclipped_box_px
-    if box is None or whole is None or not np.allclose(box, whole) or (item.visible_fraction or 0.0) < MIN_SEEN:
-        return
+    is_inside = box is not None and whole is not None and bool(np.allclose(box, whole))
+    return is_inside and (item.visible_fraction or 0.0) >= MIN_SEEN
+
+
+def _sides(item: ElementLabel, apart_m: float) -> Iterator[SideLimit]:
+    """The sides of the face; the pixels of a board may end farther before one that it reaches in a corner alone."""
+    most_m = MAX_GAP_M + MAX_PART * apart_m + (1.5 * apart_m if item.category == "road_sign" else 0.0)
     for axis, name in ((0, "left right"), (2, "lower upper")):
         for sign, side in zip((-1, 1), name.split(), strict=True):
-            gap_m = float(half[axis] - (sign * points[:, axis]).max())
-            most_m = MAX_GAP_M + MAX_PART * apart_m + _corner_m(item, apart_m)
-            yield Bounded(f"elements.gap_{side}", gap_m, most=most_m)
-            if gap_m > most_m:
-                yield Finding(
-                    "",
-                    f"traffic_elements.{item.id}: expected its pixels to reach the {side} side of its box, got them "
-                    f"{gap_m:.2f} m before it",
-                )
-
-
-def _corner_m(item: ElementLabel, apart_m: float) -> float:
-    """How far before a side the pixels of a board may end that reaches it in a corner alone."""
-    return 1.5 * apart_m if item.category == "road_sign" else 0.0
+            yield SideLimit(axis, sign, side, most_m)
 
 
 def over_its_lane(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:

@@ -16,7 +16,8 @@ from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import response
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import Building, Car, Post, Tree
+from synth3dlanes.roadside import Building, Post
+from synth3dlanes.scene import Car, Tree
 from synth3dlanes.settings import FIRST_STRUCTURE_ID, HOST_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint

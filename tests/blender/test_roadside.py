@@ -9,7 +9,7 @@ import pytest
 from synth3dlanes.blender.render import with_object_visibility
 from synth3dlanes.ground_truth import label
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import Building, Crossing, Post, Rail, Roadside
+from synth3dlanes.roadside import Building, Crossing, Post, Rail, Roadside
 from synth3dlanes.settings import FIRST_STRUCTURE_ID, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve

@@ -13,10 +13,10 @@ from synth3dlanes.figures.page import report_page, scene_page
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.host import Shot
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Shot
 from tests.thorough import first
 
 AFTER_DRAWING = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"

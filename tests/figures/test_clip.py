@@ -12,7 +12,7 @@ from synth3dlanes.figures.describe import describe
 from synth3dlanes.figures.page import MAX_FRAMES, scene_page
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.ground_truth import label
-from synth3dlanes.scene import Shot
+from synth3dlanes.host import Shot
 from synth3dlanes.world import resolve
 
 

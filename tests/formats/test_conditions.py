@@ -23,8 +23,9 @@ from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
+from synth3dlanes.roadside import Crossing, Rail, Roadside
 from synth3dlanes.sample import Scenes
-from synth3dlanes.scene import Car, Crossing, Rail, Roadside, Symbol, Tree
+from synth3dlanes.scene import Car, Symbol, Tree
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import SINGLE, clips
 from tests import fake_samples

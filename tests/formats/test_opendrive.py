@@ -13,7 +13,8 @@ from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.paint import is_double, paint_color, painted_rows
 from synth3dlanes.geometry.symbols import shape
-from synth3dlanes.scene import Building, Post, Rail, Roadside, Symbol, Tree
+from synth3dlanes.roadside import Building, Post, Rail, Roadside
+from synth3dlanes.scene import Symbol, Tree
 from synth3dlanes.world import resolve
 from tests.formats.opendrive_reading import read_roads as read_file_roads
 from tests.scenes import FLAT, changed, hill

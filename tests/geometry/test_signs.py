@@ -9,8 +9,8 @@ from synth3dlanes.geometry.placement import car_place
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.params import load_params
+from synth3dlanes.roadside import Crossing, Roadside
 from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.scene import Crossing, Roadside
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
 

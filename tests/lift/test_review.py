@@ -119,6 +119,7 @@ def test_a_corrected_lane_takes_the_place_of_what_pictures_show(tmp_path: Path) 
         lifted_marks(Reader(f"{tmp_path}/out/train"), replace(drive, name="hill2"))
 
 
+@pytest.mark.thorough
 def test_a_marked_lane_is_rejected_as_any_other() -> None:
     drive = replace(hill.drive(4), marked=(MarkedLane("mine", line(1.75)),))
     gone = replace(drive, rejected=(RejectedLane("mine", line(1.75)),))

@@ -64,6 +64,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", LIFTED)
 def test_a_strange_drive_is_lifted(name: str) -> None:
     found = list(lifted_frames(changed(LIFTED[name]), NO_ERROR))

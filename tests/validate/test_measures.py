@@ -316,6 +316,27 @@ def test_depth_in_another_unit_is_said_first():
     first, *_ = findings(picture_of(FLAT, depth=depth_m * np.float32(1000)), "points")
     assert re.fullmatch("depth: expected metres along the viewing direction, got (99.*|100.*) times .*", first.reason)
     assert findings(picture_of(FLAT, depth=depth_m), "points") == []
+    behind = np.where(depth_m > 30, depth_m * np.float32(3), depth_m)
+    assert "metres along" not in reasons(picture_of(FLAT, depth=behind), "points"), (
+        "a crest far away shows what is behind"
+    )
+
+
+def test_grass_in_a_shadow_has_the_light_of_the_sky():
+    depth_m, grass = level_depth(), (100, 104, 70)
+    third = depth_m.shape[1] // 3
+    semantic = np.full(depth_m.shape, SEMANTIC_IDS["terrain"], dtype=np.uint8)
+    semantic[:, third : 2 * third] = SEMANTIC_IDS["road"]
+    semantic[~np.isfinite(depth_m)] = SEMANTIC_IDS["sky"]
+
+    def found(right):
+        pixels = np.full((*depth_m.shape, 3), grass, dtype=np.uint8)
+        pixels[:, third : 2 * third], pixels[:, 2 * third - 20 :] = 110, right
+        return reasons(picture_of(FLAT, pixels, depth=depth_m, semantic=semantic), "appearance")
+
+    assert found(grass) == ""
+    assert found((10, 30, 10)) == "", "a shadow"
+    assert "of red over green" in found((60, 160, 60)), "a tint"
 
 
 def test_problems_are_told_in_the_order_of_the_checks():

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Points3
 from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type, piece_id
-from synth3dlanes.formats.lane_map import LaneSegment, lane_segments, pavement_strips
-from synth3dlanes.labels import LaneGraph, Segment
+from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
+from synth3dlanes.labels import LaneGraph
 from synth3dlanes.world import World
 
 REACH_M = 150.0
@@ -31,7 +31,7 @@ def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str
     """The files of the map of a world, and how many lane segments are in it."""
     place, shot = world.view.world_from_host[:3, 3], world.scene.shot
     reach_m = REACH_M + shot.speed_m_s * shot.duration_s
-    strips = [np.stack(edges, axis=1) for edges in pavement_strips(world, place, reach_m)]
+    strips = [np.stack(edges, axis=1) for edges in world.ground.pavement_strips(place[:2], reach_m)]
     lanes = list(lane_segments(world, graph.segments, place, reach_m))
     rows = list(_lanes(lanes, graph, world))
     vectors = {
@@ -81,7 +81,7 @@ def _pieces(lane: LaneSegment) -> list[_Piece]:
 def _lanes(lanes: Sequence[LaneSegment], graph: LaneGraph, world: World) -> Iterator[dict[str, Any]]:
     pieces = {lane.id: _pieces(lane) for lane in lanes}
     for lane in lanes:
-        left, right = _neighbours(graph.segments[lane.index], world)
+        left, right = world.network.neighbours(graph.segments[lane.index])
         opposite = [] if left else _opposite(lane, lanes, world)
         after = [pieces[name][0].id for name in graph.successors.get(lane.id, ()) if name in pieces]
         before = [pieces[name][-1].id for name in pieces if lane.id in graph.successors.get(name, ())]
@@ -115,23 +115,12 @@ def _beside(piece: _Piece, others: Sequence[_Piece]) -> int | None:
     return min(others, key=lambda other: float(np.linalg.norm(other.middle - piece.middle))).id if others else None
 
 
-def _neighbours(segment: Segment, world: World) -> tuple[str | None, str | None]:
-    """The lanes of the same direction to the left and right, as the lane's traffic drives."""
-    # On a map they are told so already.
-    swaps = world.scene.map is None and world.network.lanes[segment.id].direction == "oncoming"
-    return (segment.right, segment.left) if swaps else (segment.left, segment.right)
-
-
 def _opposite(lane: LaneSegment, lanes: Sequence[LaneSegment], world: World) -> list[str]:
     """The lanes of the other direction whose left boundaries are one line with that of a lane."""
     found, own = [], world.network.lanes[lane.id]
     for other in lanes:
         its = world.network.lanes[other.id]
-        if world.scene.map is None:
-            is_opposite = own.direction != its.direction
-        else:
-            is_opposite = own.road == its.road and own.ascends != its.ascends
-        if is_opposite:
+        if own.road == its.road and own.ascends != its.ascends:
             short, long = sorted((lane.left.points_world, other.left.points_world), key=len)
             apart = np.linalg.norm(short[::10, None, :2] - long[None, :, :2], axis=2).min(axis=1)
             if np.median(apart) < SAME_LINE_M:

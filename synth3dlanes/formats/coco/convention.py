@@ -30,8 +30,3 @@ def segment_id(semantic: Shaped[np.ndarray, "h w"], instance: Shaped[np.ndarray,
 def rgb_of(segments: Shaped[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
     """Segment ids as the colours of a panoptic PNG: R + 256 G + 65536 B."""
     return np.stack([segments >> shift & 255 for shift in (0, 8, 16)], axis=-1).astype(np.uint8)
-
-
-def segments_of(rgb: UInt8[np.ndarray, "h w 3"]) -> Shaped[np.ndarray, "h w"]:
-    """Segment ids of a panoptic PNG."""
-    return np.asarray(rgb.astype(np.int64) @ np.array([1, 256, 65536]))

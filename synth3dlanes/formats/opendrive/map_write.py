@@ -10,10 +10,10 @@ import numpy as np
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.formats.opendrive.convention import MAJOR, MINOR, NO_NUMBER, USER_DATA
+from synth3dlanes.formats.opendrive.map_signals import add_signals
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.xml import Element, add
-from synth3dlanes.geometry.map_network import MapNetwork
-from synth3dlanes.geometry.section_road import SectionRoad
+from synth3dlanes.geometry.roads import Road
 from synth3dlanes.maps.cubics import steepened, times, value
 from synth3dlanes.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
 from synth3dlanes.world import World
@@ -60,7 +60,6 @@ def opendrive_of_map(world: World, name: str) -> str:
     """The OpenDRIVE file of a world on a map: its roads near the host; the inertial frame is the world frame."""
     roads, network = world.scene.map, world.network
     assert roads is not None, "asked only of maps"
-    assert isinstance(network, MapNetwork), "asked only of maps"
     near = {road.id for road in network.roads}
     found = {road.id: road for road in roads.roads if road.id in near}
     touches = list(_touches(roads, found))
@@ -84,6 +83,7 @@ def opendrive_of_map(world: World, name: str) -> str:
         own = [touch for touch in touches if road.junction is not None or not _enters_junction(touch, found)]
         _add_lanes(add(element, "lanes"), road, own, roll)
         _add_paint(element, road, roads)
+    add_signals({element.get("id", ""): element for element in root.iterfind("road")}, world, network)
     _add_junctions(root, roads, found, touches, direct)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
@@ -238,7 +238,7 @@ def _add_piece(view: Element, piece: PlanPiece, s: float) -> None:
         add(geometry, "line")
 
 
-def _add_heights(element: Element, road: MapRoad, own: SectionRoad) -> Callable[[float], float] | None:
+def _add_heights(element: Element, road: MapRoad, own: Road) -> Callable[[float], float] | None:
     """The heights and the rolls of a road; returns the share of widths on its plane that are seen from above, by
     station, None where it is level across."""
     profile, lateral = add(element, "elevationProfile"), add(element, "lateralProfile")

@@ -12,7 +12,8 @@ from synth3dlanes.geometry.beside import beside, on_ground
 from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.geometry.posts import post_frames
 from synth3dlanes.geometry.symbols import shape
-from synth3dlanes.scene import Rail, Symbol
+from synth3dlanes.roadside import Rail
+from synth3dlanes.scene import Symbol
 from synth3dlanes.world import World
 
 # The types and subtypes of our things; what is not listed is left out.

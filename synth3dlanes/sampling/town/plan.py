@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Points2, Scalars
-from synth3dlanes.geometry.map_lines import Cubic, FiniteLine, Spiral
+from synth3dlanes.geometry.map_lines import line_of
 from synth3dlanes.road_map import PlanPiece
 
 # Of a turn's angle this share lies in its two spirals, the rest in the arc between them.
@@ -41,18 +41,6 @@ class PlanPose(NamedTuple):
 def wrapped(angle_rad: float) -> float:
     """The same direction in (-pi, pi]."""
     return float(np.pi - (np.pi - angle_rad) % (2 * np.pi))
-
-
-def line_of(piece: PlanPiece) -> FiniteLine:
-    """The line of a piece; of a cubic, stations are its parameter from 0 to 1."""
-    start = (piece.x_m, piece.y_m)
-    if piece.u is None or piece.v is None:
-        bends = (piece.curvature_end - piece.curvature) / piece.length_m
-        return Spiral(piece.length_m, start, piece.heading_rad, piece.curvature, bends)
-    cos, sin = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
-    x, y = ([float(a * u + b * v) for u, v in zip(piece.u, piece.v, strict=True)] for a, b in ((cos, -sin), (sin, cos)))
-    x[0], y[0] = x[0] + start[0], y[0] + start[1]
-    return Cubic(piece.parameter_end, (x[0], x[1], x[2], x[3]), (y[0], y[1], y[2], y[3]))
 
 
 def poses(pieces: Sequence[PlanPiece], s: Scalars) -> tuple[Points2, Scalars]:
@@ -122,18 +110,6 @@ def connection(start: PlanPose, end: PlanPose, widest_m: float = np.inf) -> tupl
             ]
             return chain(start, own)
     return (_cubic(start, ahead, left, turn),)
-
-
-def least_radius(pieces: Sequence[PlanPiece]) -> float:
-    """The smallest radius of any curve in the pieces."""
-    sharpest = 1e-9
-    for piece in pieces:
-        if piece.u is None:
-            sharpest = max(sharpest, abs(piece.curvature), abs(piece.curvature_end))
-        else:
-            frames = line_of(piece).frames(np.linspace(0, piece.parameter_end, 101))
-            sharpest = max(sharpest, float((np.abs(frames.turn) / frames.speed).max()))
-    return 1 / sharpest
 
 
 def _turn_parts(angle: float, radius_m: float, sign: float) -> list[tuple[float, float, float]]:
