@@ -187,7 +187,7 @@ class Ground:
             grass = [np.full(len(s), t) for median in self.grass_in_medians(road) for t in median]
             yield road, s, [road.left(s), *grass, road.right(s)]
 
-    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+    def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at stations as the host drives, `aside_m` beside the pavement on both sides."""
         road, s = self.network.main, self.network.stations(driven_m)
         aside = np.concatenate([road.left.base_m - aside_m, road.right.base_m + aside_m])
@@ -276,6 +276,18 @@ class Ground:
     def height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the ground as built."""
         return terrain.height_at(self.network.terrain, xy_world) + self.above_terrain(xy_world)
+
+    def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+        """Which points lie in the ground as built."""
+        return np.asarray(self.height(points_world[:, :2]) > points_world[:, 2])
+
+    def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """At which places one road passes over another."""
+        return np.zeros(len(xy_world), dtype=bool)
+
+    def height_near(self, points_world: Points3) -> Scalars:
+        """Height of the ground as built at points, of several surfaces that nearest to each."""
+        return self.height(points_world[:, :2])
 
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
@@ -20,6 +20,7 @@ from synth3dlanes.geometry.areas import clipped, filled, polygon_between, polygo
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, FINE_M, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import AS_FAR, Junction, MapNetwork
+from synth3dlanes.geometry.passages import DECK_M, Passage, passages
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.geometry.section_road import KERB_M, RAISED, CrossSection, SectionRoad
 from synth3dlanes.geometry.terrain import height_at
@@ -202,7 +203,7 @@ class MapGround(Ground):
             if (np.hypot(*(left[:, :2] - xy_world).T) < AS_FAR * reach_m).any():
                 yield left, right
 
-    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+    def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at lengths along the host's way, so far beside what is about its pavement on both sides."""
         way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
         s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))
@@ -272,6 +273,39 @@ class MapGround(Ground):
             paved[at[inside]] = np.maximum(paved[at[inside]], raised[inside])
         above[near] = np.where(np.isfinite(paved), paved, np.minimum(np.maximum(0.0, low), np.maximum(high, low)))
         return above
+
+    def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+        """Which points lie in the ground as built; below the deck of a bridge there is none."""
+        found = super().is_in(points_world)
+        for under_m, at in self._under_decks(points_world[:, :2]):
+            z, deck_m = points_world[at, 2], self.height(points_world[at, :2]) - DECK_M
+            found[at] &= (z < under_m) | (z > deck_m)
+        return found
+
+    def height_near(self, points_world: Points3) -> Scalars:
+        """Height of the ground as built at points, on a bridge or below it."""
+        found = super().height_near(points_world)
+        for under_m, at in self._under_decks(points_world[:, :2]):
+            is_below = points_world[at, 2] < (under_m + found[at]) / 2
+            found[at] = np.where(is_below, under_m, found[at])
+        return found
+
+    def _under_decks(self, xy_world: Points2) -> Iterator[tuple[Scalars, Int[np.ndarray, " m"]]]:
+        """Heights of each road that passes below another, and at which of some points."""
+        for area, road in self._passages:
+            at = np.flatnonzero(shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]))
+            if at.size:
+                yield road.base_points(*road.line.project(xy_world[at]))[:, 2], at
+
+    def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """At which places one road passes over another."""
+        inside = [shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]) for area, _ in self._passages]
+        return np.logical_or.reduce([np.zeros(len(xy_world), dtype=bool), *inside])
+
+    @cached_property
+    def _passages(self) -> list[Passage]:
+        roads = [self.network.road(at.id) for at in self.network.roads] if self._has_heights else []
+        return passages(roads, self.strip)
 
     @cached_property
     def _has_heights(self) -> bool:

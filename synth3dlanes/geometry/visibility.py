@@ -16,7 +16,7 @@ def seen_over_ground(
     """True where the straight line from the eye to the point stays above terrain, embankments and roads."""
     to = points_world - eye_world
     ray, sight = along_sights(eye_world, to, STEP_M)
-    hidden = ground.height(sight[:, :2]) > sight[:, 2] + TOLERANCE_M
+    hidden = ground.is_in(sight + np.array([0.0, 0.0, TOLERANCE_M]))
     seen = np.ones(len(to), dtype=bool)
     seen[ray[hidden]] = False
     for crest in ground.crests():
