@@ -62,8 +62,11 @@ class Path:
 
 
 def path_of(poses: list[Matrix4]) -> Path:
-    """The path through the places of these poses. Raises InputError where the host does not move."""
+    """The path through the places of these poses. Raises InputError where the host does not move, or a pose is no
+    number."""
     places = np.array([pose[:3, 3] for pose in poses])
+    if not np.isfinite(poses).all():
+        raise InputError("poses: expected finite numbers, got others")
     kept = [0]
     for i in range(1, len(places)):
         if np.linalg.norm(places[i, :2] - places[kept[-1], :2]) >= APART_M:
