@@ -114,7 +114,7 @@ def draw_world(scenes: Scenes, index: int) -> World:
     params = under(params, first("kind"), first("daytime"))
     of = DrawsOf(params, drawn, like)
     if scenes.map is not None:
-        return _map_world(scenes, index, of)
+        return _map_world(scenes, scenes.map, index, of)
     if params.is_town:
         return _town_world(scenes, index, of)
     check_way(params.motion, shots)
@@ -132,11 +132,10 @@ def draw_world(scenes: Scenes, index: int) -> World:
     return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
-def _map_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
+def _map_world(scenes: Scenes, given: MapPlace, index: int, of: DrawsOf) -> World:
     """Draw and resolve a place of the given map: the host's way, the ground that meets the roads, cars and trees."""
-    assert scenes.map is not None, "asked only of scenes on a map"
     check_way(of.params.motion, scenes.shots)
-    part = scenes.map.draw(stream(scenes.seed, scenes.split, index, "map"))
+    part = given.draw(stream(scenes.seed, scenes.split, index, "map"))
     terrain, at_m = terrain_of(part.map, _terrain(of("terrain"))), host_length(part)
     network = map_network(part.map, terrain, at_m)
     place = {"terrain": terrain, "road": None, "map": part.map}

@@ -46,7 +46,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     from tests import warm
 
-    warm.use(item.path.parent.name != "production")
+    warm.use(item.get_closest_marker("fresh") is None)
 
 
 @pytest.hookimpl(trylast=True)

@@ -19,7 +19,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import PackedSample, Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
 from tests.scenes import FLAT
 
@@ -66,6 +66,26 @@ def make_labelled(recipe: Recipe, index: int) -> PackedSample:
     world = sample_world(recipe.scenes, index)
     black = np.zeros((world.scene.camera.height_px, world.scene.camera.width_px, 3), np.uint8)
     members = encode(Picture(black, label(world, world.view)), scene_module.to_json(world.scene), recipe.image_format)
+    return PackedSample(members, {"fake": 0.0})
+
+
+def make_with_passes(recipe: Recipe, index: int) -> PackedSample:
+    """Scene and labels are true; the image is blocks of grey, the depth that of a leaning wall, and the cars of the
+    passes are rectangles."""
+    world = sample_world(recipe.scenes, index)
+    camera, found = world.scene.camera, label(world, world.view)
+    rows, columns = -(-camera.height_px // 16), -(-camera.width_px // 16)
+    blocks = np.random.default_rng(index).integers(0, 256, (rows, columns, 1), dtype=np.uint8).repeat(3, axis=2)
+    picture = blocks.repeat(16, axis=0).repeat(16, axis=1)[: camera.height_px, : camera.width_px]
+    semantic = np.full(picture.shape[:2], SEMANTIC_IDS["building"], np.uint8)
+    instance = np.zeros(semantic.shape, np.uint16)
+    for item in found.objects or ():
+        if item.box_px is not None:
+            left, top, right, bottom = (int(edge) for edge in item.box_px)
+            semantic[top:bottom, left:right], instance[top:bottom, left:right] = SEMANTIC_IDS["car"], item.id
+    depth_m = np.repeat(np.linspace(100.0, 3.0, camera.height_px, dtype=np.float32)[:, None], camera.width_px, axis=1)
+    passes = {"depth": depth_m, "semantic": semantic, "instance": instance}
+    members = encode(Picture(picture, found, passes), scene_module.to_json(world.scene), recipe.image_format)
     return PackedSample(members, {"fake": 0.0})
 
 
@@ -135,6 +155,11 @@ def insist_on_one_core(recipe: Recipe, index: int) -> PackedSample:
 def main() -> None:
     """Arguments: folder, n, workers, and the address of a Ray cluster if it is to do it."""
     (out, n, workers), address = sys.argv[1:4], sys.argv[4:]
+    if address:
+        from synth3dlanes.production import cluster
+
+        # On a busy machine, the program that asks for the cluster's health takes its time.
+        cluster.HEALTH_S = 120.0
     plan = Plan(out, int(n), recipe(), workers=int(workers), shard_size=10, maker=make_slowly)
 
     def tell(event: object) -> None:

@@ -12,7 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from synth3dlanes.production import local, workers
+from synth3dlanes import api
+from synth3dlanes.production import bench, local, twins, workers
 from synth3dlanes.production.workers import Limits, Pool, Worker
 from synth3dlanes.validate import made_again
 
@@ -20,7 +21,7 @@ from synth3dlanes.validate import made_again
 with Pool(0, Limits(), pinned=False):
     pass
 
-USERS = (local, made_again, workers)
+USERS = (api, bench, local, made_again, workers)
 # What differs between tests and does not matter to a worker.
 NOT_ASKED = ("PYTEST_CURRENT_TEST", "COLUMNS", "LINES")
 _kept: list[tuple[dict[str, str], Worker]] = []
@@ -85,4 +86,6 @@ def _environment() -> dict[str, str]:
 
 def _in_folder(folder: str, function: Callable[..., Any], *args: Any) -> Any:
     os.chdir(folder)
+    # Another test's data set may lie at the same address.
+    twins._reader.cache_clear()
     return function(*args)

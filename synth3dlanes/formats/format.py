@@ -6,9 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Shaped
-
+from synth3dlanes.arrays import Passes
 from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels import CameraLabel
@@ -22,14 +20,16 @@ class SampleFrame(ExportFrame):
     """A frame taken as it is (a rolled camera stays rolled), with its scene, its passes by name if the format asks for
     any, and the sweep of its lidar if there is one and the format takes it. The image is of `image_format`, jpg or png.
     `cameras` are those of all exported pictures of this moment by a rig, itself included, by their keys: for the first
-    of them, none for the others. `is_first` says whether it is the first exported picture of its scene."""
+    of them, none for the others. `is_first` says whether it is the first exported picture of its scene. `pictures`
+    gives, one after the other, those of its scene by the camera of the sample of this key."""
 
     scene: Scene
-    passes: Mapping[str, Shaped[np.ndarray, "..."]]
+    passes: Passes
     image_format: str
     sweep: Sweep | None = None
     cameras: Mapping[str, CameraLabel] = field(default_factory=dict)
     is_first: bool = True
+    pictures: Callable[[str], Iterator[SourceSample]] = lambda key: iter(())
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """Write one frame in a foreign format: its image and its own label files. A record says what was written."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path, PurePath
 from typing import Any, BinaryIO
 
@@ -11,6 +12,7 @@ from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.files import Folder
+from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.conditions import conditions
 from synth3dlanes.formats.format import PinholeFormat, SampleFormat, SampleFrame
 from synth3dlanes.formats.kerbs import kerb_lanes
@@ -67,6 +69,7 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
         sweep=reader.lidar(index) if foreign.takes_sweeps and reader.has_lidar else None,
         cameras=_cameras(reader, index, labels, chunk),
         is_first=index in chunk.firsts,
+        pictures=partial(_pictures, reader, index),
     )
     annotation = foreign.write(frame)
     if annotation is None:
@@ -91,6 +94,12 @@ def _cameras(reader: Reader, index: int, labels: Labels, chunk: Chunk) -> dict[s
     if moment[0] != index:
         return {}
     return {reader.key(index): labels.camera, **{reader.key(i): reader.labels(i).camera for i in others}}
+
+
+def _pictures(reader: Reader, index: int, key: str) -> Iterator[SourceSample]:
+    """The pictures of the scene of a sample, by the camera of the sample of a key."""
+    camera = int(reader.camera_of[reader.position(key)])
+    return (SourceSample(reader, place) for place in reader.clip(int(reader.scene_of[index]), camera))
 
 
 def _frame(reader: Reader, index: int, chunk: Chunk, labels: Labels) -> ExportFrame:

@@ -77,11 +77,13 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
         names = tuple(cameras) or (tuple(camera.name for camera in reader.cameras) if takes_rigs else ())
         taken = reader.taken_by(names) if moment is None else _of_moment(reader, moment, names)
         firsts = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
+        step, every = FRAMES_PER_CHUNK, taken
         if is_per_scene:
-            taken = firsts
-        for start in range(0, len(taken), FRAMES_PER_CHUNK):
-            places = taken[start : start + FRAMES_PER_CHUNK]
-            mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, places)}.jsonl"
+            step, taken = max(1, step * len(firsts) // max(len(taken), 1)), firsts
+        for start in range(0, len(taken), step):
+            places = taken[start : start + step]
+            made_of = every[np.isin(reader.scene_of[every], reader.scene_of[places])] if is_per_scene else places
+            mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, made_of)}.jsonl"
             here = frozenset(np.intersect1d(places, firsts).tolist())
             chunks.append(Chunk(folder, split, parts, tuple(places.tolist()), mark, names, here))
     return chunks

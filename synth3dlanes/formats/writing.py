@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import project
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.arrays import Matrix4
+from synth3dlanes.frames import invert, project, turned
+from synth3dlanes.labels import CameraLabel, Labels, Lane
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
@@ -90,3 +91,11 @@ class FrameAnnotation:
     dropped: Counter[str] = field(default_factory=Counter)
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+def world_from_host(camera: CameraLabel, right_m: float, forward_m: float) -> Matrix4:
+    """The host's own road frame, in which cameras and lidars keep their places through a clip; the scene's camera is so
+    far right of its origin and ahead of it."""
+    world_from_road = camera.world_from_cam @ invert(camera.road_from_cam)
+    host_from_road = turned(0.0, right_m, forward_m)
+    return np.asarray(world_from_road @ invert(host_from_road))

@@ -19,6 +19,7 @@ from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import Road
+from synth3dlanes.polylines import stretches
 from synth3dlanes.scene import Markings
 
 Spread = Float[np.ndarray, "*#n"]
@@ -164,7 +165,9 @@ class Ground:
         the host."""
         for road, s, (left, *grass, right) in self._pavement_lines(xy_world, reach_m):
             for t in (left, right, *grass):
-                yield from runs(road.points(s, t), ~self.is_on_other(road, road.xy(s, t)))
+                points = road.points(s, t)
+                alone = stretches(~self.is_on_other(road, points[:, :2]))
+                yield from (points[first:end] for first, end in alone if end - first > 1)
 
     def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
         """Both edges of each strip of pavement within about `reach_m` of a place of the host: of every road, and on
@@ -309,12 +312,6 @@ class Ground:
         """Distance from a pavement within which the ground may differ from the terrain."""
         highest_m = max([road.parting.rise_m for road in self.network.roads if road.parting], default=0.0)
         return max(EMBANKMENT_SLOPE * highest_m, NEAR_M) + VERGE_M * self.cell_scale(xy_world)
-
-
-def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list[Float[np.ndarray, "_ 3"]]:
-    """The stretches of a line that are kept, of two points or more."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(int), [0]])))
-    return [points[a:b] for a, b in ends.reshape(-1, 2) if b - a >= 2]
 
 
 def _nearest(roads: list[Beside], n: int) -> AnyScalars:

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.errors import InputError
+from synth3dlanes.polylines import lengths_along
 
 # Poses closer than this are one place: a car that stands makes no path.
 APART_M = 1.0
@@ -72,7 +73,7 @@ def path_of(poses: list[Matrix4]) -> Path:
             f"poses: expected a host that moves by {APART_M:g} m or more, got {len(poses)} poses at a place"
         )
     found = places[kept]
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(found[:, :2], axis=0), axis=1))])
+    s = lengths_along(found[:, :2])
     length_m = float(s[-1])
     smooth, _ = make_splprep(found.T, u=s, k=min(3, len(kept) - 1), s=len(kept) * MISSES_M**2)
     knots = np.linspace(0.0, length_m, max(3, round(length_m / KNOTS_M)))

@@ -14,6 +14,7 @@ from synth3dlanes.lift.curves import GAP_M, STEP_M, SeenLine, smooth
 from synth3dlanes.lift.ground import GroundMap
 from synth3dlanes.lift.path import Path
 from synth3dlanes.lift.precision import Precision
+from synth3dlanes.polylines import lengths_along, resampled
 
 # Lines are followed pixel by pixel, but not closer than this on the image.
 SAMPLE_PX = 3.0
@@ -246,6 +247,4 @@ def _even(line: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
 
 def _resampled(line: Float[np.ndarray, "n 2"], step: float) -> Float[np.ndarray, "m 2"]:
     """A polyline with a point at every step along it, and its ends."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / step)) + 1))
-    return np.column_stack([np.interp(at, along, column) for column in line.T])
+    return resampled(line, max(2, int(np.ceil(lengths_along(line)[-1] / step)) + 1))

@@ -38,6 +38,8 @@ ARROW_SUBTYPES: dict[str, SymbolKind] = {
     "50": "arrow_straight_right",
 }
 ISLAND_M, MAX_ISLAND_M, MAX_CORNERS = 0.12, 1.0, 1000
+# A crosswalk is crossed along its longer sides, where these are longer by so much.
+OBLONG = 1.2
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def read_furniture(element: Element, road: MapRoad, where: str, left_out: Counte
         if "crosswalk" in words:
             outline = object_outline(item, road, where)
             if len(outline) == 4:
-                paint.append(MapPaint(kind="crosswalk", outline=_along(outline, item, road, where)))
+                paint.append(MapPaint(kind="crosswalk", outline=_across(outline, item, road, where)))
             else:
                 left_out["crosswalks without four corners"] += 1
         elif any(word in words for word in (*STOP_WORDS, *YIELD_WORDS)):
@@ -197,14 +199,19 @@ def _open(corners: Points2) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in corners)
 
 
-def _along(
+def _across(
     outline: tuple[tuple[float, float], ...], item: Element, road: MapRoad, where: str
 ) -> tuple[tuple[float, float], ...]:
-    """The corners of a crosswalk from that on whose side runs most along the road, as its bars do."""
-    heading = float(plan_points(road.plan, np.array([number(item, "s", where, 0.0)]))[0, 2])
+    """The corners of a crosswalk from the side on which its bars begin: its longer one, along which people walk, or of
+    one that is nearly square the one most across the road."""
     corners = np.array(outline)
     sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.maximum(np.hypot(*sides.T), 1e-9)
-    along = np.abs(sides @ [math.cos(heading), math.sin(heading)]) / lengths
-    first = int(np.argmax(along[:2]))
-    return outline[first:] + outline[:first]
+    lengths = np.hypot(*sides.T)
+    first, second = lengths[0] + lengths[2], lengths[1] + lengths[3]
+    if max(first, second) > OBLONG * min(first, second):
+        begins = 0 if first > second else 1
+    else:
+        heading = float(plan_points(road.plan, np.array([number(item, "s", where, 0.0)]))[0, 2])
+        along = np.abs(sides[:2] @ [math.cos(heading), math.sin(heading)]) / np.maximum(lengths[:2], 1e-9)
+        begins = int(np.argmin(along))
+    return outline[begins:] + outline[:begins]

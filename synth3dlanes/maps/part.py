@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.maps.cubics import SAME_M, moved, part, rounded, value
@@ -26,6 +27,7 @@ from synth3dlanes.road_map import (
     PlanPiece,
     RoadMap,
 )
+from synth3dlanes.schema import validation_problems
 
 # Roads are kept that come this close to the host; longer roads are cut to their pieces that do.
 KEPT_M, LONG_M = 500.0, 1000.0
@@ -56,7 +58,14 @@ class MapPart(NamedTuple):
 
 def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
     """The map around a place. The world's origin is at the host's place on its reference line, and world y is the
-    direction of its lane there."""
+    direction of its lane there. Raises InputError for a place or numbers that no scene can have."""
+    try:
+        return _part_around(given, at, rng)
+    except ValidationError as error:
+        raise InputError(validation_problems(error, f"map {given.source}")[0]) from None
+
+
+def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
     route, number = draw_route(given, at, rng)
     lane = given.lanes[at.lane]
     x, y, heading = plan_points(lane.road.plan, np.array([at.s_m]))[0].tolist()
@@ -75,6 +84,11 @@ def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> Ma
     junctions = {road.junction for road in roads}
     paint = (_painted(item, frame, names, cuts) for item in given.paint)
     islands = (item.model_copy(update={"outline": frame.corners(item.outline)}) for item in given.islands)
+    first, last = number, number + 1
+    while first > 0 and route[first - 1] in names:
+        first -= 1
+    while last < len(route) and route[last] in names:
+        last += 1
     found = {
         "roads": roads,
         "links": _renamed(given.links, names),
@@ -85,7 +99,8 @@ def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> Ma
         ),
         "paint": tuple(item for item in paint if item is not None),
         "islands": tuple(item for item in islands if _is_near(item.outline)),
-        "route": tuple(names[name] for name in route),
+        # Without lanes that are not kept, to which only links over gaps lead.
+        "route": tuple(names[name] for name in route[first:last]),
         "source": given.source,
         "digest": given.digest,
         "given_frame": (frame.x + given.origin[0], frame.y + given.origin[1], frame.z, frame.turn),
@@ -93,7 +108,7 @@ def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> Ma
     standing = tuple(filter(None, (frame.element(item, names) for item in given.elements)))
     bodies = tuple(body for body in map(frame.body, given.bodies) if _is_near([(body.x_m, body.y_m)]))
     s_m = round(at.s_m - cuts[lane.road.id].from_m, DECIMALS)
-    return MapPart(RoadMap.model_validate(found), number, s_m, standing, bodies)
+    return MapPart(RoadMap.model_validate(found), number - first, s_m, standing, bodies)
 
 
 def _renamed(

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.assets.car_colors import sold_color
-from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.distributions import Choice, Uniform
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.lane_curves import KNOT_M, LaneCurve
@@ -20,7 +18,7 @@ from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.part import MapPart, part_around
 from synth3dlanes.maps.places import MapStation, draw_place
 from synth3dlanes.road_map import LaneName, MapRoad
-from synth3dlanes.sampling.cars import CAR_GAP_M
+from synth3dlanes.sampling.cars import CAR_GAP_M, car_look
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.traffic import CHECK_EVERY_S, SPEED_TRIES
 from synth3dlanes.scene import Car
@@ -135,7 +133,7 @@ def draw_map_cars(world: World, network: MapNetwork, looks: Draw, speeds: Draw, 
         return ()
     for _ in range(looks("n")):
         model, scale = looks("model"), looks("scale")
-        look = _look(looks, world.scene.assets, model) | {"model": model, "scale": scale}
+        look = car_look(looks, world.scene.assets, model, scale)
         body = world.scene.assets.car_models[model - 1]
         size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
         for _ in range(TRIES):
@@ -195,15 +193,6 @@ def _footprints(way: LaneCurve, lengths_m: np.ndarray, offset_m: float, size: tu
     """The rectangles of a car at lengths along its way."""
     inside = np.clip(lengths_m, 0.6, max(way.end_m - 0.6, 0.6))
     behind, ahead = way.xy_world(inside - 0.5), way.xy_world(inside + 0.5)
-    heading = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1, keepdims=True)
+    heading = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
     middle = way.xy_world(lengths_m) + offset_m * np.stack([heading[:, 1], -heading[:, 0]], axis=-1)
     return placement.footprint(middle, heading, *size)
-
-
-def _look(looks: Draw, assets: Assets, model: int) -> dict[str, object]:
-    (color,) = zip(*looks.rows(("color",), 3), strict=True)
-    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
-    u_paint, u_shade = looks.rng.random(2)
-    if palette == "sold":
-        color, saturation = sold_color(assets.car_models[model - 1], u_paint, u_shade), 1.0
-    return {"color": color, "gloss": gloss, "saturation": saturation}

@@ -20,6 +20,7 @@ from synth3dlanes.geometry.rails import KERBS, RAILS
 from synth3dlanes.geometry.roads import SIDES, Side
 from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
+from synth3dlanes.polylines import stretches
 from synth3dlanes.roadside import Building, Crossing, Post, Rail, RailKind, RoadSide, Roadside
 from synth3dlanes.schema import Color
 from synth3dlanes.world import World
@@ -205,8 +206,7 @@ def _median_rail(ground: Ground, kind: Literal["none", "guardrail", "concrete"],
 
 def _runs(s: Scalars, free: Bool[np.ndarray, " n"]) -> Iterator[tuple[float, float]]:
     """The first and last stations of the free stretches that are long enough."""
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(int)))
-    for first, end in zip(changes[::2], changes[1::2], strict=True):
+    for first, end in stretches(free):
         if s[end - 1] - s[first] >= MIN_RAIL_M:
             yield float(s[first]), float(s[end - 1])
 

@@ -23,8 +23,9 @@ def test_a_crosswalk_of_road_corners_lies_there_with_its_bars_along_the_road() -
     (paint,) = read(f'<object id="1" type="crosswalk" s="13" t="0"><outline>{corners}</outline></object>').paint
     # The road runs up from (5, 6), so that t is to the left of x = 5.
     assert sorted(paint.outline) == [pytest.approx(at) for at in sorted([(13, 18), (1, 18), (1, 21), (13, 21)])]
+    # Its bars begin on a side across the road.
     first = np.subtract(paint.outline[1], paint.outline[0])
-    assert abs(first[0]) < 1e-6 < abs(first[1])
+    assert abs(first[1]) < 1e-6 < abs(first[0])
 
 
 def test_a_rectangle_of_length_and_width_is_an_outline_too() -> None:

@@ -35,8 +35,8 @@ from synth3dlanes.formats.argoverse2.convention import (
 )
 from synth3dlanes.formats.argoverse2.maps import PIECE_M, map_files
 from synth3dlanes.formats.format import SampleFrame
-from synth3dlanes.formats.writing import CV_FROM_CAM, FrameAnnotation
-from synth3dlanes.frames import from_axes, invert, quaternion, transform, turned
+from synth3dlanes.formats.writing import CV_FROM_CAM, FrameAnnotation, world_from_host
+from synth3dlanes.frames import from_axes, invert, quaternion, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import ObjectLabel
 from synth3dlanes.world import resolve
@@ -97,10 +97,9 @@ def document(path: str, lines: Path) -> Iterator[bytes]:
 
 def ego_frame(frame: SampleFrame) -> Matrix4:
     """World from the vehicle frame, in which sensors keep their places through a clip."""
-    camera, mounted = frame.labels.camera, frame.scene.camera
-    world_from_road = camera.world_from_cam @ invert(camera.road_from_cam)
-    host_from_road = turned(0.0, mounted.right_m, mounted.forward_m)
-    return np.asarray(world_from_road @ invert(host_from_road) @ HOST_FROM_EGO)
+    return (
+        world_from_host(frame.labels.camera, frame.scene.camera.right_m, frame.scene.camera.forward_m) @ HOST_FROM_EGO
+    )
 
 
 def _name(camera: CameraLabel, n_cameras: int, where: str) -> str:

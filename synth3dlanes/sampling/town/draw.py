@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.geometry.placement import footprint, overlaps_any
 from synth3dlanes.host import Shot
+from synth3dlanes.sampling.cars import car_look
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.sampling.town.layout import TownMap, lay_out
@@ -102,7 +102,8 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
         if np.linalg.norm(ends - host, axis=1).min() > MOVING_M:
             continue
         k, s_m = route.place_at(moving.track[0][1])
-        values = _look(looks, moving.body, assets) | {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS)}
+        values = car_look(looks, assets, moving.body.model, moving.body.scale)
+        values |= {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS)}
         if len(moving.track) > 1:
             track = _driven(route, moving, terrain)
             values |= {"speed_m_s": _speed(track), "track": track, "route": route.lanes[k + 1 :]}
@@ -134,7 +135,8 @@ def parked_cars(drawn: DrawnTown, found: TownDrive, share: float, looks: Draw, a
                         moved_m = float(rng.uniform(-0.4, 0.4))
                         offset_m = (street.profile.lane_m + PARKING_M) / 2 + float(rng.uniform(-0.05, 0.12))
                         place = {"lane": names[lane], "s_m": round(s_m + moved_m, DECIMALS)}
-                        car = Car(**_look(looks, body, assets), **place, offset_m=round(offset_m, DECIMALS))
+                        look = car_look(looks, assets, body.model, body.scale)
+                        car = Car(**look, **place, offset_m=round(offset_m, DECIMALS))
                         if not _is_touched(_standing(lines[car.lane], car, body), driven):
                             cars.append(car)
     return tuple(cars)
@@ -176,16 +178,6 @@ def _short(looks: Draw, assets: Assets) -> CarBody | None:
         if own.length_m < SHORT_M and own.width_m < PARKING_M:
             return CarBody(model, scale, own.length_m * scale, own.width_m * scale)
     return None
-
-
-def _look(looks: Draw, body: CarBody, assets: Assets) -> dict[str, object]:
-    """Model and colours of a car."""
-    (color,) = zip(*looks.rows(("color",), 3), strict=True)
-    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
-    u_paint, u_shade = looks.rng.random(2)
-    if palette == "sold":
-        color, saturation = sold_color(assets.car_models[body.model - 1], u_paint, u_shade), 1.0
-    return {"model": body.model, "scale": body.scale, "color": color, "gloss": gloss, "saturation": saturation}
 
 
 def _driven(route: Route, moving: MovingCar, terrain: Terrain) -> tuple[tuple[float, float], ...]:

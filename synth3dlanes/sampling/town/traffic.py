@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
-from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint
+from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
 from synth3dlanes.sampling.town.drive import STEP_S, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.sampling.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.sampling.town.layout import TownMap
@@ -286,19 +286,8 @@ def _touching(places: Sequence[np.ndarray]) -> list[bool]:
             continue
         others = np.stack(stays)
         near = np.linalg.norm(mine.mean(axis=-2) - others.mean(axis=-2), axis=-1).min(axis=-1) < 20
-        found.append(bool(near.any()) and _overlap(mine, others[near]))
+        found.append(bool(near.any()) and overlaps_any(mine, others[near]))
     return found
-
-
-def _overlap(mine: np.ndarray, others: np.ndarray) -> bool:
-    """Whether a rectangle overlaps any of the others at any time."""
-    separated = np.zeros(others.shape[:2], dtype=bool)
-    for corners in (np.broadcast_to(mine, others.shape), others):
-        for first, second in ((0, 1), (1, 2)):
-            axis = (corners[..., second, :] - corners[..., first, :])[..., None, :]
-            ours, theirs = (mine * axis).sum(axis=-1), (others * axis).sum(axis=-1)
-            separated |= (ours.max(axis=-1) < theirs.min(axis=-1)) | (theirs.max(axis=-1) < ours.min(axis=-1))
-    return not bool(separated.all())
 
 
 def _before(town_map: TownMap, lane: str) -> list[str]:

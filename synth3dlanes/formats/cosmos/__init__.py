@@ -1,0 +1,1 @@
+"""Cosmos: control videos of a clip, and its world scenario as ClipGT tables."""

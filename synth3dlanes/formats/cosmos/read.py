@@ -1,0 +1,191 @@
+"""Read a clip of Cosmos: its tables as plain arrays, and its videos frame by frame."""
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+from pyarrow import parquet
+from pydantic import RootModel
+from scipy.spatial.transform import Rotation
+
+from synth3dlanes import schema
+from synth3dlanes.arrays import Points3, RgbImage
+from synth3dlanes.errors import FormatError
+from synth3dlanes.formats.cosmos.convention import TABLES, ClipFiles
+from synth3dlanes.formats.reading import json_object, read_file
+from synth3dlanes.frames import rotation
+from synth3dlanes.schema import Excerpt, Number
+from synth3dlanes.video import open_video
+
+Pose = Float[np.ndarray, "4 4"]
+
+
+class _Time(Excerpt):
+    timestamp: int
+
+
+class _Times(RootModel[list[_Time]]):
+    """The times of the frames."""
+
+
+class _Span(Excerpt):
+    low: Number
+    high: Number
+
+
+class _Spans(RootModel[dict[str, _Span]]):
+    """Spans of depth videos by view."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera of a clip: its place in the rig's frame, and its f-theta lens."""
+
+    rig_from_flu: Pose
+    size_px: tuple[int, int]
+    center_px: Float[np.ndarray, "2"]
+    stretch: float
+    polynomial: Float[np.ndarray, " _"]
+
+    def project(self, points_flu: Points3) -> Float[np.ndarray, "n 2"]:
+        """Pixels of points, as the readers compute them."""
+        forward, left, up = points_flu.T
+        aside = np.hypot(left, up)
+        angle = np.arctan2(aside, forward)
+        radius = (angle[:, None] ** np.arange(len(self.polynomial))) @ self.polynomial
+        scale = radius / np.maximum(aside, 1e-12)
+        return np.column_stack([-left * scale * self.stretch, -up * scale]) + self.center_px
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box: its class, its pose (x forward, y left, z up), and its length, width and height."""
+
+    name: str
+    category: str
+    clip_from_box: Pose
+    size_m: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A clip below the folder of an export; its files are read when they are asked for."""
+
+    out: Path
+    files: ClipFiles
+
+    @cached_property
+    def views(self) -> dict[str, View]:
+        """The cameras by their names."""
+        (row,), where = self.rows("calibration_estimate"), str(self.out / self.files.table("calibration_estimate"))
+        document = json_object(row["rig_json"], where)
+        try:
+            return {sensor["name"].replace(":", "_"): _view(sensor, where) for sensor in document["rig"]["sensors"]}
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise FormatError(f"{where}: expected cameras in rig_json, got something else") from None
+
+    @cached_property
+    def poses(self) -> dict[int, Pose]:
+        """The rig in the clip's frame by time (microseconds)."""
+        return {row["timestamp_micros"]: _pose(row, "location") for row in self.rows("egomotion_estimate")}
+
+    @cached_property
+    def times(self) -> list[int]:
+        """The times of the frames (microseconds), as the readers take them."""
+        where = self.out / self.files.times
+        return [frame.timestamp for frame in schema.parse(_Times, read_file(where), str(where), "times of frames").root]
+
+    def obstacles(self, micros: int) -> list[Box]:
+        """The cars at an instant."""
+        rows = [row for row in self.rows("obstacle") if row["timestamp_micros"] == micros]
+        return [_box(row, row["trackline_id"], "size") for row in rows]
+
+    def elements(self, name: str) -> list[Box]:
+        """The traffic lights or signs."""
+        return [_box(row, row["map_id"], "dimensions") for row in self.rows(name)]
+
+    def lines(self, name: str, field: str) -> list[tuple[dict[str, Any], Points3]]:
+        """Rows of a table, each with the points of a field."""
+        return [(row, _points(row[field])) for row in self.rows(name)]
+
+    def span(self, view: str) -> tuple[float, float]:
+        """The least and the greatest nearness that the greys of a depth video stand for (1/m)."""
+        where = self.out / self.files.depths
+        found = schema.parse(_Spans, read_file(where), str(where), "spans of depth videos").root
+        if view not in found:
+            raise FormatError(f"{where}: expected a span of {view}, got none")
+        return found[view].low, found[view].high
+
+    def frames(self, kind: str, view: str, rate_hz: float) -> Iterator[RgbImage]:
+        """The frames of a video, whose rate must be this."""
+        path = self.out / self.files.video(kind, view)
+        with open_video(path) as video:
+            if not np.isclose(video.rate_hz, rate_hz, rtol=1e-3):
+                raise FormatError(f"{path}: expected {rate_hz:g} frames a second, got {video.rate_hz:g}")
+            yield from video.frames
+
+    def rows(self, name: str) -> list[dict[str, Any]]:
+        """Rows of a table: the values of the key and of the element together."""
+        if name not in self._tables:
+            self._tables[name] = self._rows(name)
+        return self._tables[name]
+
+    @cached_property
+    def _tables(self) -> dict[str, list[dict[str, Any]]]:
+        return {}
+
+    def _rows(self, name: str) -> list[dict[str, Any]]:
+        where, wanted = self.out / self.files.table(name), TABLES[name]
+        try:
+            table = parquet.read_table(io.BytesIO(read_file(where)))
+            if table.schema.names != wanted.names:
+                raise ValueError(f"columns {', '.join(table.schema.names)}")
+            rows = [{**row["key"], **row[name]} for row in table.cast(wanted).to_pylist()]
+        except (pa.ArrowException, ValueError, TypeError, OSError, KeyError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise FormatError(f"{where}: expected a table of {', '.join(wanted.names)}, got {reason}") from None
+        if any(value is None for row in rows for value in row.values()):
+            raise FormatError(f"{where}: expected a value in every field, got none in some")
+        return rows
+
+
+def _view(sensor: Any, where: str) -> View:
+    lens, place = sensor["properties"], sensor["nominalSensor2Rig_FLU"]
+    if (lens["Model"], lens["polynomial-type"]) != ("ftheta", "angle-to-pixeldistance"):
+        raise FormatError(f"{where}: expected f-theta cameras from angle to distance, got others")
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("xyz", np.radians(np.array(place["roll-pitch-yaw"], float))).as_matrix()
+    pose[:3, 3] = np.array(place["t"], float)
+    numbers = [float(text) for text in (*lens["polynomial"].split(), lens["cx"], lens["cy"], lens["linear-c"])]
+    if not np.isfinite([*numbers, *pose.ravel()]).all() or len(numbers) < 4:
+        raise FormatError(f"{where}: expected finite numbers of a camera, got others")
+    *polynomial, cx, cy, stretch = numbers
+    size_px = int(lens["width"]), int(lens["height"])
+    return View(pose, size_px, np.array([cx, cy]), stretch, np.array(polynomial))
+
+
+def _box(row: dict[str, Any], name: str, size: str) -> Box:
+    return Box(name, row["category"], _pose(row, "center"), _xyz(row[size]))
+
+
+def _pose(row: dict[str, Any], place: str) -> Pose:
+    pose, (*xyz, w) = np.full((4, 4), np.nan), (row["orientation"][axis] or 0.0 for axis in "xyzw")
+    if np.isfinite([*xyz, w]).all() and any((*xyz, w)):
+        pose[:3, :3] = rotation(np.array([w, *xyz]))
+        pose[:3, 3] = _xyz(row[place])
+        pose[3] = 0, 0, 0, 1
+    return pose
+
+
+def _points(points: list[dict[str, float]]) -> Points3:
+    return np.array([[point[axis] for axis in "xyz"] for point in points], float).reshape(-1, 3)
+
+
+def _xyz(point: dict[str, float]) -> Float[np.ndarray, "3"]:
+    return np.array([point[axis] for axis in "xyz"], float)

@@ -1,0 +1,113 @@
+"""The world scenario of a clip: what stands still around it, in the world frame."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.arrays import Matrix4, Points3
+from synth3dlanes.element_labels import ElementLabel
+from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
+from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.network import LINES_STEP_M
+from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
+from synth3dlanes.labels import Labels, Marking, PaintColor, Pair
+from synth3dlanes.schema import SymbolKind
+from synth3dlanes.world import World
+
+REACH_M = 150.0
+"""How far lanes reach beyond all places of the host in the clip, and as far the other way."""
+
+
+@dataclass(frozen=True, eq=False)
+class LaneLine:
+    """A painted line, in the host's driving direction; `pair` names stripes that differ from the left."""
+
+    id: str
+    points_world: Points3
+    marking: Marking
+    color: PaintColor
+    double: bool
+    pair: Pair | None
+
+
+@dataclass(frozen=True, eq=False)
+class RoadSymbol:
+    """Paint that bounds no lane: its outline; of a line across the road, its middle from one end to the other."""
+
+    kind: SymbolKind
+    points_world: Points3
+
+
+@dataclass(frozen=True, eq=False)
+class StandingElement:
+    """A traffic element, and the pose of its frame."""
+
+    label: ElementLabel
+    world_from_element: Matrix4
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """What stands still around a clip."""
+
+    lanes: tuple[LaneSegment, ...]
+    lines: tuple[LaneLine, ...]
+    edges: tuple[Points3, ...]
+    symbols: tuple[RoadSymbol, ...]
+    elements: tuple[StandingElement, ...]
+
+
+def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenario:
+    """The scenario of a world, of which `labels` are those of the first picture; the traffic elements are those of all
+    `pictures` of the clip."""
+    place, shot = world.view.world_from_host[:3, 3], world.scene.shot
+    reach_m = REACH_M + shot.speed_m_s * shot.duration_s
+    return Scenario(
+        tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
+        tuple(_lines(world, place, reach_m)),
+        tuple(world.ground.pavement_edges(place[:2], reach_m)),
+        tuple(_symbols(world)),
+        _elements(pictures),
+    )
+
+
+def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[LaneLine]:
+    network, markings = world.network, world.scene.markings
+    near = network.stations_near(place[:2], reach_m)
+    for line in network.delimiters:
+        points = _points(line, near)
+        if line.is_measured:
+            points = points[np.linalg.norm(points[:, :2] - place[:2], axis=1) < 2 * reach_m]
+        if line.marking != "none" and len(points) > 1:
+            # Of the paper's roads stations may fall as the host drives.
+            onwards = 1 if line.is_measured else int(network.onwards)
+            paint = paint_color(line, markings) or "white", bool(is_double(line, markings)), pair_of(line, markings)
+            yield LaneLine(line.id, points[::onwards], line.marking, *paint)
+
+
+def _points(line: LaneCurve, near: Float[np.ndarray, " n"]) -> Points3:
+    if line.is_measured:
+        s = np.linspace(line.start_m, line.end_m, 2 + int((line.end_m - line.start_m) / LINES_STEP_M))
+    else:
+        s = near[(near >= line.start_m) & (near <= line.end_m)]
+    return line.points_world(s)
+
+
+def _symbols(world: World) -> Iterator[RoadSymbol]:
+    for form in world.symbol_shapes:
+        if form.kind in ("stop_line", "give_way_line"):
+            (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
+            ends = np.array([[x0, (y0 + y1) / 2], [x1, (y0 + y1) / 2]])
+            yield RoadSymbol(form.kind, form.points_world(ends))
+        else:
+            yield RoadSymbol(form.kind, form.points_world(form.outline))
+
+
+def _elements(pictures: Iterable[Labels]) -> tuple[StandingElement, ...]:
+    found = dict[int, StandingElement]()
+    for labels in pictures:
+        for item in labels.traffic_elements or ():
+            found.setdefault(item.id, StandingElement(item, labels.camera.world_from_cam @ item.cam_from_element))
+    return tuple(found[number] for number in sorted(found))
