@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 # Without the mode, a node asks for a token where one lies in the home folder, as other uses of Ray may leave it.
 RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), **RAY}
-START_S = 180.0
+START_S = 400.0
 
 
 def undisturbed(out: Path, n: int) -> dict[str, bytes]:

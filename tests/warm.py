@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from synth3dlanes import api
+from synth3dlanes import renderer
 from synth3dlanes.production import bench, local, twins, workers
 from synth3dlanes.production.workers import Limits, Pool, Worker
 from synth3dlanes.validate import made_again
@@ -21,7 +21,7 @@ from synth3dlanes.validate import made_again
 with Pool(0, Limits(), pinned=False):
     pass
 
-USERS = (api, bench, local, made_again, workers)
+USERS = (bench, local, made_again, renderer, workers)
 # What differs between tests and does not matter to a worker.
 NOT_ASKED = ("PYTEST_CURRENT_TEST", "COLUMNS", "LINES")
 _kept: list[tuple[dict[str, str], Worker]] = []

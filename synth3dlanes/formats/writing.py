@@ -94,8 +94,8 @@ class FrameAnnotation:
 
 
 def world_from_host(camera: CameraLabel, right_m: float, forward_m: float) -> Matrix4:
-    """The host's own road frame, in which cameras and lidars keep their places through a clip; the scene's camera is so
-    far right of its origin and ahead of it."""
+    """The host's own road frame, in which cameras and lidars keep their places through a clip; the camera is that far
+    to its right and forward."""
     world_from_road = camera.world_from_cam @ invert(camera.road_from_cam)
     host_from_road = turned(0.0, right_m, forward_m)
     return np.asarray(world_from_road @ invert(host_from_road))

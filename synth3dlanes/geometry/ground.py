@@ -187,7 +187,7 @@ class Ground:
             grass = [np.full(len(s), t) for median in self.grass_in_medians(road) for t in median]
             yield road, s, [road.left(s), *grass, road.right(s)]
 
-    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+    def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at stations as the host drives, `aside_m` beside the pavement on both sides."""
         road, s = self.network.main, self.network.stations(driven_m)
         aside = np.concatenate([road.left.base_m - aside_m, road.right.base_m + aside_m])

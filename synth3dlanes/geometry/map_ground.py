@@ -203,7 +203,7 @@ class MapGround(Ground):
             if (np.hypot(*(left[:, :2] - xy_world).T) < AS_FAR * reach_m).any():
                 yield left, right
 
-    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+    def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at lengths along the host's way, so far beside what is about its pavement on both sides."""
         way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
         s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))

@@ -7,10 +7,9 @@ chroma, which is the share of a channel in the light, minus that of the road.
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
 
-from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.settings import FIRST_DELIMITER_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
@@ -22,8 +21,6 @@ LOWEST_SUN_RAD, MIN_VISIBILITY_M = 1.1, 1_500.0
 TERRAIN_M, MIN_PIXELS, MIN_PAINT = 60.0, 200, 150
 # Less light than this share of that in the sun is the sky's.
 SHADE = 0.25
-# So near to walls the ground has their light: beside red ones grass has more red than green, by 0.04 over the road's.
-WALL_LIGHT_M = 3.0
 # The built-in terrains have less blue than the road, in 86 images at least 0.056; red over green is -0.065 to 0.008 on
 # green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass.
 MAX_BLUE = -0.02
@@ -88,7 +85,6 @@ def _terrain(
         return
     at = (evidence.passes["semantic"] == SEMANTIC_IDS["terrain"]) & (evidence.passes["depth"] < TERRAIN_M)
     at &= linear.sum(axis=2) > SHADE * np.median(road.sum(axis=1))
-    at[at] = _off_walls(evidence, *np.nonzero(at))
     if at.sum() < MIN_PIXELS:
         return
     red, green, blue = _chroma(linear[at]) - _chroma(road)
@@ -100,19 +96,6 @@ def _terrain(
     if not low < red - green < high:
         found = f"{red - green:+.3f}"
         yield Finding("", f"image: expected grass with {low} to {high} of red over green, got {found}")
-
-
-def _off_walls(
-    evidence: Evidence, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Which pixels of the ground have light that no wall has coloured or shaded."""
-    ground = evidence.points_world(rows, columns)
-    clear = np.ones(len(ground), dtype=bool)
-    for building in evidence.scene.roadside.buildings:
-        at = building_frame(building).of_world(ground)
-        reach_m = np.array([building.width_m, building.length_m]) / 2 + WALL_LIGHT_M
-        clear &= (np.abs(at[:, :2]) > reach_m).any(axis=1)
-    return clear
 
 
 def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[Result]:

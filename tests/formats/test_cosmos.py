@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -362,7 +363,7 @@ def test_f_theta_follows_pinholes_and_refuses_what_it_cannot() -> None:
     assert fitted(camera, "a").worst_px < 0.2
     bent = Lens(model="opencv", coefficients=(0.0, 0.0, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="a: expected a camera that an f-theta polynomial follows within 1 px"):
-        fitted(cf.camera_label(lens=bent), "a")
+        fitted(replace(camera, lens=bent), "a")
 
 
 def test_edges_by_the_definition() -> None:

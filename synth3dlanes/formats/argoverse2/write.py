@@ -97,9 +97,8 @@ def document(path: str, lines: Path) -> Iterator[bytes]:
 
 def ego_frame(frame: SampleFrame) -> Matrix4:
     """World from the vehicle frame, in which sensors keep their places through a clip."""
-    return (
-        world_from_host(frame.labels.camera, frame.scene.camera.right_m, frame.scene.camera.forward_m) @ HOST_FROM_EGO
-    )
+    mounted = frame.scene.camera
+    return world_from_host(frame.labels.camera, mounted.right_m, mounted.forward_m) @ HOST_FROM_EGO
 
 
 def _name(camera: CameraLabel, n_cameras: int, where: str) -> str:

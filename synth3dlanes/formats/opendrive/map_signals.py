@@ -9,8 +9,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.roads import NetworkLane
-from synth3dlanes.geometry.section_road import SectionRoad
+from synth3dlanes.geometry.roads import NetworkLane, Road
 from synth3dlanes.maps.elements import ARROW_LIGHT, LIGHT
 from synth3dlanes.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
 from synth3dlanes.world import World
@@ -40,7 +39,7 @@ STEP_M, NEAREST = 2.0, 6
 BESIDE_M = 0.005
 
 
-class BesideRoad(NamedTuple):
+class SignalPlace(NamedTuple):
     """A place beside a road: its station and t, and the road's heading there."""
 
     road: str
@@ -97,7 +96,7 @@ def _add_validity(element: Element, lanes: Sequence[NetworkLane]) -> None:
         add(element, "validity", fromLane=str(number), toLane=str(number))
 
 
-def _beside(point: Float[np.ndarray, "2"], road: SectionRoad) -> BesideRoad | None:
+def _beside(point: Float[np.ndarray, "2"], road: Road) -> SignalPlace | None:
     """The place of a point beside a road; None of one before its beginning or behind its end."""
     s, (low, high) = 0.0, (0.0, road.end_m)
     for n in (2 + int(road.end_m / STEP_M), 41, 41, 41):
@@ -110,7 +109,7 @@ def _beside(point: Float[np.ndarray, "2"], road: SectionRoad) -> BesideRoad | No
     ahead_m, right_m = (point - road.xy(np.array([s]), np.zeros(1))[0]) @ np.stack([along, [along[1], -along[0]]], -1)
     if abs(ahead_m) > BESIDE_M:
         return None
-    return BesideRoad(road.id, s, -float(right_m), math.atan2(along[1], along[0]))
+    return SignalPlace(road.id, s, -float(right_m), math.atan2(along[1], along[0]))
 
 
 def _kind(item: TrafficSignal | TrafficSign) -> tuple[str, str] | None:
