@@ -47,7 +47,7 @@ SPEED_OBJECT = re.compile(r"speed_?(?:limit)?_?(\d+)(?:assembly)?", re.IGNORECAS
 # Lower edges of heads and boards: between these as told; else as usual beside the road and over it.
 LOW_M, HIGH_M = 1.0, 12.0
 HEAD_M, OVERHEAD_M, SIGN_M, FREE_M = 2.3, 5.2, 2.1, 4.5
-# Larger turns against the road are none, but degrees.
+# Some files have turns against the road in degrees: larger ones than this are left out.
 MOST_TURN = 2 * math.pi
 TREES, BUILDINGS, NO_TYPES = ("tree", "vegetation"), ("building",), ("", "-1", "none")
 LEAST_BUILDING_M, MOST_BUILDING_M, LEAST_HEIGHT_M, MOST_HEIGHT_M = 1.0, 300.0, 0.5, 200.0
