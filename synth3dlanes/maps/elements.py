@@ -43,14 +43,14 @@ SPEEDS: dict[int, SignKind] = {
     int(kind.removeprefix("speed_")): kind for kind in get_args(SignKind) if kind.startswith("speed_")
 }
 # An object that is a sign of a speed limit without a size, as CARLA's towns have them.
-SPEED_OBJECT = re.compile(r"speed_?(\d+)", re.IGNORECASE)
+SPEED_OBJECT = re.compile(r"speed_?(?:limit)?_?(\d+)(?:assembly)?", re.IGNORECASE)
 # Lower edges of heads and boards: between these as told; else as usual beside the road and over it.
 LOW_M, HIGH_M = 1.0, 12.0
 HEAD_M, OVERHEAD_M, SIGN_M, FREE_M = 2.3, 5.2, 2.1, 4.5
-# Larger turns against the road are none, but degrees.
+# Some files have turns against the road in degrees: larger ones than this are left out.
 MOST_TURN = 2 * math.pi
 TREES, BUILDINGS, NO_TYPES = ("tree", "vegetation"), ("building",), ("", "-1", "none")
-LEAST_BUILDING_M, MOST_BUILDING_M, MOST_HEIGHT_M = 1.0, 300.0, 200.0
+LEAST_BUILDING_M, MOST_BUILDING_M, LEAST_HEIGHT_M, MOST_HEIGHT_M = 1.0, 300.0, 0.5, 200.0
 
 
 class GivenElement(NamedTuple):
@@ -130,7 +130,7 @@ def read_bodies(at: FileRoad, left_out: Counter[str]) -> Iterator[GivenBody]:
     """The buildings and trees of a road; `left_out` counts the other objects that are no signs."""
     for item in at.objects:
         kind, height_m = item.get("type", "none"), _height(item, at.where)
-        if kind.lower() in TREES and height_m > 0:
+        if kind.lower() in TREES and height_m >= LEAST_HEIGHT_M:
             x, y, heading = _place(item, at.road, at.where)
             yield GivenBody("tree", x, y, heading, (0.0, 0.0, height_m))
         elif (building := _building(item, at, height_m)) is not None:
@@ -141,7 +141,7 @@ def read_bodies(at: FileRoad, left_out: Counter[str]) -> Iterator[GivenBody]:
 
 def _building(item: Element, at: FileRoad, height_m: float) -> GivenBody | None:
     """A building: the smallest rectangle round its outline."""
-    if item.get("type") not in BUILDINGS or height_m <= 0:
+    if item.get("type") not in BUILDINGS or height_m < LEAST_HEIGHT_M:
         return None
     corners = object_outline(item, at.road, at.where)
     box = shapely.get_coordinates(shapely.minimum_rotated_rectangle(shapely.multipoints(np.reshape(corners, (-1, 2)))))

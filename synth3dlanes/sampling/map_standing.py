@@ -19,7 +19,7 @@ from synth3dlanes.world import World
 
 # Poles keep this far from the pavement of traffic. One that a file has on it stands beside it, so far at most, and
 # holds an arm over it.
-OFF_M, ARM_M, STEP_M = 0.3, 14.0, 0.25
+OFF_M, ARM_M, STEP_M, GRAZES_M = 0.3, 14.0, 0.25, 1.0
 # Heads and boards at one place are over each other, up to this height.
 NEAR_M, ABOVE_M, HIGHEST_M = 0.6, 0.06, 9.0
 HIGH_M = {TrafficSignal: 1.24, TrafficSign: 1.1}
@@ -102,16 +102,14 @@ def _moved(item: TrafficSignal | TrafficSign, ground: Ground) -> TrafficSignal |
     # From the right first, as poles stand.
     aside = np.stack([steps, -steps], -1).ravel()
     free = np.flatnonzero(ground.off_carriageways(xy + aside[:, None] * right) > OFF_M)
-    high = {"height_m": max(item.height_m, OVERHEAD_M)}
+    overhead = {"height_m": max(item.height_m, OVERHEAD_M)}
     if not free.size:
-        return item.model_copy(update=high | {"has_pole": False})
+        return item.model_copy(update=overhead | {"has_pole": False})
     by_m = float(aside[free[0]])
-    # A pole that merely grazes the pavement moves as a whole.
-    if abs(by_m) <= 1.0:
-        x, y = (xy + by_m * right).round(DECIMALS).tolist()
-        return item.model_copy(update={"x_m": x, "y_m": y})
     x, y = (xy + by_m * right).round(DECIMALS).tolist()
-    return item.model_copy(update=high | {"x_m": x, "y_m": y, "reach_m": round(-by_m, 3)})
+    # A pole that merely grazes the pavement moves as a whole.
+    hangs = {} if abs(by_m) <= GRAZES_M else overhead | {"reach_m": round(-by_m, 3)}
+    return item.model_copy(update={"x_m": x, "y_m": y} | hangs)
 
 
 def _mounted(items: Sequence[TrafficSignal | TrafficSign]) -> list[TrafficSignal | TrafficSign | None]:

@@ -143,8 +143,13 @@ def test_buildings_and_trees_have_the_files_sizes() -> None:
         '<object id="3" type="building" s="240" t="2" length="20" width="10" height="12"/>'
         '<object id="4" type="pole" s="230" t="-20" height="7"/>'
     )
-    given = read("", objects=objects)
-    assert given.left_out == {"objects of type pole": 1}
+    without = (
+        '<object id="5" type="building" s="9" t="30" length="1e7" width="10" height="12"/>'
+        '<object id="6" type="building" s="9" t="30" height="12"/>'
+        '<object id="7" type="tree" s="9" t="30" height="1e-9"/>'
+    )
+    given = read("", objects=objects + without)
+    assert given.left_out == {"objects of type pole": 1, "objects of type building": 2, "objects of type tree": 1}
     scene = world_of(given).scene
     (house,), (tree,) = scene.roadside.buildings, scene.trees
     assert sorted([house.width_m, house.length_m]) == pytest.approx([10, 20])
