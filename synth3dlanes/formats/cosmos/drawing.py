@@ -29,7 +29,7 @@ from synth3dlanes.formats.cosmos.convention import (
     WIDTH_PX,
     Rgb,
 )
-from synth3dlanes.formats.cosmos.scenario import LaneLine, Scenario
+from synth3dlanes.formats.cosmos.scenario import PaintedLine, Scenario
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import CORNERS
@@ -87,7 +87,7 @@ def _element_color(label: ElementLabel) -> Rgb:
     return STATE_COLORS.get(light, LIGHT)
 
 
-def _stripes(line: LaneLine) -> Iterator[Points3]:
+def _stripes(line: PaintedLine) -> Iterator[Points3]:
     """The painted pieces of a line; of a double one, or of a pair, those of both stripes."""
     if not line.double and line.pair is None:
         yield from _dashes(line.points_world) if line.marking == "dashed" else (line.points_world,)

@@ -15,15 +15,13 @@ from pydantic import RootModel
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes import schema
-from synth3dlanes.arrays import Points3, RgbImage
+from synth3dlanes.arrays import Matrix4, Points3, RgbImage
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.cosmos.convention import TABLES, ClipFiles
 from synth3dlanes.formats.reading import json_object, read_file
 from synth3dlanes.frames import rotation
 from synth3dlanes.schema import Excerpt, Number
 from synth3dlanes.video import open_video
-
-Pose = Float[np.ndarray, "4 4"]
 
 
 class _Time(Excerpt):
@@ -44,10 +42,10 @@ class _Spans(RootModel[dict[str, _Span]]):
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class FThetaView:
     """A camera of a clip: its place in the rig's frame, and its f-theta lens."""
 
-    rig_from_flu: Pose
+    rig_from_flu: Matrix4
     size_px: tuple[int, int]
     center_px: Float[np.ndarray, "2"]
     stretch: float
@@ -69,19 +67,19 @@ class Box:
 
     name: str
     category: str
-    clip_from_box: Pose
+    clip_from_box: Matrix4
     size_m: Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
+class ClipFolder:
     """A clip below the folder of an export; its files are read when they are asked for."""
 
     out: Path
     files: ClipFiles
 
     @cached_property
-    def views(self) -> dict[str, View]:
+    def views(self) -> dict[str, FThetaView]:
         """The cameras by their names."""
         (row,), where = self.rows("calibration_estimate"), str(self.out / self.files.table("calibration_estimate"))
         document = json_object(row["rig_json"], where)
@@ -91,7 +89,7 @@ class Clip:
             raise FormatError(f"{where}: expected cameras in rig_json, got something else") from None
 
     @cached_property
-    def poses(self) -> dict[int, Pose]:
+    def poses(self) -> dict[int, Matrix4]:
         """The rig in the clip's frame by time (microseconds)."""
         return {row["timestamp_micros"]: _pose(row, "location") for row in self.rows("egomotion_estimate")}
 
@@ -155,7 +153,7 @@ class Clip:
         return rows
 
 
-def _view(sensor: Any, where: str) -> View:
+def _view(sensor: Any, where: str) -> FThetaView:
     lens, place = sensor["properties"], sensor["nominalSensor2Rig_FLU"]
     if (lens["Model"], lens["polynomial-type"]) != ("ftheta", "angle-to-pixeldistance"):
         raise FormatError(f"{where}: expected f-theta cameras from angle to distance, got others")
@@ -167,14 +165,14 @@ def _view(sensor: Any, where: str) -> View:
         raise FormatError(f"{where}: expected finite numbers of a camera, got others")
     *polynomial, cx, cy, stretch = numbers
     size_px = int(lens["width"]), int(lens["height"])
-    return View(pose, size_px, np.array([cx, cy]), stretch, np.array(polynomial))
+    return FThetaView(pose, size_px, np.array([cx, cy]), stretch, np.array(polynomial))
 
 
 def _box(row: dict[str, Any], name: str, size: str) -> Box:
     return Box(name, row["category"], _pose(row, "center"), _xyz(row[size]))
 
 
-def _pose(row: dict[str, Any], place: str) -> Pose:
+def _pose(row: dict[str, Any], place: str) -> Matrix4:
     pose, (*xyz, w) = np.full((4, 4), np.nan), (row["orientation"][axis] or 0.0 for axis in "xyzw")
     if np.isfinite([*xyz, w]).all() and any((*xyz, w)):
         pose[:3, :3] = rotation(np.array([w, *xyz]))

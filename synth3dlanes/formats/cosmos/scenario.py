@@ -22,7 +22,7 @@ STEP_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class LaneLine:
+class PaintedLine:
     """A painted line, in the host's driving direction; `pair` names stripes that differ from the left."""
 
     id: str
@@ -54,7 +54,7 @@ class Scenario:
     """What stands still around a clip."""
 
     lanes: tuple[LaneSegment, ...]
-    lines: tuple[LaneLine, ...]
+    lines: tuple[PaintedLine, ...]
     edges: tuple[Points3, ...]
     symbols: tuple[RoadSymbol, ...]
     elements: tuple[StandingElement, ...]
@@ -74,7 +74,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
     )
 
 
-def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[LaneLine]:
+def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[PaintedLine]:
     network, markings = world.network, world.scene.markings
     near = np.sort(network.stations(float(place[1]) + np.arange(-reach_m, reach_m + STEP_M / 2, STEP_M)))
     for line in network.delimiters:
@@ -85,7 +85,7 @@ def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Itera
             # Of the paper's roads stations may fall as the host drives.
             onwards = 1 if line.is_measured else int(network.onwards)
             paint = paint_color(line, markings) or "white", bool(is_double(line, markings)), pair_of(line, markings)
-            yield LaneLine(line.id, points[::onwards], line.marking, *paint)
+            yield PaintedLine(line.id, points[::onwards], line.marking, *paint)
 
 
 def _points(line: LaneCurve, near: Float[np.ndarray, " n"]) -> Points3:

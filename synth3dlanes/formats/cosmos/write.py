@@ -45,7 +45,7 @@ README = """Cosmos: control videos of clips, and their world scenarios as ClipGT
 - `{train,val,test}/videos/ftheta_VIEW/CLIP.mp4`: what a camera saw; beside them `depth`, `seg`, `edge` and
   `control_input_hdmap_bbox`, the control videos. A camera that is alone is `camera_front_wide_120fov`; those of a rig
   keep their names.
-- Depth videos: 1 / depth from black to white, over the least and the greatest of the clip by this camera;
+- Depth videos: 1 / depth from black to white, from the least to the greatest of the clip by this camera;
   `CLIP.depth.json` tells these, so that depth_m = 1 / (low + grey / 255 * (high - low)). The sky is black.
 - Segmentation videos: a colour for each class, each car one of its own. Edge videos: Canny, thresholds 100 and 200.
 - `clipgt/CLIP/CLIP.*.parquet`: poses, calibration, obstacles, lanes, lane lines, road boundaries, crosswalks, road
