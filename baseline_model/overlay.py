@@ -81,17 +81,18 @@ def save_pictures(
     truth: Labels | Sequence[Polyline2],
     threshold: float = 0.5,
 ) -> None:
-    """Write STEM.overlay.jpg, the image in full size with the lines, and STEM.figure.jpg, which shows it beside the
-    lines from above and from the side. The image is drawn on.
+    """Write STEM.overlay.jpg, the image in full size with the lines, and STEM.png, which shows it beside the lines from
+    above and from the side. The image is drawn on.
 
     Drawn are labels, and detections of at least this confidence, up to 80 m; points that the ground hides, and those
     predicted to be hidden, are left out. `truth` may be lines in the image only, or none.
     """
     lines = draw(image, img_from_cam, prediction, truth, threshold)
-    pictures = {"overlay": image, "figure": _figure(image, lines, prediction.key, threshold)}
-    for name, picture in pictures.items():
-        with Folder(stem.parent).replacing(f"{stem.name}.{name}.jpg") as stream:
-            picture.save(stream, "JPEG", quality=92, subsampling=0)
+    folder = Folder(stem.parent)
+    with folder.replacing(f"{stem.name}.overlay.jpg") as stream:
+        image.save(stream, "JPEG", quality=92, subsampling=0)
+    with folder.replacing(f"{stem.name}.png") as stream:
+        _figure(image, lines, prediction.key, threshold).save(stream, "PNG", compress_level=1)
 
 
 def draw(

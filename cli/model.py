@@ -193,7 +193,7 @@ def predict(
     videos, `nano` for a split.
 
     Writes OUT/predictions.jsonl, and two pictures of each image: NAME.overlay.jpg, the image in full size with the
-    lanes, and NAME.figure.jpg, which shows it beside the lanes from above and from the side. Of a video it writes
+    lanes, and NAME.png, which shows it beside the lanes from above and from the side. Of a video it writes
     NAME.lanes.mp4.
     """
     need_torch()

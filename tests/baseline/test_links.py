@@ -34,7 +34,7 @@ def writers(out: Path, roads):
         "best.pt": lambda: checkpoint.save(out / "best.pt", state),
         "annotations.cache": lambda: annotation_file(out / "annotations.cache", "here"),
         "predictions.jsonl": lambda: write_predictions(out / "predictions.jsonl", [prediction]),
-        "00000000.figure.jpg": pictures,
+        "00000000.png": pictures,
         "00000000.overlay.jpg": pictures,
         "history.jsonl": log,
         "tensorboard": log,
@@ -42,7 +42,7 @@ def writers(out: Path, roads):
 
 
 NAMES = [
-    *("last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.figure.jpg", "00000000.overlay.jpg"),
+    *("last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.png", "00000000.overlay.jpg"),
     *("history.jsonl", "tensorboard"),
 ]
 

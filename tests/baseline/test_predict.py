@@ -85,7 +85,7 @@ def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp
         assert from_file[kind]["ap"] == pytest.approx(direct[kind]["ap"], abs=0.02)
         assert from_file[kind]["n_detections"] == direct[kind]["n_detections"]
     assert from_file["pose"] == pytest.approx(direct["pose"], abs=1e-3)
-    pictures = sorted((tmp_path / "out").glob("*.figure.jpg"))
+    pictures = sorted((tmp_path / "out").glob("*.png"))
     assert len(pictures) == 2
     with Image.open(pictures[0]) as picture:
         assert picture.width > 600
@@ -334,7 +334,7 @@ def test_pictures_follow_the_shape_of_the_image_and_one_has_its_size(roads, tmp_
             is_line = abs(row - color).max(axis=1) < 90
             n_lines = np.count_nonzero(np.diff(is_line.astype(int)) == 1)
             assert n_lines == (3 if truth else 1), "a line between the two of the label"
-        with Image.open(tmp_path / "a.figure.jpg") as figure:
+        with Image.open(tmp_path / "a.png") as figure:
             assert (figure.width > 100 * (5 * width / height + 5)) == is_beside
             assert min(figure.size) > 500
 
@@ -382,4 +382,4 @@ def test_a_picture_of_the_largest_size_takes_less_than_a_gigabyte(tmp_path):
     command = [sys.executable, "-c", script, str(tmp_path), str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=280)
     assert int(done.stdout) * 1024 < 1_000_000_000
-    assert len(list((tmp_path / "out").glob("*.figure.jpg"))) == 3
+    assert len(list((tmp_path / "out").glob("*.png"))) == 3

@@ -42,7 +42,7 @@ def test_predict_finds_the_hosts_lane_in_a_picture_without_further_words(rendere
     true_m = [_x_at(lane.xyz_cam, 15.0) for lane in rendered.labels.lanes if lane.kind == "centerline"]
     host_m = min(true_m, key=abs)
     assert min(abs(x_m - host_m) for x_m in at_15_m) < 0.6
-    assert (tmp_path / "out/photo.figure.jpg").is_file()
+    assert (tmp_path / "out/photo.png").is_file()
 
 
 HEAVY = {"scipy", "matplotlib", "pyarrow", "fsspec", "pandas", "tensorboard", "synth3dlanes.dataset.read"}
