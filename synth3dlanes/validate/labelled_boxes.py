@@ -58,7 +58,7 @@ def check_seen_box(evidence: Evidence, item: ObjectLabel | ElementLabel, label: 
         yield Finding("", f"{label}.seen_box_px: expected {expected} by its pixels, got {got}")
 
 
-def seen_by_pixels(evidence: Evidence, id_: int, cam_from_box: Matrix4, least: int) -> SeenPart | None:
+def by_pixels(evidence: Evidence, id_: int, cam_from_box: Matrix4, least: int) -> SeenPart | None:
     """What pixels show of what is labelled, if it is near the camera and they are at least so many."""
     if not {"depth", "instance"} <= evidence.has or np.linalg.norm(cam_from_box[:3, 3]) > PROOF_M:
         return None
@@ -71,30 +71,21 @@ def seen_by_pixels(evidence: Evidence, id_: int, cam_from_box: Matrix4, least: i
     return SeenPart("pixels", transform(box_from_cam, points_cam), box_from_cam[:3, 3], apart_m)
 
 
-def outside(label: str, bound: str, half: Float[np.ndarray, "3"], seen: SeenPart, share: float) -> Iterator[Result]:
-    """A finding if more than a share of the points is outside a box."""
+def against_box(
+    label: str, bound: str, half: Float[np.ndarray, "3"], seen: SeenPart, share: float, sides: Iterable[SideLimit]
+) -> Iterator[Result]:
+    """Findings if more than a share of the points is outside a box; else where they end before one of these sides."""
     beyond_m = np.abs(seen.points) - half
     n, n_outside = len(seen.points), int((beyond_m > ROOM_M).any(axis=1).sum())
     most = max(MAX_SINGLE, share * n)
     yield Bounded(f"{bound}.outside_{seen.source}", n_outside, most=most)
     if n_outside > most:
-        yield Finding(
-            "",
-            f"{label}: expected its {seen.source} in its box, got {n_outside} of {n} up to {beyond_m.max():.2f} m "
-            "outside",
-        )
-
-
-def before_sides(
-    label: str, bound: str, half: Float[np.ndarray, "3"], seen: SeenPart, sides: Iterable[SideLimit]
-) -> Iterator[Result]:
-    """Findings where the points end before a side of a box."""
+        off = f"got {n_outside} of {n} up to {beyond_m.max():.2f} m outside"
+        yield Finding("", f"{label}: expected its {seen.source} in its box, {off}")
+        return
     for axis, sign, side, most_m in sides:
         gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
         yield Bounded(f"{bound}.gap_{seen.source}_{side}", gap_m, most=most_m)
         if gap_m > most_m:
-            yield Finding(
-                "",
-                f"{label}: expected its {seen.source} to reach the {side} side of its box, got them {gap_m:.2f} m "
-                "before it",
-            )
+            reach = f"expected its {seen.source} to reach the {side} side of its box"
+            yield Finding("", f"{label}: {reach}, got them {gap_m:.2f} m before it")

@@ -11,17 +11,16 @@ from jaxtyping import Float
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.object_labels import ObjectLabel, object_document
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Result, findings_of, some
+from synth3dlanes.validate.findings import PROOF_M, Finding, Result, some
 from synth3dlanes.validate.labelled_boxes import (
     MIN_SEEN,
     PLACES,
     SeenPart,
     SideLimit,
-    before_sides,
+    against_box,
+    by_pixels,
     check_seen_box,
     otherwise,
-    outside,
-    seen_by_pixels,
 )
 
 # Share of an object's points that may be outside its box: built-in models reach at most 2 cm beyond theirs.
@@ -76,8 +75,8 @@ def _counts(evidence: Evidence, item: ObjectLabel) -> Iterator[Finding]:
 
 def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
     """What pixels and points there are of an object near the camera, if enough."""
-    by_pixels = seen_by_pixels(evidence, item.id, item.cam_from_object, MIN_POINTS)
-    views, points = [] if by_pixels is None else [by_pixels], evidence.returns
+    pixels = by_pixels(evidence, item.id, item.cam_from_object, MIN_POINTS)
+    views, points = [] if pixels is None else [pixels], evidence.returns
     distance_m = float(np.linalg.norm(item.center_cam))
     if evidence.sweep is not None and points is not None and distance_m <= PROOF_M:
         own = points.instance == item.id
@@ -100,11 +99,9 @@ def _step_rad(elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3
 
 def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
     """Findings where points of an object are outside its box, or end before a side that is seen."""
-    label, half = f"objects.{item.id}", item.size_m / 2
-    found = list(outside(label, "boxes", half, seen, MAX_OUTSIDE))
-    yield from found
-    if not findings_of(found) and item.truncation == 0 and (item.visible_fraction or 0.0) >= MIN_SEEN:
-        yield from before_sides(label, "boxes", half, seen, _sides(half, seen))
+    half, is_whole = item.size_m / 2, item.truncation == 0 and (item.visible_fraction or 0.0) >= MIN_SEEN
+    sides = _sides(half, seen) if is_whole else ()
+    yield from against_box(f"objects.{item.id}", "boxes", half, seen, MAX_OUTSIDE, sides)
 
 
 def _sides(half: Float[np.ndarray, "3"], seen: SeenPart) -> Iterator[SideLimit]:

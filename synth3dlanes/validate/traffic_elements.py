@@ -13,16 +13,8 @@ from synth3dlanes.element_labels import ElementLabel, element_document
 from synth3dlanes.frames import transform
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Bounded, Finding, Result, findings_of, some
-from synth3dlanes.validate.labelled_boxes import (
-    MIN_SEEN,
-    SideLimit,
-    before_sides,
-    check_seen_box,
-    otherwise,
-    outside,
-    seen_by_pixels,
-)
+from synth3dlanes.validate.findings import Bounded, Finding, Result, some
+from synth3dlanes.validate.labelled_boxes import MIN_SEEN, SideLimit, against_box, by_pixels, check_seen_box, otherwise
 
 # Share of the pixels that may be outside a box; how far before a side they may end, and which part of the distance
 # between two pixels.
@@ -90,13 +82,10 @@ def judge(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
     if item.visible_fraction is not None and (item.visible_fraction > 0) != (n_pixels > 0) and n_pixels != 1:
         reason = f"expected a share of its {n_pixels} pixels, got {item.visible_fraction:g}"
         yield Finding("", f"{label}.visible_fraction: {reason}")
-    seen = seen_by_pixels(evidence, item.id, item.cam_from_element, MIN_PIXELS)
-    if seen is None:
-        return
-    found = list(outside(label, "elements", item.size_m / 2, seen, MAX_OUTSIDE))
-    yield from found
-    if not findings_of(found) and _is_whole(item):
-        yield from before_sides(label, "elements", item.size_m / 2, seen, _sides(item, seen.apart_m))
+    seen = by_pixels(evidence, item.id, item.cam_from_element, MIN_PIXELS)
+    if seen is not None:
+        sides = _sides(item, seen.apart_m) if _is_whole(item) else ()
+        yield from against_box(label, "elements", item.size_m / 2, seen, MAX_OUTSIDE, sides)
 
 
 def _is_whole(item: ElementLabel) -> bool:
