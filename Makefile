@@ -32,7 +32,7 @@ demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explain
 	$(BIN)/synth3dlanes inspect $(DEMO)/data/train:00000000 --out $(DEMO)/inspect.png
 	@echo "Look at $(DEMO)/gallery.png and $(DEMO)/inspect.png"
 
-test: .venv/ready  ## the tests, in some thirteen minutes on two cores
+test: .venv/ready  ## the tests; how long they take is in CONTRIBUTING.md
 	scripts/browser
 	$(PYTEST)
 

@@ -148,7 +148,12 @@ def build_lane_net(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
 def detector(source: str | Path, device: torch.device, own_model: str | None = None) -> Detector:
     """The network of a checkpoint, given as for `place`, ready to detect lanes."""
     checkpoint = load(place(source))
+    return detector_of(checkpoint, build(checkpoint, device, own_model))
+
+
+def detector_of(checkpoint: Checkpoint, network: nn.Module) -> Detector:
+    """The detector with this network, built of the checkpoint."""
     model = checkpoint.config.model
     found = checkpoint.about.get("train", {}).get("focal_px")  # not in those of 0.1.0
     trained = None if found is None else FocalLengths(*found)
-    return Detector(build(checkpoint, device, own_model), (model.image_height_px, model.image_width_px), trained)
+    return Detector(network, (model.image_height_px, model.image_width_px), trained)

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image
 from torch import Tensor
 
-from synth3dlanes.arrays import RgbImage
+from synth3dlanes.arrays import Polyline2, RgbImage
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.labels import Labels
 
@@ -63,6 +63,18 @@ class Samples(Protocol):
 
     def __len__(self) -> int: ...
     def __getitem__(self, index: int, /) -> LabelledImage: ...
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImage:
+    """An image of any size, the intrinsics of its camera (fx, fy, cx, cy in its pixels), its labels or labelled lines
+    in the image, if it has some, and its time in a clip or a video."""
+
+    key: str
+    image: RgbImage
+    intrinsics: Intrinsics
+    truth: Labels | Sequence[Polyline2] = ()
+    time_s: float | None = None
 
 
 class Batch(NamedTuple):

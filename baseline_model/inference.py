@@ -3,26 +3,27 @@
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from itertools import islice
-from typing import TypeVar, cast
+from typing import cast
 
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from synth3dlanes.arrays import RgbImage
 from synth3dlanes.errors import InputError
 from synth3dlanes.labels import Labels
 
+from .ahead import ahead
 from .custom import LaneDetector
-from .data import FocalLengths, Intrinsics, Samples, fit, pixels_on
+from .data import CameraImage, FocalLengths, Intrinsics, Samples, fit, pixels_on
 from .lanes import AnchorLayout, Prediction, decode
-from .loading import labelled_batches
 from .model import LaneNet, Output
 from .poses import Pose
 
-T = TypeVar("T")
+Fitted = tuple[CameraImage, UInt8[np.ndarray, "rows columns 3"], Intrinsics]
+"""An image, and what the network sees of it."""
+MOST_BYTES = 1 << 26
+"""Of the images of a batch, as read."""
 
 
 def choose_device(name: str) -> torch.device:
@@ -98,31 +99,37 @@ class Detector:
         found = cast(LaneDetector, self.network).detect(pixels, intrinsics)
         return [Prediction(key, tuple(lanes), None) for key, lanes in zip(keys, found, strict=True)]
 
-    def in_images(self, images: Iterable[tuple[str, RgbImage, Intrinsics]], batch: int = 16) -> Iterator[Prediction]:
-        """The lanes of images of any size with known intrinsics (fx, fy, cx, cy in pixels of each)."""
+    def in_images(self, images: Iterable[CameraImage], batch: int = 16) -> Iterator[tuple[CameraImage, Prediction]]:
+        """Each image with its lanes. A thread reads and resizes the next images meanwhile."""
 
-        def fitted(
-            one: tuple[str, RgbImage, Intrinsics],
-        ) -> tuple[str, UInt8[np.ndarray, "rows columns 3"], Intrinsics]:
-            key, image, values = one
-            return (key, *fit(image, values, self.size_px, self.trained))
+        def fitted(one: CameraImage) -> Fitted:
+            return (one, *fit(one.image, one.intrinsics, self.size_px, self.trained))
 
-        # An image as read may take 200 MB: unlike a loop, `map` drops one before it asks for the next.
-        for several in _batched(map(fitted, images), batch):
-            keys, small, intrinsics = zip(*several, strict=True)
+        for several in _batched(ahead(map(fitted, images), 2), batch):
+            of_batch, small, intrinsics = zip(*several, strict=True)
             pixels = torch.from_numpy(np.stack(small)).permute(0, 3, 1, 2)
-            yield from self.in_batch(keys, pixels, torch.tensor(intrinsics))
+            found = self.in_batch([one.key for one in of_batch], pixels, torch.tensor(intrinsics))
+            yield from zip(of_batch, found, strict=True)
 
     def in_samples(
         self, samples: Samples, batch: int = 16, workers: int | None = None
     ) -> Iterator[tuple[Labels, Prediction]]:
         """The lanes of labelled images, of whose labels only the intrinsics are used, with these labels. Worker
         processes decode the images; None means one for each spare core."""
+        # It reads data sets: these modules take longer to import than a photograph takes.
+        from .loading import labelled_batches
+
         for several in labelled_batches(samples, self.size_px, self.trained, batch, workers, self.device):
             yield from zip(several.labels, self.in_batch(several.keys, several.image, several.intrinsics), strict=True)
 
 
-def _batched(items: Iterable[T], n: int) -> Iterator[list[T]]:
-    rest = iter(items)
-    while chunk := list(islice(rest, n)):
-        yield chunk
+def _batched(items: Iterable[Fitted], n: int) -> Iterator[list[Fitted]]:
+    """Batches of `n`, or of fewer where images are large: as read, one may take 200 MB."""
+    batch: list[Fitted] = []
+    for item in items:
+        batch.append(item)
+        if len(batch) == n or sum(one.image.nbytes for one, _, _ in batch) > MOST_BYTES:
+            yield batch
+            batch = []
+    if batch:
+        yield batch

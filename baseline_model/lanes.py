@@ -1,4 +1,4 @@
-"""Detected lanes with scores: read and written as JSON lines, and decoded from anchors. Numpy and scipy.
+"""Detected lanes with scores: read and written as JSON lines, and decoded from anchors.
 
 Frame: lanes are in camera coordinates, as in the files of `evaluate --predictions` (docs/baseline.md).
 """
@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, model_validator
-from scipy.interpolate import CubicSpline, PchipInterpolator
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.files import Folder, open_regular
@@ -23,6 +22,7 @@ from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.labels import LaneKind
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
+from .onnx_decode import natural_spline
 from .poses import Pose, cam_from_road
 
 DENSE_Y_M = np.arange(101.0)
@@ -43,11 +43,12 @@ class Detection:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """All detections of one image; `pose` is None if it is not estimated."""
+    """All detections of one image; `pose` is None if it is not estimated, `time_s` if it is no frame of a clip."""
 
     key: str
     lanes: tuple[Detection, ...]
     pose: Pose | None
+    time_s: float | None = None
 
 
 def keep_local_maxima(scores: Float[np.ndarray, "t a"]) -> Bool[np.ndarray, "t a"]:
@@ -63,8 +64,11 @@ def interpolate(
     near the car of 2.9 cm, linear interpolation 10.5 cm."""
     if len(y_m) < 2:
         return np.repeat(values, len(at_m), axis=0)
-    curve = PchipInterpolator(y_m, values) if spline == "pchip" else CubicSpline(y_m, values, bc_type="natural")
-    return np.asarray(curve(at_m))
+    if spline == "natural":
+        return natural_spline(y_m, values, at_m)
+    from scipy.interpolate import PchipInterpolator  # takes longer to import than a photograph takes
+
+    return np.asarray(PchipInterpolator(y_m, values)(at_m))
 
 
 def decode(
@@ -108,6 +112,8 @@ def to_line(prediction: Prediction) -> str:
             "pitch_rad": round(float(prediction.pose.pitch_rad), 8),
             "height_m": round(float(prediction.pose.height_m), 6),
         }
+    if prediction.time_s is not None:
+        document["time_s"] = round(prediction.time_s, 6)
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
 
@@ -177,6 +183,7 @@ class _Line(Excerpt):
     key: str
     lanes: list[_Lane]
     pose: _Pose | None = None
+    time_s: Number | None = None
 
 
 def _prediction(line: _Line) -> Prediction:
@@ -184,4 +191,5 @@ def _prediction(line: _Line) -> Prediction:
         Detection(lane.kind, lane.score, lane.xyz_cam, None if lane.visibility is None else np.array(lane.visibility))
         for lane in line.lanes
     )
-    return Prediction(line.key, lanes, None if line.pose is None else Pose(line.pose.pitch_rad, line.pose.height_m))
+    pose = None if line.pose is None else Pose(line.pose.pitch_rad, line.pose.height_m)
+    return Prediction(line.key, lanes, pose, line.time_s)

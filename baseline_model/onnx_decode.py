@@ -53,18 +53,19 @@ def decode(
 
 
 def natural_spline(knots: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The natural cubic spline through the knots; its end pieces continue beyond them."""
+    """The natural cubic spline through the values, one row a knot; its end pieces continue beyond the knots."""
     step, n = np.diff(knots), len(knots)
-    matrix, right = np.eye(n), np.zeros(n)
+    matrix, right = np.eye(n), np.zeros(values.shape)
     for i in range(1, n - 1):
         matrix[i, i - 1 : i + 2] = step[i - 1], 2 * (step[i - 1] + step[i]), step[i]
         right[i] = 6 * ((values[i + 1] - values[i]) / step[i] - (values[i] - values[i - 1]) / step[i - 1])
-    curvature = np.linalg.solve(matrix, right)
+    curvature = np.linalg.solve(matrix, right.reshape(n, -1)).reshape(values.shape)
     piece = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, n - 2)
-    after = (at - knots[piece]) / step[piece]
+    each = (-1,) + (1,) * (values.ndim - 1)
+    after, width = ((at - knots[piece]) / step[piece]).reshape(each), step[piece].reshape(each)
     before = 1 - after
     bend = (before**3 - before) * curvature[piece] + (after**3 - after) * curvature[piece + 1]
-    return np.asarray(before * values[piece] + after * values[piece + 1] + bend * step[piece] ** 2 / 6)
+    return np.asarray(before * values[piece] + after * values[piece + 1] + bend * width**2 / 6)
 
 
 def _is_peak(score: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from synth3dlanes.files import write
 from . import checkpoint as checkpoints
 from .config import ModelConfig
 from .model import LaneNet, Output
+from .pictures import open_pictures
 
 OPSET = 18
 INPUTS = ("image", "intrinsics")
@@ -49,20 +50,34 @@ def metadata_of(config: ModelConfig) -> dict[str, str]:
     }
 
 
-def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
-    """Export the checkpoint's network; its metadata has the knots' y, the types and the whole configuration."""
-    try:
-        import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
-    except ImportError:
-        raise MissingPackageError("onnx and onnxscript are not installed: pip install onnx onnxscript") from None
+def export_onnx(checkpoint: str | Path, path: str | Path, calibration: str | Path | None = None) -> Path:
+    """Export the checkpoint's network; its metadata has the knots' y, the types and the whole configuration.
+
+    `calibration` is a split or a folder of images, by which the convolutions become int8 (`onnx_int8.quantised`).
+    """
     loaded = checkpoints.load(checkpoints.place(checkpoint))
     model = checkpoints.build_lane_net(loaded, torch.device("cpu"))
+    # Opened before the export, which takes half a minute.
+    pictures = None if calibration is None else open_pictures(calibration, None)
+    target, proto = Path(path), exported(model)
+    if pictures is not None:
+        from .onnx_int8 import quantised
+
+        proto = quantised(proto, pictures.images, checkpoints.detector_of(loaded, model))
+    onnx = _onnx()
+    onnx.helper.set_model_props(proto, metadata_of(model.config))
+    write(target, proto.SerializeToString())
+    return target
+
+
+def exported(model: LaneNet) -> Any:
+    """The network as ONNX's ModelProto."""
+    _onnx()
     config = model.config
     # A batch of two: the exporter would treat a size of one as constant.
     image = torch.zeros(2, 3, config.image_height_px, config.image_width_px)
     intrinsics = torch.tensor([config.reference_intrinsics] * 2)
     batch = torch.export.Dim("batch", min=1)
-    target = Path(path)
     program: Any = torch.onnx.export(
         _Plain(model).eval(),
         (image, intrinsics),
@@ -73,7 +88,12 @@ def export_onnx(checkpoint: str | Path, path: str | Path) -> Path:
         dynamic_shapes={"image": {0: batch}, "intrinsics": {0: batch}},
         verbose=False,
     )
-    proto = program.model_proto
-    onnx.helper.set_model_props(proto, metadata_of(config))
-    write(target, proto.SerializeToString())
-    return target
+    return program.model_proto
+
+
+def _onnx() -> Any:
+    try:
+        import onnx  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    except ImportError:
+        raise MissingPackageError("onnx and onnxscript are not installed: pip install onnx onnxscript") from None
+    return onnx

@@ -1,4 +1,5 @@
-"""Pictures of detections: the lines over the whole image, and a figure of the image and the lines in space.
+"""Pictures of detections: the lines over the whole image, and a figure of the image and the lines from above and from
+the side. Drawn with Pillow: a figure of matplotlib takes ten times longer than the network.
 
 The key is that of all pictures (`figures.colors`): blue centre lines, red delimiters, labels as hollow lines.
 """
@@ -9,18 +10,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patheffects import AbstractPathEffect, Stroke
-from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from synth3dlanes.arrays import Points3, Polyline2
-from synth3dlanes.figures.colors import KIND_WORDS, KINDS, hexadecimal
+from synth3dlanes.figures.colors import INK, KIND_WORDS, KINDS
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
-from synth3dlanes.files import Folder, replacing
+from synth3dlanes.files import Folder
 from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import Labels, LaneKind
 
@@ -28,17 +23,21 @@ from .lanes import Prediction
 from .poses import Pose, road_from_cam
 
 FAR_M = 80.0
+ASIDE_M = 12.0
+"""The view from above shows so much to each side."""
 LEAST_HEIGHT_M = 12.0
-"""Of the view in space, so that an even road looks even."""
+"""Of the view from the side, so that an even road looks even."""
 VISIBLE = 0.5
 NEAR_M = 0.5
 """Points closer to the camera's plane are not drawn in the image."""
 
-# The figure in inches at DPI: the image is this high beside the view in space, or as wide as both above it.
-DPI = 100
-HEIGHT, SPACE_WIDTH, WIDTH, SPACE_HEIGHT = 5.0, 5.5, 11.0, 4.5
+# The figure in pixels: the image is this high beside the views, or as wide as both above them.
+HEIGHT_PX, VIEWS_WIDTH_PX, WIDTH_PX, VIEWS_HEIGHT_PX = 500, 600, 1100, 440
 WIDE = 2.2
-"""Aspect from which an image is above the view in space instead of beside it."""
+"""Aspect from which an image is above the views instead of beside them."""
+TEXT_PX, ROW_PX, LEFT_PX = 13, 24, 48
+LINE_PX = 2.0
+PANEL, GRID = (243, 244, 246), (214, 217, 222)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,88 +50,151 @@ class Line:
     xyz_road: Points3 | None
 
 
+@dataclass(frozen=True)
+class _Axis:
+    """Metres along one side of a view, from its left or upper end, with a number every so many."""
+
+    words: str
+    start_m: float
+    end_m: float
+    step_m: float
+
+    def pixels(self, values_m: Float[np.ndarray, " n"], n_px: int) -> Float[np.ndarray, " n"]:
+        """Pixels from the start on a side of `n_px`."""
+        return (values_m - self.start_m) / (self.end_m - self.start_m) * n_px
+
+    def marks_m(self) -> Float[np.ndarray, " n"]:
+        """Where the numbers stand."""
+        low_m, high_m = sorted((self.start_m, self.end_m))
+        return np.arange(np.ceil(low_m / self.step_m), np.floor(high_m / self.step_m) + 1) * self.step_m
+
+
+FORWARD = _Axis("y forward [m]", 0.0, FAR_M, 10.0)
+RIGHT = _Axis("from above: x right [m]", -ASIDE_M, ASIDE_M, 4.0)
+
+
 def save_pictures(
-    path: Path,
+    stem: Path,
     image: Image.Image,
     img_from_cam: Float[np.ndarray, "3 3"],
     prediction: Prediction,
     truth: Labels | Sequence[Polyline2],
     threshold: float = 0.5,
 ) -> None:
-    """Write a figure of the image and the lines in space to `path` (NAME.png), and NAME.overlay.jpg beside it: the
-    image in full size with the lines. The image is drawn on.
+    """Write STEM.overlay.jpg, the image in full size with the lines, and STEM.figure.jpg, which shows it beside the
+    lines from above and from the side. The image is drawn on.
 
     Drawn are labels, and detections of at least this confidence, up to 80 m; points that the ground hides, and those
     predicted to be hidden, are left out. `truth` may be lines in the image only, or none.
     """
+    lines = draw(image, img_from_cam, prediction, truth, threshold)
+    pictures = {"overlay": image, "figure": _figure(image, lines, prediction.key, threshold)}
+    for name, picture in pictures.items():
+        with Folder(stem.parent).replacing(f"{stem.name}.{name}.jpg") as stream:
+            picture.save(stream, "JPEG", quality=92, subsampling=0)
+
+
+def draw(
+    image: Image.Image,
+    img_from_cam: Float[np.ndarray, "3 3"],
+    prediction: Prediction,
+    truth: Labels | Sequence[Polyline2],
+    threshold: float,
+) -> list[Line]:
+    """Draw what `save_pictures` says onto the image, and return it."""
     labels = truth if isinstance(truth, Labels) else None
     lines = [Line("delimiter", True, points_img, None) for points_img in (() if isinstance(truth, Labels) else truth)]
     lines += _lines(prediction, labels, img_from_cam, threshold)
-    figure = _figure(image, lines, prediction.key, threshold)
-    with replacing(path) as stream:
-        figure.savefig(stream, dpi=DPI)
-    _draw(image, lines, (1.0, 1.0))
-    with Folder(path.parent).replacing(f"{path.stem}.overlay.jpg") as stream:
-        image.save(stream, "JPEG", quality=92, subsampling=0)
+    _stroke(image, [(line, line.points_img) for line in lines], line_width_px(image.size))
+    return lines
 
 
-def _figure(image: Image.Image, lines: Sequence[Line], title: str, threshold: float) -> Figure:
-    """The image as large as its shape allows, and the lines in space beside or below it."""
-    aspect = image.width / image.height
-    is_wide = aspect > WIDE
-    widths, heights = (
-        ([WIDTH], [WIDTH / aspect, SPACE_HEIGHT]) if is_wide else ([HEIGHT * aspect, SPACE_WIDTH], [HEIGHT])
-    )
-    figure = Figure(figsize=(sum(widths), sum(heights) + 0.7), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(len(heights), len(widths), width_ratios=widths, height_ratios=heights)
-    left = figure.add_subplot(grid[0])
-    shown_px = max(1, round(DPI * widths[0])), max(1, round(DPI * heights[0]))
-    shown = image.resize(shown_px, reducing_gap=2.0)
-    _draw(shown, lines, (shown.width / image.width, shown.height / image.height))
-    left.imshow(np.asarray(shown))
-    left.set(title=title)
-    left.set_axis_off()
-    _draw_in_space(figure.add_subplot(grid[1], projection="3d", computed_zorder=False), lines)
-    handles = [Line2D([], [], color=hexadecimal(KINDS[kind]), label=KIND_WORDS[kind]) for kind in KINDS]
-    handles.append(Line2D([], [], color="#666666", label=f"detection of confidence {threshold:g} or more"))
-    if any(line.is_label for line in lines):
-        handles.append(Line2D([], [], path_effects=_hollow("#666666"), label="label"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-    return figure
-
-
-def _draw(image: Image.Image, lines: Sequence[Line], scale: tuple[float, float]) -> None:
-    """Draw the lines onto an image that was resized by these factors."""
+def _stroke(image: Image.Image, lines_px: Sequence[tuple[Line, Polyline2]], width_px: float) -> None:
+    """Lines at these pixels, in the colours and styles of what they are: detections over labels."""
     styles: dict[Style, bool] = {"hollow": True, "full": False}
     for style, is_label in styles.items():
         for kind, color in KINDS.items():
-            chosen = (line.points_img * scale for line in lines if (line.kind, line.is_label) == (kind, is_label))
-            draw_lines(image, chosen, color, line_width_px(image.size), style)
+            chosen = (points for line, points in lines_px if (line.kind, line.is_label) == (kind, is_label))
+            draw_lines(image, chosen, color, width_px, style)
 
 
-def _draw_in_space(axes: Axes3D, lines: Sequence[Line]) -> None:
-    for line in lines:
-        if line.xyz_road is None:
-            continue
-        color, points = hexadecimal(KINDS[line.kind]), line.xyz_road.T
-        if line.is_label:
-            axes.plot(*points, path_effects=_hollow(color), zorder=1)
-        else:
-            axes.plot(*points, color=color, linewidth=1.4, zorder=2)
-    axes.set(xlabel="x right [m]", ylabel="y forward [m]", zlabel="z up [m]", ylim=(0, FAR_M), xlim=(-12, 12))
-    low, high = axes.get_zlim()
-    wider_m = max(0.0, LEAST_HEIGHT_M - (high - low)) / 2
-    axes.set_zlim(low - wider_m, high + wider_m)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_major_locator(MaxNLocator(4))
-    axes.yaxis.labelpad = 14
-    axes.set_box_aspect((1.0, 2.0, 0.6), zoom=1.15)
-    axes.view_init(elev=25, azim=-70)
+def _figure(image: Image.Image, lines: Sequence[Line], title: str, threshold: float) -> Image.Image:
+    """The image as large as its shape allows, and the views beside or below it."""
+    aspect = image.width / image.height
+    if aspect > WIDE:
+        shown_px, views_px = (WIDTH_PX, max(1, round(WIDTH_PX / aspect))), (WIDTH_PX, VIEWS_HEIGHT_PX)
+        views_at, size_px = (0, ROW_PX + shown_px[1]), (WIDTH_PX, shown_px[1] + VIEWS_HEIGHT_PX + 2 * ROW_PX)
+    else:
+        shown_px, views_px = (max(1, round(HEIGHT_PX * aspect)), HEIGHT_PX), (VIEWS_WIDTH_PX, HEIGHT_PX)
+        views_at, size_px = (shown_px[0], ROW_PX), (shown_px[0] + VIEWS_WIDTH_PX, HEIGHT_PX + 2 * ROW_PX)
+    figure = Image.new("RGB", size_px, "white")
+    figure.paste(image.resize(shown_px, Image.Resampling.BILINEAR, reducing_gap=2.0), (0, ROW_PX))
+    figure.paste(_views(lines, views_px), views_at)
+    _text(figure, (8, ROW_PX / 2), title, "lm")
+    _key(figure, f"confidence {threshold:g} or more", any(line.is_label for line in lines))
+    return figure
 
 
-def _hollow(color: str) -> list[AbstractPathEffect]:
-    return [Stroke(linewidth=5.0, foreground=color), Stroke(linewidth=3.0, foreground="white")]
+def _views(lines: Sequence[Line], size_px: tuple[int, int]) -> Image.Image:
+    """From above, with the left of the road at the top, and from the side."""
+    views = Image.new("RGB", size_px, "white")
+    width, height = size_px[0] - LEFT_PX - 12, size_px[1] - 3 * ROW_PX
+    above = round(0.6 * height)
+    views.paste(_view(lines, RIGHT, 0, (width, above)), (0, 0))
+    views.paste(_view(lines, _up(lines), 2, (width, height - above)), (0, above + ROW_PX))
+    for y_m, x_px in zip(FORWARD.marks_m(), FORWARD.pixels(FORWARD.marks_m(), width), strict=True):
+        _text(views, (LEFT_PX + x_px, height + 1.5 * ROW_PX), f"{y_m:g}", "mm")
+    _text(views, (LEFT_PX + width / 2, height + 2.5 * ROW_PX), FORWARD.words, "mm")
+    return views
+
+
+def _up(lines: Sequence[Line]) -> _Axis:
+    """The heights of the lines; at least LEAST_HEIGHT_M."""
+    z_m = np.concatenate([np.zeros(1), *(line.xyz_road[:, 2] for line in lines if line.xyz_road is not None)])
+    low_m, high_m = float(z_m.min()), float(z_m.max())
+    beyond_m = max(1.0, (LEAST_HEIGHT_M - (high_m - low_m)) / 2)
+    step_m = 4.0 * max(1, round((high_m - low_m) / 16))
+    return _Axis("from the side: z up [m]", high_m + beyond_m, low_m - beyond_m, step_m)
+
+
+def _view(lines: Sequence[Line], axis: _Axis, column: int, size_px: tuple[int, int]) -> Image.Image:
+    """One view with a column of `xyz_road` along its vertical axis, whose numbers are at its left."""
+    width, height = size_px
+    panel, view = Image.new("RGB", size_px, PANEL), Image.new("RGB", (width + LEFT_PX, height), "white")
+    draw = ImageDraw.Draw(panel)
+    for x_px in FORWARD.pixels(FORWARD.marks_m(), width).tolist():
+        draw.line((x_px, 0, x_px, height), fill=GRID)
+    for mark_m, y_px in zip(axis.marks_m(), axis.pixels(axis.marks_m(), height).tolist(), strict=True):
+        draw.line((0, y_px, width, y_px), fill=GRID)
+        if ROW_PX / 3 < y_px < height - ROW_PX / 3:
+            _text(view, (LEFT_PX - 6, y_px), f"{mark_m:g}", "rm")
+    points_px = [
+        (line, np.stack([FORWARD.pixels(at[:, 1], width), axis.pixels(at[:, column], height)], axis=1))
+        for line, at in ((line, line.xyz_road) for line in lines)
+        if at is not None
+    ]
+    _stroke(panel, points_px, LINE_PX)
+    view.paste(panel, (LEFT_PX, 0))
+    _text(view, (LEFT_PX + 6, ROW_PX / 2), axis.words, "lm")
+    return view
+
+
+def _key(figure: Image.Image, confidence: str, has_labels: bool) -> None:
+    """What colours and styles mean, in the last row."""
+    y_px, x_px = figure.height - ROW_PX / 2, 12.0
+    for kind, color in KINDS.items():
+        for is_label in (False, True)[: 1 + has_labels]:
+            words = f"{KIND_WORDS[kind]}: label" if is_label else f"{KIND_WORDS[kind]}, {confidence}"
+            points = np.array([[x_px, y_px], [x_px + 30, y_px]])
+            draw_lines(figure, [points], color, LINE_PX, "hollow" if is_label else "full")
+            x_px = _text(figure, (x_px + 38, y_px), words, "lm") + 24
+
+
+def _text(image: Image.Image, at_px: tuple[float, float], words: str, anchor: str) -> float:
+    """Write words at a place, which Pillow's `anchor` says of; return where they end."""
+    draw, font = ImageDraw.Draw(image), ImageFont.load_default(TEXT_PX)
+    draw.text(at_px, words, fill=INK, font=font, anchor=anchor)
+    return float(draw.textbbox(at_px, words, font=font, anchor=anchor)[2])
 
 
 def _lines(

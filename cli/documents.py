@@ -194,14 +194,15 @@ class DriveCheck(Document):
 
 
 class LiftOutput(Document):
-    """`lift`: frames, those without lanes, different lanes, and the middle standard deviations up to 40 m (null without
-    lanes)."""
+    """`lift`: frames, those without lanes, different lanes, the middle standard deviations up to 40 m (null without
+    lanes), and the ids of rejected lanes that were found nowhere."""
 
     frames: int
     frames_without_lanes: int
     lanes: int
     lateral_std_m: float | None
     height_std_m: float | None
+    not_found: list[str]
 
 
 class Outputs(Document):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.drives.pages import ReviewedFrame
+    from synth3dlanes.drives.pages import ReviewedFrame, ReviewedSplit
 
 camera_option = click.option(
     "--camera", metavar="NAME", default="", help="Which camera of the drive. Default: its front camera."
@@ -90,21 +90,30 @@ def check(ctx: click.Context, source: str, camera: str, lanes: str, marked: str,
 @click.option("--out", type=OutputFile(".html"), default="marking.html", help="HTML page to write.")
 @camera_option
 @marked_option
+@click.option("--lifted", metavar="DIR/SPLIT", default="", help="Begin with the lanes that were lifted of it, too.")
 @click.option("--frames", type=FrameRange(), default=":", help="Show what these frames saw.", show_default="all")
 @click.option(
     "--cell", "cell_m", metavar="METRES", type=click.FloatRange(0.02, 2), default=0.1, help="Size of a pixel."
 )
-def mark(source: str, out: Path, camera: str, marked: str, frames: slice, cell_m: float) -> None:
+def mark(source: str, out: Path, camera: str, marked: str, lifted: str, frames: slice, cell_m: float) -> None:
     """Write a page on which lanes are marked in the drive's top view.
 
     Open it in a browser, draw lines, and save them as a file; `lift --marked FILE` and `drive mark --marked FILE` read
-    it. The page is one file that loads nothing.
+    it. The page is one file that loads nothing. To correct lifted lanes, begin with them (`--lifted`).
     """
+    from dataclasses import replace
+
+    from synth3dlanes.dataset.read import Reader
+    from synth3dlanes.drives.lifted import lifted_marks
     from synth3dlanes.drives.open import open_drive
     from synth3dlanes.drives.pages import marking_page
     from synth3dlanes.drives.top_view import top_view
 
     opened = open_drive(source, camera, marked=marked)
+    if lifted:
+        known = {lane.id for lane in opened.marked}
+        more = (lane for lane in lifted_marks(Reader(lifted), opened) if lane.id not in known)
+        opened = replace(opened, marked=(*opened.marked, *more))
     view = top_view(opened, opened.frames[frames], cell_m)
     write(out, marking_page(opened, view).encode())
     click.echo(f"Page: {out}, {len(view.tiles) * view.tile_m**2:,.0f} m2 of ground")
@@ -115,18 +124,30 @@ def mark(source: str, out: Path, camera: str, marked: str, frames: slice, cell_m
 @click.option("--out", type=OutputFile(".html"), default="review.html", help="HTML page to write.")
 @click.option("--every", type=click.IntRange(min=1), default=1, help="Show every Nth frame.")
 @click.option("--limit", type=click.IntRange(min=1), default=300, help="Most frames on the page.")
-def review(split: str, out: Path, every: int, limit: int) -> None:
-    """Write a page on which the frames of a split are accepted or rejected.
+@click.option("--review", "before", metavar="FILE", default="", help="Verdicts to begin with.")
+def review(split: str, out: Path, every: int, limit: int, before: str) -> None:
+    """Write a page on which the frames of a split, and the lanes of a lifted drive, are accepted or rejected.
 
-    Open it in a browser and save the verdicts as a file (docs/drives.md).
+    Open it in a browser and save the verdicts as a file; `lift --review FILE` leaves out what was rejected, and `drive
+    review --review FILE` goes on (docs/drives.md).
     """
     from synth3dlanes.dataset.read import Reader
     from synth3dlanes.drives.pages import review_page
+    from synth3dlanes.drives.review import read_review
 
     reader = Reader(split)
+    known = read_review(Path(before)) if before else None
     chosen = range(0, len(reader), every)[:limit]
-    write(out, review_page(reader.url, _reviewed(reader, chosen)).encode())
+    write(out, review_page(_split_of(reader), _reviewed(reader, chosen), known).encode())
     click.echo(f"Page: {out}, {counted(len(chosen), 'frame')} of {len(reader)}")
+
+
+def _split_of(reader: "Reader") -> "ReviewedSplit":
+    from synth3dlanes.drives.pages import ReviewedSplit
+
+    derived = reader.description.get("derived") or {}
+    x, y, z = derived.get("origin_m", (0.0, 0.0, 0.0))
+    return ReviewedSplit(reader.url, str(derived.get("lifted", "")), (float(x), float(y), float(z)))
 
 
 def _reviewed(reader: "Reader", chosen: range) -> "Iterator[ReviewedFrame]":

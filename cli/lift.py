@@ -33,8 +33,9 @@ class Precisions(click.ParamType):
 @click.option("--out", metavar="DIR", required=True, help="The data set to make: a folder.")
 @split_option
 @click.option("--camera", metavar="NAME", default="", help="Which camera of the drive. Default: its front camera.")
-@click.option("--lanes", metavar="FILE", default="", help="2D lanes of its images (docs/lift.md).")
-@click.option("--marked", metavar="FILE", default="", help="Lanes marked in its top view (docs/lift.md).")
+@click.option("--lanes", metavar="FILE", default="", help="2D lanes of its images (docs/drives.md).")
+@click.option("--marked", metavar="FILE", default="", help="Lanes marked in its top view (docs/drives.md).")
+@click.option("--review", metavar="FILE", default="", help="Verdicts on what was lifted before (docs/drives.md).")
 @click.option(
     "--around",
     type=click.IntRange(1, 1000),
@@ -58,6 +59,7 @@ def lift(
     camera: str,
     lanes: str,
     marked: str,
+    review: str,
     around: int,
     precision: dict[str, float],
     unchecked: bool,
@@ -71,13 +73,15 @@ def lift(
     """
     from synth3dlanes.api import check_drive, lift_drive, open_drive
 
-    opened = open_drive(drive, camera=camera, lanes=lanes, marked=marked)
+    opened = open_drive(drive, camera=camera, lanes=lanes, marked=marked, review=review)
     if not unchecked:
         check_drive(opened)
     for note in opened.notes:
         click.echo(note, err=True)
     with progress_bar("frames") as move:
         report = lift_drive(opened, out, split=split, precision=precision, around=around, progress=move)
+    for name in report.not_found:
+        click.echo(f"{review}: no lane lies where {name} was rejected: the verdict is out of date", err=True)
     if as_json:
         click.echo(json.dumps(asdict(report)))
         return

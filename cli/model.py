@@ -1,8 +1,11 @@
 """`synth3dlanes train`, `predict`, `evaluate`, `ablation`, `onnx`: the bundled baseline."""
 
+import gc
+import importlib
 import importlib.util
 import os
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -137,7 +140,7 @@ def train(
 
 
 @click.command()
-@click.argument("what", metavar="[CHECKPOINT] DIR[/SPLIT[:KEY]]|IMAGE|FOLDER", nargs=-1, required=True)
+@click.argument("what", metavar="[CHECKPOINT] DIR[/SPLIT[:KEY]]|IMAGE|FOLDER|VIDEO", nargs=-1, required=True)
 @click.option(
     "--out",
     default="predictions",
@@ -148,8 +151,8 @@ def train(
 @click.option(
     "--intrinsics",
     metavar=INTRINSICS,
-    help="Camera intrinsics of image files in pixels, or a calibration file of KITTI; without them, a field of view of "
-    "60 degrees is assumed.",
+    help="Camera intrinsics of image files and videos in pixels, or a calibration file of KITTI; without them, a field "
+    "of view of 60 degrees is assumed.",
 )
 @click.option(
     "--threshold",
@@ -158,7 +161,20 @@ def train(
     show_default=True,
     help="Least confidence of the lanes in the pictures; the file has all.",
 )
-@click.option("--overlays", type=click.IntRange(min=0), default=16, show_default=True, help="Number of images to draw.")
+@click.option(
+    "--overlays",
+    type=click.IntRange(min=0),
+    default=16,
+    show_default=True,
+    help="Number of images, or with --video of clips, to draw.",
+)
+@click.option("--video", is_flag=True, help="Draw the clips of a split as videos, NAME.lanes.mp4, as of a video file.")
+@click.option(
+    "--smooth",
+    type=click.FloatRange(0, min_open=True),
+    metavar="SECONDS",
+    help="Smooth the lanes of clips and videos exponentially over time, with this time constant.",
+)
 @own_model_option
 @device_option
 def predict(
@@ -167,25 +183,31 @@ def predict(
     intrinsics: str | None,
     threshold: float,
     overlays: int,
+    video: bool,
+    smooth: float | None,
     own_model: str | None,
     device: str,
 ) -> None:
-    """Detect lanes in a split, one sample, an image, a folder of images or the images of a tuSimple label file, with
-    the network of a checkpoint or, without one, with weights in this package: `streets` for photographs, `nano` for a
-    split.
+    """Detect lanes in a split, one sample, an image, a folder of images, a video or the images of a tuSimple label
+    file, with the network of a checkpoint or, without one, with weights in this package: `streets` for photographs and
+    videos, `nano` for a split.
 
-    Writes OUT/predictions.jsonl, and two pictures of each image: NAME.png, with the lanes in the image and in 3D, and
-    NAME.overlay.jpg, the image in full size with the lanes.
+    Writes OUT/predictions.jsonl, and two pictures of each image: NAME.overlay.jpg, the image in full size with the
+    lanes, and NAME.figure.jpg, which shows it beside the lanes from above and from the side. Of a video it writes
+    NAME.lanes.mp4.
     """
     need_torch()
-    from synth3dlanes_baseline.predict import detector_for
+    from synth3dlanes_baseline.predict import PredictConfig, detector_for
     from synth3dlanes_baseline.predict import predict as run
 
     if len(what) > 2:
-        raise click.UsageError(f"expected [CHECKPOINT] and one split, image or folder, got {len(what)} arguments")
+        raise click.UsageError(
+            f"expected [CHECKPOINT] and one split, image, folder or video, got {len(what)} arguments"
+        )
     checkpoint, source = what if len(what) == 2 else (None, what[0])
     detector = detector_for(source, checkpoint, device, own_model)
-    click.echo(run(detector, source, out, _intrinsics(intrinsics), overlays, threshold).text())
+    config = PredictConfig(_intrinsics(intrinsics), overlays, threshold, video, smooth)
+    click.echo(run(detector, source, out, config).text())
 
 
 OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots", "intrinsics", "lane_masks")
@@ -352,29 +374,43 @@ def ablation(
 @click.command()
 @click.argument("checkpoint", metavar="CHECKPOINT|nano|streets")
 @click.argument("path", metavar="FILE.onnx", type=OutputFile(".onnx"))
-def onnx(checkpoint: str, path: Path) -> None:
+@click.option(
+    "--int8",
+    "calibration",
+    metavar="DIR[/SPLIT]|FOLDER",
+    help="Quantise the convolutions to int8; images like those it will see, of a split or a folder, give the ranges.",
+)
+def onnx(checkpoint: str, path: Path, calibration: str | None) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""
     need_torch()
     from synth3dlanes_baseline.onnx_export import export_onnx
 
-    click.echo(export_onnx(checkpoint, path))
+    click.echo(export_onnx(checkpoint, path, calibration))
 
 
 def need_torch() -> None:
+    """Load torch, or say how to install it."""
     # OpenMP's threads spin while they wait for each other. On cores that others use as well, a training step took
     # 4.8 s with spinning and 0.4 s without; on idle cores it makes no difference. Read when torch is first loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if importlib.util.find_spec("torch") is None:
         raise MissingPackageError("PyTorch is not installed: pip install 'synth3dlanes[train]'")
+    if "torch" not in sys.modules:
+        # Nothing that an import makes is garbage: looking for some takes a tenth of the time that torch takes.
+        gc.disable()
+        importlib.import_module("torch")
+        gc.freeze()
+        gc.enable()
 
 
 def _intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
     if text is None:
         return None
     from synth3dlanes_baseline.data import checked_intrinsics
-    from synth3dlanes_baseline.photographs import read_intrinsics
 
     if Path(text).is_file():
+        from synth3dlanes_baseline.photographs import read_intrinsics
+
         return read_intrinsics(Path(text))
     try:
         fx, fy, cx, cy = (float(part) for part in text.split(","))

@@ -231,9 +231,13 @@ def open_map(path: Path, at: str | None) -> "MapPlace":
     from synth3dlanes.maps.given_map import read_map
     from synth3dlanes.maps.places import read_place
     from synth3dlanes.sampling.on_map import MapPlace
+    from synth3dlanes.streams import stream
 
     given = read_map(path)
-    return MapPlace(given, read_place(given, at) if at else None)
+    place = MapPlace(given, read_place(given, at) if at else None)
+    # A map on which no host has a place is refused here, not once for each scene.
+    place.draw(stream(0, "map", 0, "map"))
+    return place
 
 
 def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 from synth3dlanes_cli.documents import Outputs
 from synth3dlanes_cli.main import main
 
+from scripts.latency import table as latency_table
 from scripts.results import models_page, with_benchmarks
 from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.distributions import Distribution
@@ -96,6 +97,7 @@ def pages() -> dict[str, str]:
         "labels.schema.json": json.dumps(LabelsDocument.model_json_schema(), indent=1) + "\n",
         "outputs.schema.json": json.dumps(Outputs.model_json_schema(), indent=1) + "\n",
         "cluster.md": with_files((FOLDER / "cluster.md").read_text()),
+        "baseline.md": with_latency((FOLDER / "baseline.md").read_text()),
         "benchmarks.md": with_benchmarks((FOLDER / "benchmarks.md").read_text()),
         "models.md": models_page(),
         "validate.md": with_checks((FOLDER / "validate.md").read_text()),
@@ -110,6 +112,11 @@ def with_checks(page: str) -> str:
     ]
     table = "\n".join(["| check | needs | finds |", "|---|---|---|", *rows])
     return re.sub(r"(?<=<!-- checks -->\n).*?(?=\n\n)", lambda _: table, page, flags=re.DOTALL)
+
+
+def with_latency(page: str) -> str:
+    """The page of the baseline with the costs of its networks."""
+    return re.sub(r"(?<=<!-- latency -->\n\n).*?(?=\n\n)", lambda _: latency_table(), page, flags=re.DOTALL)
 
 
 def with_files(page: str) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import yaml
 from synth3dlanes_baseline.checkpoint import Checkpoint, load, place
 
+from scripts.latency import rows as latency_rows
 from synth3dlanes.production.benchmarks import benchmark_names, load_benchmark
 
 RESULTS = Path(__file__).parents[1] / "docs/results.yaml"
@@ -67,11 +68,11 @@ def models_page() -> str:
     """The cards of all weights in the package."""
     measured = results()
     by_name = {network["network"].strip("`"): network for network in measured["scores"]}
-    cards = [card(name, about, by_name[name], measured["latency"]) for name, about in measured["models"].items()]
+    cards = [card(name, about, by_name[name]) for name, about in measured["models"].items()]
     return "\n".join([MODELS_HEAD, *cards])
 
 
-def card(name: str, about: dict[str, Any], network: dict[str, Any], latency: dict[str, Any]) -> str:
+def card(name: str, about: dict[str, Any], network: dict[str, Any]) -> str:
     """What one file of weights is, and what it is not for."""
     path = place(name)
     found = load(path)
@@ -85,16 +86,23 @@ def card(name: str, about: dict[str, Any], network: dict[str, Any], latency: dic
         "data": about["data"],
         "training": f"{found.about['step']:,} steps of {config.batch} images in the last run; {about['made']}",
         "licence": "weights: MIT, as the code; all images are CC0-1.0, made by this program, without a photograph",
-        "latency": f"{latency['cpu_ms']} ms ({latency['how']})",
+        "latency": f"{latency_words()} of one thread for an image ([all networks](baseline.md#speed))",
     }
     rows = "\n".join(["| | |", "|---|---|", *(f"| {key} | {text.strip()} |" for key, text in facts.items())])
-    limits = "\n".join(f"- {limit.strip()}" for limit in about["limits"])
+    limits, figures = ("\n".join(f"- {line.strip()}" for line in about[part]) for part in ("limits", "figures"))
     head = "| benchmark | centre lines | delimiters | near | far |\n|---|---:|---:|---:|---:|"
     scores = "\n".join([head, *score_rows(network)])
     return (
         f"## {name}\n\n{rows}\n\nIts limits:\n\n{limits}\n\nIts scores on the [benchmarks](benchmarks.md#scores):\n\n"
-        f"{scores}\n"
+        f"{scores}\n\nElsewhere:\n\n{figures}\n"
     )
+
+
+def latency_words() -> str:
+    """What the network of both files costs."""
+    costs = {(row["by"], row["numbers"]): f"{row['cpu_ms']:.0f} ms" for row in latency_rows() if row["model"] == "nano"}
+    by_onnx = f"{costs['onnxruntime', 'float32']} with ONNX Runtime, {costs['onnxruntime', 'int8']} in int8"
+    return f"{costs['torch', 'float32']} with PyTorch, {by_onnx}"
 
 
 def n_weights(found: Checkpoint) -> int:

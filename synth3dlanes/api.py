@@ -270,14 +270,22 @@ def merge_datasets(sources: Sequence[str | Path], out: str | Path) -> dict[str, 
     return _merge([str(source) for source in sources], str(out))
 
 
-def open_drive(source: str | Path, *, camera: str = "", lanes: str | Path = "", marked: str | Path = "") -> Drive:
+def open_drive(
+    source: str | Path,
+    *,
+    camera: str = "",
+    lanes: str | Path = "",
+    marked: str | Path = "",
+    review: str | Path = "",
+) -> Drive:
     """Open a real drive (docs/lift.md): a folder of KITTI or Argoverse 2, a file `drive.yaml`, or a clip of a data set
     with a lidar (`DIR/train:0`). Its frames are read when they are asked for.
 
     `camera` names one of its cameras; `lanes` is a file of 2D lanes of its images, `marked` one of lanes marked in its
-    top view. Raises InputError for anything else, FormatError for a file that cannot be read.
+    top view, `review` one of verdicts on what was lifted of it before. Raises InputError for anything else, FormatError
+    for a file that cannot be read.
     """
-    return _open_drive(str(source), camera, str(lanes), str(marked))
+    return _open_drive(str(source), camera, str(lanes), str(marked), str(review))
 
 
 def check_drive(drive: Drive) -> None:

@@ -17,6 +17,7 @@ from synth3dlanes.frames import inside_image
 from synth3dlanes.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPairs, JsonPoints, rounded
 from synth3dlanes.lens import PINHOLE, Lens
 from synth3dlanes.object_labels import ObjectLabel, object_document
+from synth3dlanes.polylines import stretches
 from synth3dlanes.schema import STRICT, DocumentPart, Name, Number, PixelCount, Positive, SymbolKind, Unit, parse
 
 LABELS_FORMAT, LABELS_VERSION = "synth3dlanes.labels", 1
@@ -122,8 +123,7 @@ class Lane:
 
         `xyz_cam[visible]` would join what lies before and behind a hidden stretch.
         """
-        ends = np.flatnonzero(np.diff(np.concatenate([[0], self.visible.astype(int), [0]])))
-        return [self.xyz_cam[first:end] for first, end in ends.reshape(-1, 2)]
+        return [self.xyz_cam[first:end] for first, end in stretches(self.visible)]
 
 
 @with_config(STRICT)

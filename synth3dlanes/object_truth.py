@@ -31,7 +31,7 @@ INSIDE = np.stack(np.meshgrid(*((np.arange(n) + 0.5) * 2 / n - 1 for n in PARTS)
 def label_objects(view: View, camera: CameraLabel) -> tuple[ObjectLabel, ...]:
     """The labels of all cars of a view, in the scene's order."""
     models = view.scene.assets.car_models
-    cars = zip(view.scene.cars, view.world_from_cars, strict=True)
+    cars = zip(view.cars, view.world_from_cars, strict=True)
     return tuple(_object(view, camera, i, (car, models[car.model - 1], pose)) for i, (car, pose) in enumerate(cars))
 
 

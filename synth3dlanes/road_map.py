@@ -17,7 +17,6 @@ from synth3dlanes.schema import DocumentPart, Name, Number, SymbolKind
 MAX_ROADS, MAX_LANES = 2000, 20
 Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
-Width = Annotated[float, Field(ge=0, le=100)]
 GroundPoint = tuple[Number, Number]
 # Of a file, whose coordinates may be those of a UTM grid.
 Coordinate = Annotated[float, Field(ge=-1e8, le=1e8)]
@@ -136,7 +135,7 @@ class MapJunction(DocumentPart):
 class MapPaint(DocumentPart):
     """Paint that bounds no lane. An arrow is in the middle of `lane` at station `s_m` of its road, in the direction of
     its traffic; a stop or give-way line crosses the lane there. A crosswalk fills `outline`, four
-    corners, with bars from its first side to the third."""
+    corners, of which the first two are across the road, with bars along it from there to the other two."""
 
     kind: SymbolKind
     lane: LaneName | None = None

@@ -10,7 +10,7 @@ from synth3dlanes.traffic_elements import MAX_FREE, MAX_LANES, LaneSignal, Traff
 RoadSide = Literal["left", "right", "median"]
 RailKind = Literal["guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"]
 PostKind = Literal["lamp", "sign", "delineator"]
-N_SIGN_FACES = 16
+N_SIGN_FACES, MAX_BUILDINGS = 16, 200
 
 
 class Rail(DocumentPart):
@@ -76,7 +76,7 @@ class Roadside(DocumentPart):
     rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
     posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
     crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
-    buildings: Annotated[tuple[Building, ...], Field(max_length=200)] = ()
+    buildings: Annotated[tuple[Building, ...], Field(max_length=MAX_BUILDINGS)] = ()
     signals: Annotated[tuple[TrafficSignal, ...], Field(max_length=MAX_FREE)] = ()
     signs: Annotated[tuple[TrafficSign, ...], Field(max_length=MAX_FREE)] = ()
 

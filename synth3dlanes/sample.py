@@ -17,6 +17,7 @@ from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
 from synth3dlanes.sampling.draws import DECIMALS, Draw, DrawsOf, draws_of
 from synth3dlanes.sampling.like import Neighbourhood
+from synth3dlanes.sampling.map_standing import map_trees, stand
 from synth3dlanes.sampling.map_terrain import terrain_of
 from synth3dlanes.sampling.on_map import MapPlace, draw_map_cars, farthest, host_length, slowed
 from synth3dlanes.sampling.roadside import draw_roadside
@@ -113,7 +114,7 @@ def draw_world(scenes: Scenes, index: int) -> World:
     params = under(params, first("kind"), first("daytime"))
     of = DrawsOf(params, drawn, like)
     if scenes.map is not None:
-        return _map_world(scenes, index, of)
+        return _map_world(scenes, scenes.map, index, of)
     if params.is_town:
         return _town_world(scenes, index, of)
     check_way(params.motion, shots)
@@ -131,11 +132,10 @@ def draw_world(scenes: Scenes, index: int) -> World:
     return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees, "symbols": symbols}))
 
 
-def _map_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
+def _map_world(scenes: Scenes, given: MapPlace, index: int, of: DrawsOf) -> World:
     """Draw and resolve a place of the given map: the host's way, the ground that meets the roads, cars and trees."""
-    assert scenes.map is not None, "asked only of scenes on a map"
     check_way(of.params.motion, scenes.shots)
-    part = scenes.map.draw(stream(scenes.seed, scenes.split, index, "map"))
+    part = given.draw(stream(scenes.seed, scenes.split, index, "map"))
     terrain, at_m = terrain_of(part.map, _terrain(of("terrain"))), host_length(part)
     network = map_network(part.map, terrain, at_m)
     place = {"terrain": terrain, "road": None, "map": part.map}
@@ -143,27 +143,30 @@ def _map_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     shot = slowed(network, at_m, _shot(scenes.shots, of("motion")))
     bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot})
     world = resolve(bare, network)
+    world = world.furnished(bare.model_copy(update={"roadside": stand(part, world, of("roadside", "map_standing"))}))
     cars = draw_map_cars(
         world, network, of("cars", "map_cars"), of("motion", "car_speeds"), farthest(of.params.cars.s_m)
     )
     trees, _ = trees_with_room(world, of("trees"), of("trees", "tree_places"))
-    return world.furnished(bare.model_copy(update={"cars": cars, "trees": trees}))
+    trees += map_trees(part, world, of("trees", "map_trees"))
+    return world.furnished(world.scene.model_copy(update={"cars": cars, "trees": trees}))
 
 
 def _town_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     """Draw and resolve a town: its map and the host's way, the traffic, then what stands along the streets."""
     terrain, markings, assets = _terrain(of("terrain")), _plain(Markings, of("markings")), scenes.assets
     town = draw_map(of("town"), of("town", "town_layout").rng, markings)
+    camera = _camera(of("camera"), {"lane": 1, "y_m": round(town.host.at_m, DECIMALS)})
+    town = town._replace(host=town.host._replace(offset_m=camera.offset_m))
     shot, flow = _shot(scenes.shots, None), of("town", "town_flow")
     traffic = drive(town, of("cars", "town_traffic"), assets, flow("traffic"), shot.duration_s)
     place = {"terrain": terrain, "road": None, "map": town.map.road_map(town.host.lanes), "town": town.map.town}
-    camera = _camera(of("camera"), {"lane": 1, "y_m": round(town.host.at_m, DECIMALS)})
     bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot_of(town, traffic, shot, terrain)})
     world = resolve(bare)
     roadside = furnish(town.map, traffic.lights, world.ground, of("town", "town_fronts"), of("roadside"))
     looks = of("cars", "town_cars")
     cars = cars_of(town, traffic, terrain, looks, assets)
-    cars += parked_cars(town, flow("parked"), looks, assets)
+    cars += parked_cars(town, traffic, flow("parked"), looks, assets)
     world = world.furnished(bare.model_copy(update={"roadside": roadside, "cars": cars}))
     trees = street_trees(town.map, world.ground, roadside, of("town", "town_trees"), of("trees", "street_trees"))
     trees += draw_trees(world, of("trees"), of("trees", "tree_places"))

@@ -34,7 +34,7 @@ from synth3dlanes.geometry.symbols import SymbolShape, shape, symbol_mesh
 from synth3dlanes.host import Camera, Lidar
 from synth3dlanes.road_map import MapPaint
 from synth3dlanes.roadside import Roadside
-from synth3dlanes.scene import Scene, Tree
+from synth3dlanes.scene import Car, Scene, Tree
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
@@ -54,11 +54,15 @@ class View:
     bonnet: float = 0.0
 
     @cached_property
+    def cars(self) -> tuple[Car, ...]:
+        """All cars at that instant, with their places and speeds then."""
+        return tuple(car_at(self.network, car, self.scene.shot.time_s) for car in self.scene.cars)
+
+    @cached_property
     def world_from_cars(self) -> tuple[Matrix4, ...]:
         """The poses of all cars at that instant, without their scale."""
-        models, time_s = self.scene.assets.car_models, self.scene.shot.time_s
-        cars = (car_at(self.network, car, time_s) for car in self.scene.cars)
-        return tuple(world_from_car(self.network, car, models[car.model - 1]) for car in cars)
+        models = self.scene.assets.car_models
+        return tuple(world_from_car(self.network, car, models[car.model - 1]) for car in self.cars)
 
     @property
     def lidar(self) -> Lidar | None:

@@ -2,7 +2,8 @@
 
 import functools
 import inspect
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -67,10 +68,27 @@ def _is_told_by_form(hint: Any) -> bool:
 
 def _form(value: Any) -> Any:
     """Type, shape and numbers of an array, forms of a tuple's items, the type of all else."""
-    if isinstance(value, tuple):
-        return (type(value), *map(_form, value))
     kind = type(value)
+    if kind is np.ndarray:
+        return (kind, value.shape, value.dtype)
+    if isinstance(value, tuple):
+        return (kind, *map(_form, value))
     return (kind, value.shape, value.dtype) if hasattr(value, "dtype") else kind
+
+
+def _kind_of(form: Any, known: frozenset[int], sizes: dict[int, str]) -> Any:
+    """A form with names in the place of sizes, but for `known` ones; equal sizes have one name, by `sizes`."""
+    if not isinstance(form, tuple):
+        return sizes.setdefault(form, f"d{len(sizes)}") if type(form) is int and form not in known else form
+    return tuple(_kind_of(part, known, sizes) for part in form)
+
+
+def _sizes_told(hint: Any) -> Iterator[str]:
+    """What type hints say of the sizes of arrays, dimension by dimension."""
+    if _is_array(hint):
+        yield from hint.dim_str.split()
+    for part in get_args(hint):
+        yield from _sizes_told(part)
 
 
 def _in_a_scope_of_its_own(checked: Callable[..., Any]) -> Callable[..., Any]:
@@ -99,33 +117,42 @@ def _before_it_starts(function: Callable[..., Any], hints: dict[str, Any]) -> Ca
 
 
 def _with_known_forms(function: Callable[..., Any], hints: dict[str, Any], shaped: dict[str, Any]) -> Any:
-    """The same, faster: forms that were right once are right again."""
+    """The same, faster: forms that were right once are right again, and so are those of other sizes that are equal
+    where theirs are."""
     places = [(i, name) for i, name in enumerate(inspect.signature(function).parameters) if name in shaped]
     function.__annotations__ = {name: hint for name, hint in hints.items() if name not in shaped}
     checked = _check_types(function)
     function.__annotations__ = hints
-    right = set()
+    told = [size for hint in shaped.values() for size in _sizes_told(hint)]
+    known = frozenset({1, *(int(number) for size in told for number in re.findall(r"\d+", size))})
+    is_by_equality = all(re.fullmatch(r"[\w#*=.]+", size) for size in told)
+    right, right_kinds = set(), set()
 
-    def verify(values: list[Any]) -> None:
-        forms = tuple(map(_form, values))
+    def verify(forms: tuple[Any, ...], values: list[Any]) -> None:
         try:
             if forms in right:
                 return
         except TypeError:  # sizes that a compiler leaves open have no hash, and cannot be checked
+            return
+        kinds = _kind_of(forms, known, {}) if is_by_equality else forms
+        if kinds in right_kinds:
+            right.add(forms)
             return
         with jaxtyped("context"):
             for (_, name), value in zip([*places, (0, "return")], values, strict=False):
                 if value is not LEFT_OUT:
                     die_if_unbearable(value, shaped.get(name, Any), conf=CONF)
         right.add(forms)
+        right_kinds.add(kinds)
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         values = [args[i] if i < len(args) else kwargs.get(name, LEFT_OUT) for i, name in places]
-        verify(values)
+        forms = tuple(map(_form, values))
+        verify(forms, values)
         result = checked(*args, **kwargs)
         if "return" in shaped:
-            verify([*values, result])
+            verify((*forms, _form(result)), [*values, result])
         return result
 
     return call

@@ -35,8 +35,8 @@ def pytest_configure() -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     # The longest files come first, so that no process ends long after the other.
-    long = ("validate", "production")
-    items.sort(key=lambda item: (item.path.name != "test_planted.py", item.path.parent.name not in long))
+    longest, long = ("test_planted.py", "test_docs_commands.py"), ("validate", "production")
+    items.sort(key=lambda item: (item.path.name not in longest, item.path.parent.name not in long))
     if importlib.util.find_spec("bpy") is None:
         for item in items:
             if item.get_closest_marker("render"):
@@ -46,7 +46,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     from tests import warm
 
-    warm.use(item.path.parent.name != "production")
+    warm.use(item.get_closest_marker("fresh") is None)
 
 
 @pytest.hookimpl(trylast=True)

@@ -155,6 +155,11 @@ def insist_on_one_core(recipe: Recipe, index: int) -> PackedSample:
 def main() -> None:
     """Arguments: folder, n, workers, and the address of a Ray cluster if it is to do it."""
     (out, n, workers), address = sys.argv[1:4], sys.argv[4:]
+    if address:
+        from synth3dlanes.production import cluster
+
+        # On a busy machine, the program that asks for the cluster's health takes its time.
+        cluster.HEALTH_S = 120.0
     plan = Plan(out, int(n), recipe(), workers=int(workers), shard_size=10, maker=make_slowly)
 
     def tell(event: object) -> None:

@@ -6,6 +6,7 @@ random moments; with Ray, one of two nodes as well.
 
 import argparse
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -27,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 # Without the mode, a node asks for a token where one lies in the home folder, as other uses of Ray may leave it.
 RAY = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_MODE": "disabled"}
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), **RAY}
-START_S = 180.0
+START_S = 400.0
 
 
 def undisturbed(out: Path, n: int) -> dict[str, bytes]:
@@ -134,8 +135,10 @@ class Cluster:
 
 
 @contextmanager
-def cluster(port: int, n_nodes: int = 2) -> Iterator[Cluster]:
-    """A cluster whose nodes are killed at the end."""
+def cluster(n_nodes: int = 2) -> Iterator[Cluster]:
+    """A cluster at a free port, whose nodes are killed at the end."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
     # Ray's sockets need a short path.
     with tempfile.TemporaryDirectory(prefix="ray", ignore_cleanup_errors=True) as folder:
         found = Cluster(Path(folder), port)
@@ -178,7 +181,7 @@ def main() -> None:
         check(Path(folder, "local"), options.n, expected)
         print(f"local: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201
         start = time.monotonic()
-        with cluster(6391) as nodes:
+        with cluster() as nodes:
             done = soak(Path(folder, "ray"), options.n, options.kills, options.seed, nodes)
         check(Path(folder, "ray"), options.n, expected)
         print(f"ray: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201

@@ -42,6 +42,25 @@ def test_a_dimension_has_one_size_in_arguments_and_result():
             call()
 
 
+def test_sizes_that_came_before_say_nothing_of_others():
+    """Those of 4 and 5 were right; so are any two equal ones, but not 3 where 2 is asked for, nor two that differ."""
+    for n in (4, 5, 6, 2, 1):
+        assert joined(np.zeros(n), np.ones(n), n).shape == (2, n)
+        Line(np.zeros((n, 3)), np.zeros(n))
+    for call in (
+        lambda: joined(np.zeros(7), np.ones(8), 7),
+        lambda: joined(np.zeros(7), np.ones(7), 6),
+        lambda: joined(np.zeros((7, 1)), np.ones(7), 7),
+        lambda: joined(np.zeros(7, int), np.ones(7), 7),
+        lambda: Line(np.zeros((7, 7)), np.zeros(7)),
+        lambda: Line(np.zeros((7, 2)), np.zeros(7)),
+        lambda: Line(np.zeros((7, 3)), np.zeros(3)),
+        lambda: Line(np.zeros((7, 3)), np.zeros((7, 1))),
+    ):
+        with pytest.raises(BeartypeCallHintViolation):
+            call()
+
+
 @check
 def moved(a: Vector, by: Vector | float = 0.0, *, n: int | None = None) -> tuple[Vector, float]:
     return (a + by)[:n], 1.0

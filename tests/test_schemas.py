@@ -31,6 +31,7 @@ from synth3dlanes.shots import SINGLE, Shots, clips
 from synth3dlanes.world import resolve
 from tests.golden.make import GOLDEN
 from tests.scenes import changed
+from tests.thorough import presets
 
 DOCS, OLD = Path(__file__).parents[1] / "docs", Path(__file__).parent / "golden"
 WRONG = (None, True, -1, 1.5, 7, "none", "x y", [], {})
@@ -60,7 +61,7 @@ def drawn(preset: str, index: int = 0, shots: Shots = SINGLE, assets: Assets | N
     return sample_scene(Scenes(load_params(preset, [], own), assets=own, shots=shots), index)
 
 
-@pytest.mark.parametrize("preset", preset_names())
+@pytest.mark.parametrize("preset", presets())
 def test_scenes_and_labels_of_every_preset(preset: str) -> None:
     documents = [check(drawn(preset, index)) for index in range(4 if preset == "streets" else 2)]
     if preset == "streets":

@@ -12,6 +12,7 @@ from synth3dlanes.sample import Scenes, draw_world, sample_scene, world_in_shot
 from synth3dlanes.scene import Scene, from_json, to_json
 from synth3dlanes.shots import Shots
 from synth3dlanes.world import World
+from tests.thorough import first
 from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, standing_problems, touching
 
 TOWN = load_params("town")
@@ -24,13 +25,20 @@ def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
     return draw_world(Scenes(params, 5, shots=shots) if shots else Scenes(params, 5), index)
 
 
-@pytest.mark.parametrize(
-    "junction", ["t", "crossing", pytest.param("staggered", marks=pytest.mark.thorough), "roundabout", "roundabout_2"]
-)
+@pytest.mark.parametrize("junction", first(2, ["crossing", "roundabout", "t", "staggered", "roundabout_2"]))
 def test_lanes_go_on_and_nothing_touches(junction: str) -> None:
     world = town(1, f"town.junction={junction}")
     assert world.scene.map is not None
     assert [*map_problems(world.scene.map), *standing_problems(world)] == []
+
+
+def test_parked_cars_keep_off_long_vehicles_in_bends() -> None:
+    """Their ends swing out of narrow lanes."""
+    wide = "cars.model={1: 1, 11: 1}", "cars.scale=1.2", "town.lane_width_m=2.9", "town.bend_deg=30"
+    full = "town.parking=true", "town.parked=1", "town.traffic=1", "town.n_more=0", "town.fronts=0"
+    world = town(2, "town.junction=crossing", *wide, *full)
+    assert sum(car.offset_m > 1 for car in world.scene.cars) > 10
+    assert touching(bodies(world)) == []
 
 
 def test_a_town_is_a_document_and_the_same_each_time() -> None:

@@ -14,6 +14,7 @@ def first(n: int, cases: Iterable[Any]) -> list[Any]:
     return [pytest.param(*value, marks=[pytest.mark.thorough] * (i >= n)) for i, value in enumerate(values)]
 
 
-def presets() -> list[Any]:
-    """The names of all presets; `town`, whose traffic takes a second a scene, is thorough."""
-    return [pytest.param(name, marks=[pytest.mark.thorough] * (name == "town")) for name in preset_names()]
+def presets(*quick: str) -> list[Any]:
+    """The names of all presets; those not in `quick` are thorough, or `town` alone, which takes a second a scene."""
+    names = quick or {*preset_names()} - {"town"}
+    return [pytest.param(name, marks=[pytest.mark.thorough] * (name not in names)) for name in preset_names()]

@@ -67,8 +67,27 @@ def touching(polygons: list[shapely.Polygon]) -> list[tuple[int, int]]:
     return [(i, j) for i, j in pairs if i < j]
 
 
+def crosswalk_problems(world: World) -> Iterator[str]:
+    """Bars of crosswalks that are not along the lane that they are on."""
+    roads = world.scene.map
+    assert roads is not None
+    reader, of_streets = MapReader(roads), {road.id for road in roads.roads if road.junction is None}
+    lanes = [reader.lane(name) for name in roads.driving_lanes if name.split(".")[0] in of_streets]
+    points, headings = (np.concatenate([lane[i] for lane in lanes]) for i in (0, 1))
+    for form in world.symbol_shapes:
+        for bar in form.polygons if form.kind == "crosswalk" else ():
+            corners = form.points_world(bar)[:, :2]
+            longest = max(np.roll(corners, -1, axis=0) - corners, key=lambda side: float(np.hypot(*side)))
+            heading = headings[np.argmin(np.hypot(*(points - corners.mean(axis=0)).T))]
+            turned = abs(np.sin(np.arctan2(longest[1], longest[0]) - heading))
+            if turned > np.sin(np.radians(5)):
+                off_deg = np.degrees(np.arcsin(turned))
+                yield f"a bar at {corners.mean(axis=0).round(1)} is {off_deg:.0f} degrees off its lane"
+
+
 def standing_problems(world: World) -> Iterator[str]:
-    """Bodies in each other or in buildings, buildings on the pavement or in each other."""
+    """Bodies in each other or in buildings, buildings on the pavement or in each other; bars across their lane."""
+    yield from crosswalk_problems(world)
     cars = bodies(world)
     yield from (f"bodies {i} and {j} touch" for i, j in touching(cars))
     houses = []

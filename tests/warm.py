@@ -5,6 +5,7 @@ made before is a promise of its own (tests/blender/test_clips.py). Tests of the 
 """
 
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
@@ -12,7 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from synth3dlanes.production import local, workers
+from synth3dlanes import renderer
+from synth3dlanes.production import bench, local, twins, workers
 from synth3dlanes.production.workers import Limits, Pool, Worker
 from synth3dlanes.validate import made_again
 
@@ -20,10 +22,12 @@ from synth3dlanes.validate import made_again
 with Pool(0, Limits(), pinned=False):
     pass
 
-USERS = (local, made_again, workers)
+USERS = (bench, local, made_again, renderer, workers)
 # What differs between tests and does not matter to a worker.
 NOT_ASKED = ("PYTEST_CURRENT_TEST", "COLUMNS", "LINES")
 _kept: list[tuple[dict[str, str], Worker]] = []
+# Folders of the workers, each of its own; some tests have other temporary folders.
+HOME = Path(tempfile.mkdtemp(prefix="synth3dlanes-warm-"))
 
 
 def use(is_warm: bool) -> None:
@@ -33,9 +37,10 @@ def use(is_warm: bool) -> None:
 
 
 def stop() -> None:
-    """Kill what is left."""
+    """Kill what is left, and remove the folders."""
     while _kept:
         _end(_kept.pop()[1])
+    shutil.rmtree(HOME, ignore_errors=True)
 
 
 def _end(worker: Worker) -> None:
@@ -73,7 +78,7 @@ class Warm(Pool):
                 return worker
             _end(worker)
         # What it prints must stay when this pool's own folder goes.
-        self._scratch, scratch = Path(tempfile.mkdtemp()), self._scratch
+        self._scratch, scratch = Path(tempfile.mkdtemp(dir=HOME)), self._scratch
         worker = super()._launch(slot)
         self._scratch = scratch
         return worker
@@ -85,4 +90,6 @@ def _environment() -> dict[str, str]:
 
 def _in_folder(folder: str, function: Callable[..., Any], *args: Any) -> Any:
     os.chdir(folder)
+    # Another test's data set may lie at the same address.
+    twins._reader.cache_clear()
     return function(*args)

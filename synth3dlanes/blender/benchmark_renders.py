@@ -43,7 +43,7 @@ def denoise_seconds(scene: Scene, settings: RenderSettings, library: Library, re
     return max(0.0, median(seconds[True]) - median(seconds[False]))
 
 
-def naive_seconds(scene: Scene, settings: RenderSettings, library: Library, samples: int) -> float:
+def naive_seconds(scene: Scene, library: Library, samples: int) -> float:
     """The seconds of a render with Blender's defaults: a new file for each scene, a mesh for each object, the world's
     importance map, 12 bounces, the denoiser at its highest quality. Only `samples` differs from its default of 4096."""
     start = time.perf_counter()

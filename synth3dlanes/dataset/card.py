@@ -5,6 +5,7 @@ from typing import Any
 
 import yaml
 
+from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.format import member_names
 
 CARD = "README.md"
@@ -21,26 +22,46 @@ SIZES = (
     ("100M<n<1B", 1e9),
 )
 
-_TEXT = """\
+_RENDERED = """\
 # Synthetic 3D lanes
 
 Rendered road images with exact 3D lane labels: every lane centre line and every painted line as 3D points in metres,
 each with masks that say whether it is in the image, hidden by the ground or hidden by a car or tree. The scenes are
 those of the synthetic data set of [3D-LaneNet](https://arxiv.org/abs/1811.10203) (Appendix I), or variations of them.
+"""
 
-| split | samples |
-|---|---|
-{splits}
-
-## How it was made
-
+_RENDERED_HOW = """\
 {generator}, seed {seed}: {rays} samples per pixel on {device}, {image_format} images, passes: {passes}. Scene i of a
 split depends on the seed, the split's name, i and the parameters alone. {shots}{derived}`dataset.json` has the complete
 recipe; these are its parameters, as ranges `[low, high]`, weights `{{value: weight}}` or constants:
 
 ```yaml
 {params}```
+"""
 
+_LIFTED = """\
+# 3D lanes of a real drive
+
+Images of a real drive with measured 3D lanes: centre lines and delimiters as 3D points in metres, each with its
+standard deviations across the lane and in height (`std_m`), and with masks that say whether it is in the image, hidden
+by the ground or hidden by things on it.
+"""
+
+_LIFTED_HOW = """\
+{generator} lifted the drive {drive}: scans put together with its poses, and lanes marked in its images or in its top
+view. {shots}How exact the drive was said to be is in `dataset.json` (`derived`). `scene.json` of a sample knows its
+camera and its frame; its road is a placeholder, and so are columns of the index that describe a scene.
+"""
+
+_TEXT = """\
+{about}
+| split | samples |
+|---|---|
+{splits}
+
+## How it was made
+
+{how}
 {licence}
 
 ## Files
@@ -86,8 +107,8 @@ def card(description: Mapping[str, Any]) -> bytes:
     render = description["render"]
     names = member_names(description["image_format"], render["passes"])
     first = "train" if "train" in splits else next(iter(splits), "train")
-    text = _TEXT.format(
-        splits="\n".join(f"| {name} | {n:,} |" for name, n in splits.items()),
+    is_measured = is_lifted(description)
+    how = (_LIFTED_HOW if is_measured else _RENDERED_HOW).format(
         generator=f"synth3dlanes {description['generator']}",
         seed=description["seed"],
         rays=render["samples"],
@@ -96,13 +117,20 @@ def card(description: Mapping[str, Any]) -> bytes:
         passes=", ".join(render["passes"]) or "none",
         shots="".join(f"{sentence} " for sentence in _shots(description)),
         derived="The samples were taken from another data set (`derived`). " if description.get("derived") else "",
+        drive=(description.get("derived") or {}).get("lifted"),
         params=yaml.safe_dump(description["params"], sort_keys=False, default_flow_style=None, width=110),
-        licence=f"Licence: {licence}." if licence else "The licence is that of the assets used, which is not recorded.",
+    )
+    theirs = "the drive's images" if is_measured else "the assets used"
+    text = _TEXT.format(
+        about=_LIFTED if is_measured else _RENDERED,
+        how=how,
+        splits="\n".join(f"| {name} | {n:,} |" for name, n in splits.items()),
+        licence=f"Licence: {licence}." if licence else f"The licence is that of {theirs}, which is not recorded.",
         last=int(description["shard_size"]) - 1,
         members="\n".join(f"| `.{name}` | {_MEMBERS.get(name, _MEMBERS['image'])} |" for name in names),
         split=first,
     )
-    return f"---\n{_header(splits, licence)}---\n{MARK}\n\n{text}".encode()
+    return f"---\n{_header(splits, licence, is_measured)}---\n{MARK}\n\n{text}".encode()
 
 
 def _shots(description: Mapping[str, Any]) -> Iterator[str]:
@@ -121,14 +149,14 @@ def _shots(description: Mapping[str, Any]) -> Iterator[str]:
         yield "Scenes are near given ones (`like`)."
 
 
-def _header(splits: Mapping[str, int], licence: str | None) -> str:
+def _header(splits: Mapping[str, int], licence: str | None, is_measured: bool) -> str:
     """The metadata that the hub reads: licence, task, size, and which files belong to which split."""
     n = sum(splits.values())
     header: dict[str, Any] = {
         **({"license": licence.lower()} if licence else {}),
-        "pretty_name": "Synthetic 3D lanes",
+        "pretty_name": "3D lanes of a real drive" if is_measured else "Synthetic 3D lanes",
         "task_categories": ["object-detection", "depth-estimation"],
-        "tags": ["3d-lane-detection", "autonomous-driving", "synthetic"],
+        "tags": ["3d-lane-detection", "autonomous-driving", *([] if is_measured else ["synthetic"])],
         "size_categories": [next((name for name, below in SIZES if n < below), "n>1T")],
         "configs": [
             {

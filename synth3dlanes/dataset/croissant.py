@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LABELS, member_names
 
 CROISSANT = "croissant.json"
@@ -46,6 +47,8 @@ _CONTEXT = {
 def croissant(description: Mapping[str, Any]) -> bytes:
     """The file of a data set by the contents of its `dataset.json`; equal contents give equal bytes."""
     licence = description.get("license")
+    is_measured = is_lifted(description)
+    what = "Images of a real drive with measured" if is_measured else "Rendered road images with exact"
     size = int(description["shard_size"])
     splits = {name: math.ceil(int(split["n"]) / size) for name, split in description["splits"].items()}
     is_listed = sum(splits.values()) <= MOST_SHARDS
@@ -55,8 +58,8 @@ def croissant(description: Mapping[str, Any]) -> bytes:
         "@type": "sc:Dataset",
         "creativeWorkStatus": MARK,
         "conformsTo": f"{_ML}1.0",
-        "name": "synthetic-3d-lanes",
-        "description": "Rendered road images with exact 3D lane labels; README.md says how they were made.",
+        "name": "measured-3d-lanes" if is_measured else "synthetic-3d-lanes",
+        "description": f"{what} 3D lane labels; README.md says how they were made.",
         "citeAs": "N. Garnett et al., 3D-LaneNet: End-to-End 3D Multiple Lane Detection, ICCV 2019",
         "version": description["generator"],
         **({"license": f"https://spdx.org/licenses/{licence}.html"} if licence else {}),

@@ -13,10 +13,12 @@ from synth3dlanes.dataset.description import differences, recipe_of_description,
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.format import key_of, member_names
 from synth3dlanes.dataset.index import read_recipe
+from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.splits import readers, split_name, split_size
-from synth3dlanes.dataset.write import Shard
+from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.errors import InputError
+from synth3dlanes.files import read_bounded
 
 # By number in a split: the reader that has the sample, and its position there.
 SampleSources = dict[int, tuple[Reader, int]]
@@ -132,7 +134,9 @@ def _adopt_whole(shard: Shard, members: SampleSources) -> None:
     theirs = Shard(Path(reader.url), shard.number, shard.size, shard.names)
     is_theirs = len(sources) == 1 and theirs.path("parquet").exists() and theirs.joined() == members.keys()
     index = theirs.path("parquet")
-    is_theirs = is_theirs and read_recipe(index.read_bytes(), str(index)) == shard.recipe
+    is_theirs = is_theirs and read_recipe(read_bounded(index, MAX_READ_BYTES), str(index)) == shard.recipe
     if not is_theirs or any(int(reader.key(i)) != index for i, index in zip(positions, sorted(members), strict=True)):
         return
-    shard.adopt(theirs)
+    # A tar that is not what its index says is read sample by sample, which names what is wrong.
+    if scan(theirs.path("tar"), theirs.names)[0].keys() == members.keys():
+        shard.adopt(theirs)

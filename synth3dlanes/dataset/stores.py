@@ -17,9 +17,10 @@ from synth3dlanes.dataset.address import connect, kinds, read_file, translate_st
 from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.index import read_indices
+from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.errors import InputError, OutageError
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, open_regular, read_bounded
 
 # Stores whose objects appear whole, as do those in memory. In others a file is written beside, and renamed.
 ATOMIC = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "cos", "obs", "tos", "memory"}
@@ -61,7 +62,7 @@ def indices(url: str, shard: Shard) -> set[int]:
 def take(url: str, shard: Shard) -> None:
     """Copy what the store has of a shard into `shard` on this machine, beside the samples that are here."""
     theirs, index = _index(url, shard), shard.path("parquet")
-    if theirs is None or (index.exists() and index.read_bytes() == theirs):
+    if theirs is None or (index.exists() and read_bounded(index, MAX_READ_BYTES) == theirs):
         return
     tar, name = _names(shard)
     unjoin(shard, shard, read_indices(theirs, f"{url}/{name}"))
@@ -85,7 +86,7 @@ def put_shard(url: str, shard: Shard) -> None:
     files, root = connect(url)
     tar, name = _names(shard)
     for _ in range(MAX_ROUNDS):
-        theirs, ours = _index(url, shard), shard.path("parquet").read_bytes()
+        theirs, ours = _index(url, shard), read_bounded(shard.path("parquet"), MAX_READ_BYTES)
         if theirs == ours and _size(url, tar) == shard.path("tar").stat().st_size:
             return
         if theirs is not None:
@@ -106,7 +107,7 @@ def unjoin(shard: Shard, into: Shard, but: set[int]) -> None:
     tar = shard.path("tar")
     if not tar.exists():
         return
-    with tar.open("rb") as stream:
+    with open_regular(tar) as stream:
         for number, place in scan(tar, shard.names)[0].items():
             if number in but:
                 continue

@@ -13,6 +13,7 @@ joined anew, so a larger n continues it. Nobody but the holder of the shard's lo
 
 import hashlib
 import json
+import os
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,8 +28,9 @@ from synth3dlanes.dataset.columns import index_row, table
 from synth3dlanes.dataset.description import differences
 from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes, tar_end, tar_members
 from synth3dlanes.dataset.index import place_columns, read_index, read_recipe
+from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, open_regular, read_bounded
 
 # Only of a shard of this very recipe that was read and found damaged: following it costs nothing that is whole.
 REMEDY = "remove this shard's tar and parquet and run again to make it anew"
@@ -188,7 +190,7 @@ class Shard:
 
     def _joined_by_index(self) -> set[int]:
         path, places = self.path("parquet"), place_columns(self.names[-1:])
-        data = path.read_bytes()
+        data = read_bounded(path, MAX_READ_BYTES)
         try:
             rows = read_index(data, str(path), ["index", *places])
         except FormatError as error:
@@ -226,7 +228,7 @@ class Shard:
 
     def _read(self, index: int, place: TarSpan, offset: int) -> tuple[bytes, dict[str, Any]]:
         """A sample's bytes and its row of the index, once they stand at `offset`."""
-        with place.path.open("rb") as stream:
+        with open_regular(place.path) as stream:
             stream.seek(place.offset)
             data = stream.read(place.end - place.offset)
         scene, labels = (_member(data, place, name) for name in (SCENE, LABELS))
@@ -250,8 +252,8 @@ def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, TarSpan], str]:
     places: dict[int, TarSpan] = {}
     group: list[tuple[str, int, int]] = []
     try:
-        with path.open("rb") as tar:
-            for member in tar_members(tar, path.stat().st_size):
+        with open_regular(path) as tar:
+            for member in tar_members(tar, os.fstat(tar.fileno()).st_size):
                 group.append(member)
                 if len(group) == len(names):
                     index, place = _place(path, names, group)

@@ -6,11 +6,11 @@ from tokenize import TokenError
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.drives.pcd import read_pcd
-from synth3dlanes.drives.tables import read_bytes, read_feather
+from synth3dlanes.drives.tables import numeric, read_bytes, read_feather
 from synth3dlanes.errors import FormatError
 
 # A turn of a lidar of 128 beams and 4096 azimuths has half a million points.
@@ -55,7 +55,7 @@ def read_cloud(path: Path) -> Cloud:
         raise FormatError(f"{path}: expected fields x, y and z, got {', '.join(columns)[:80] or 'none'}")
     if len(columns["x"]) > MAX_POINTS:
         raise FormatError(f"{path}: expected at most {MAX_POINTS:,} points, got {len(columns['x']):,}")
-    xyz = np.stack([_numbers(columns[axis], f"{path}: {axis}") for axis in "xyz"], axis=-1)
+    xyz = np.stack([numeric(columns[axis], f"{path}: {axis}") for axis in "xyz"], axis=-1)
     told = next((columns[name] for name in INTENSITIES if name in columns), np.zeros(len(xyz), np.uint8))
     # A product of NaN or infinity is no number either, and comparing it is False.
     with np.errstate(invalid="ignore"):
@@ -63,16 +63,10 @@ def read_cloud(path: Path) -> Cloud:
     return Cloud(xyz[kept], _shares(told, f"{path}: intensity")[kept])
 
 
-def _numbers(values: Shaped[np.ndarray, " n"], where: str) -> Float[np.ndarray, " n"]:
-    if values.dtype.kind not in "fiu":
-        raise FormatError(f"{where}: expected numbers, got {values.dtype}")
-    return values.astype(float)
-
-
 def _shares(values: Shaped[np.ndarray, " n"], where: str) -> Scalars:
     """Intensities from 0 to 1: integers are parts of 255, or of 65535 where one is more; floats are already so, or
     parts of 255."""
-    numbers = np.nan_to_num(_numbers(values, where), nan=0.0, posinf=0.0, neginf=0.0)
+    numbers = np.nan_to_num(numeric(values, where), nan=0.0, posinf=0.0, neginf=0.0)
     most = numbers.max(initial=0.0)
     if values.dtype.kind == "f":
         full = 1.0 if most <= 1 else max(BYTE, most)

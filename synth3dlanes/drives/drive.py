@@ -4,6 +4,7 @@ top view. Every frame of reference is x right, y forward, z up, metres; pixels a
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -71,11 +72,20 @@ class MarkedLane:
 
 
 @dataclass(frozen=True, eq=False)
+class RejectedLane:
+    """A lane that a person rejected: its id then, and where it was in world x and y."""
+
+    id: str
+    xy_world: Polyline2
+
+
+@dataclass(frozen=True, eq=False)
 class Drive:
     """What one drive recorded. `frames` are in the order of their times; a sequence may make each when it is asked for,
     so that a drive of any length fits. The world's origin is near the drive: points keep their millimetres. It is at
     `origin_m` of the frame that the drive's own poses, maps and markings are in, which has the same axes. `notes` are
-    what a reader left out, one line each."""
+    what a reader left out, one line each. `rejected` and `rejected_s` are the lanes, and the times in labels of the
+    frames, that a person rejected in what was lifted of the drive before."""
 
     name: str
     frames: Sequence[DriveFrame]
@@ -84,3 +94,20 @@ class Drive:
     marked: tuple[MarkedLane, ...] = ()
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: tuple[str, ...] = ()
+    rejected: tuple[RejectedLane, ...] = ()
+    rejected_s: frozenset[float] = frozenset()
+
+    @cached_property
+    def start_s(self) -> float:
+        """The time of the first frame."""
+        return self.frames[0].time_s
+
+    def label_time(self, frame: DriveFrame) -> float:
+        """A frame's time as its labels have it: seconds after the first frame, to the nanosecond."""
+        return round(frame.time_s - self.start_s, 9)
+
+    def kept(self) -> Sequence[DriveFrame]:
+        """The frames that nobody rejected."""
+        if not self.rejected_s:
+            return self.frames
+        return [frame for frame in self.frames if self.label_time(frame) not in self.rejected_s]

@@ -12,6 +12,7 @@ from synth3dlanes.drives.gather import with_lines
 from synth3dlanes.drives.kitti import is_kitti_raw, is_kitti_sequence, read_kitti_raw, read_kitti_sequence
 from synth3dlanes.drives.lines import read_lines_of
 from synth3dlanes.drives.marks import read_marks
+from synth3dlanes.drives.review import with_review
 from synth3dlanes.errors import FormatError, InputError
 
 LAYOUTS = (
@@ -19,12 +20,14 @@ LAYOUTS = (
 )
 
 
-def open_drive(source: str, camera: str = "", lanes: str = "", marked: str = "") -> Drive:
+def open_drive(source: str, camera: str = "", lanes: str = "", marked: str = "", review: str = "") -> Drive:
     """The drive at `source`: a folder of a known layout, a file `drive.yaml`, or `DIR/SPLIT:SCENE` of a data set of
     clips with a lidar. `camera` names one of its cameras; `lanes` is a file of 2D lanes of its images, `marked` one of
-    lanes marked in the top view. Nothing but small files is read before frames are asked for.
+    lanes marked in the top view, `review` one of verdicts on what was lifted of it before. Nothing but small files is
+    read before frames are asked for.
 
-    Raises InputError where `source` is none of these, FormatError for files that do not follow their format.
+    Raises InputError where `source` is none of these or `review` is of another drive, FormatError for files that do
+    not follow their format.
     """
     drive = _opened(source, camera)
     if lanes:
@@ -34,7 +37,7 @@ def open_drive(source: str, camera: str = "", lanes: str = "", marked: str = "")
         drive = replace(
             drive, marked=tuple(replace(lane, xy_world=lane.xy_world - [x, y]) for lane in read_marks(Path(marked)))
         )
-    return drive
+    return with_review(drive, Path(review)) if review else drive
 
 
 def _opened(source: str, camera: str) -> Drive:

@@ -9,10 +9,14 @@ import numpy as np
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.drives.drive import Drive
 from synth3dlanes.drives.marks import marks_document
-from synth3dlanes.drives.review import REVIEW_FORMAT, REVIEW_VERSION
+from synth3dlanes.drives.review import REVIEW_FORMAT, REVIEW_VERSION, Review
 from synth3dlanes.drives.top_view import TopView, png_url
 from synth3dlanes.figures.page import drawing, render
-from synth3dlanes.labels import Labels
+from synth3dlanes.frames import transform
+from synth3dlanes.labels import Labels, Lane
+
+# Of a lane to accept or reject, a place is kept for each square of this size.
+PLACES_M = 2.0
 
 
 class ReviewedFrame(NamedTuple):
@@ -44,13 +48,42 @@ def marking_page(drive: Drive, view: TopView) -> str:
     return render("marking.html", title=f"lanes of {drive.name}", data=data)
 
 
-def review_page(source: str, frames: Iterable[ReviewedFrame]) -> str:
-    """A page on which frames are accepted or rejected; it saves JSON that `read_review` reads."""
-    shown = [(frame.name, frame.words, drawing(frame.labels, frame.image)._replace(masks=[])) for frame in frames]
+class ReviewedSplit(NamedTuple):
+    """What is reviewed: the split, the drive that it was lifted from (empty if from none), and the place of its world
+    in the frame of the drive's poses."""
+
+    source: str
+    drive: str = ""
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def review_page(split: ReviewedSplit, frames: Iterable[ReviewedFrame], before: Review | None = None) -> str:
+    """A page on which frames, and the lanes of a lifted drive, are accepted or rejected; it begins with the verdicts of
+    `before`, and saves JSON that `read_review` reads."""
+    places: dict[str, dict[tuple[int, ...], list[float]]] = {}
+    shown, told = [], []
+    for frame in frames:
+        lines = [lane for lane in frame.labels.lanes if split.drive and lane.kind == "delimiter"]
+        for lane in lines:
+            xyz = transform(frame.labels.camera.world_from_cam, lane.xyz_cam) + split.origin_m
+            own = places.setdefault(_drive_id(lane), {})
+            for xy in np.round(xyz[:, :2], 2).tolist():
+                own.setdefault(tuple(int(value // PLACES_M) for value in xy), xy)
+        ids = sorted({_drive_id(lane) for lane in lines})
+        shown.append((frame.name, frame.words, ids, drawing(frame.labels, frame.image)._replace(masks=[])))
+        told.append({"name": frame.name, "time_s": frame.labels.time_s})
     data = {
         "format": REVIEW_FORMAT,
         "version": REVIEW_VERSION,
-        "source": source,
-        "names": [name for name, _, _ in shown],
+        "source": split.source,
+        "drive": split.drive,
+        "frames": told,
+        "lanes": [{"id": id_, "xy": list(own.values())} for id_, own in places.items()],
+        "before": None if before is None else before.model_dump(mode="json"),
     }
-    return render("review.html", title=f"frames of {source}", frames=shown, data=data)
+    return render("review.html", title=f"frames of {split.source}", frames=shown, data=data)
+
+
+def _drive_id(lane: Lane) -> str:
+    """A lane's id in its whole drive: that of a frame may name a piece of it."""
+    return lane.id.partition(".")[0]

@@ -12,6 +12,7 @@ from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.camera import horizontal_fov_rad
+from synth3dlanes.geometry.motion import host_driven, host_speed
 from synth3dlanes.host import Camera, Host
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.lens import Lens
@@ -236,8 +237,8 @@ def _camera(scene: Scene, labels: Labels) -> Facts:
         clip["camera"] = f"{camera.name}, number {shot.camera} of 0 to {shot.n_cameras - 1}, {_mount(camera)}"
     if shot.n_frames > 1:
         clip["frame"] = (
-            f"{shot.frame} of 0 to {shot.n_frames - 1}, {shot.time_s:.2f} s and {shot.speed_m_s * shot.time_s:.1f} m "
-            f"from the clip's start, at {3.6 * shot.speed_m_s:.0f} km/h"
+            f"{shot.frame} of 0 to {shot.n_frames - 1}, {shot.time_s:.2f} s and {host_driven(shot, shot.time_s):.1f} m "
+            f"from the clip's start, at {3.6 * host_speed(shot, shot.time_s):.0f} km/h"
         )
     return {
         **clip,

@@ -155,6 +155,11 @@ class Gap:
     worst: float
     median: float
 
+    @classmethod
+    def of(cls, lane: str, unit: str, apart: Float[np.ndarray, " _"]) -> "Gap":
+        """That of these distances."""
+        return cls(lane, unit, float(apart.max()), float(np.median(apart)))
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -173,6 +178,13 @@ class Comparison:
             self.problems + other.problems,
             {**self.tracks, **other.tracks},
         )
+
+    @classmethod
+    def within(cls, gaps: Sequence[Gap], limits: Mapping[str, float]) -> "Comparison":
+        """Of these gaps, none of which may be beyond the limit of its unit."""
+        off = (gap for gap in gaps if not gap.worst <= limits[gap.unit])
+        problems = (f"{gap.lane}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in off)
+        return cls(len(gaps), tuple(gaps), tuple(problems))
 
     def because(self, problems: Iterable[str]) -> "Comparison":
         """With more problems."""
@@ -401,5 +413,5 @@ def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule
         back = _back((at + share)[inner] * (-1 if direction == "oncoming" else 1))
         if back > COVERED_M:
             problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
-        found.append((Gap(name, "m", float(apart[inner].max()), float(np.median(apart[inner]))), problems))
+        found.append((Gap.of(name, "m", apart[inner]), problems))
     return min(found, key=lambda pair: pair[0].worst, default=(None, []))

@@ -16,6 +16,7 @@ from typing import Any
 
 from pydantic import RootModel
 
+from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.locks import LOCK_FILE, locks
 from synth3dlanes.errors import ClaimedError, InputError
 from synth3dlanes.files import Draft, Folder
@@ -78,7 +79,11 @@ class Export:
             return plan(self.source, self.cameras)
         chunks = plan(self.source, self.cameras, foreign.is_per_scene, takes_rigs=True)
         for url in dict.fromkeys(chunk.url for chunk in chunks):
-            found = open_reader(url).description["render"]["passes"]
+            description = open_reader(url).description
+            if foreign.needs_scenes and is_lifted(description):
+                told = "one that was lifted from a real drive, of which only the lanes are known"
+                raise InputError(f"{url}: expected a data set of scenes for {self.format_name}, got {told}")
+            found = description["render"]["passes"]
             if set(foreign.passes) - set(found):
                 needed, given = ", ".join(foreign.passes), ", ".join(found) or "none"
                 raise InputError(

@@ -8,6 +8,7 @@ from PIL import Image
 
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.labels import CameraLabel, Lane
+from synth3dlanes.polylines import lengths_along
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID
 
 PASSES = ("semantic", "instance")
@@ -54,7 +55,7 @@ def line_pixels(lane: Lane, camera: CameraLabel) -> Float[np.ndarray, "_ 2"]:
     seen = np.interp(fine, knots, lane.terrain_visible.astype(float)) == 1
     uv = camera.project(points_cam[seen & (points_cam[:, 1] > NEAREST_M)])
     uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
-    along_px = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(uv, axis=0), axis=1))])[: len(uv)]
+    along_px = lengths_along(uv)[: len(uv)]
     if not len(uv):
         return uv
     _, first = np.unique(along_px // POINT_EVERY_PX, return_index=True)

@@ -79,7 +79,7 @@ def _gap(name: str, found: PixelNumbers, ours: PixelNumbers, shape: tuple[int, i
     if np.array_equal(found, ours):
         return Gap(name, "px", 0.0, 0.0)
     apart = np.concatenate([_beyond(found, ours, shape), _beyond(ours, found, shape)])
-    return Gap(name, "px", float(apart.max()), float(np.median(apart)))
+    return Gap.of(name, "px", apart)
 
 
 def _beyond(mask: PixelNumbers, other: PixelNumbers, shape: tuple[int, int]) -> Float[np.ndarray, " _"]:

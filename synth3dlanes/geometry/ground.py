@@ -19,6 +19,7 @@ from synth3dlanes.geometry.horizon import FarHills
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import Road
+from synth3dlanes.polylines import stretches
 from synth3dlanes.scene import Markings
 
 Spread = Float[np.ndarray, "*#n"]
@@ -164,7 +165,9 @@ class Ground:
         the host."""
         for road, s, (left, *grass, right) in self._pavement_lines(xy_world, reach_m):
             for t in (left, right, *grass):
-                yield from runs(road.points(s, t), ~self.is_on_other(road, road.xy(s, t)))
+                points = road.points(s, t)
+                alone = stretches(~self.is_on_other(road, points[:, :2]))
+                yield from (points[first:end] for first, end in alone if end - first > 1)
 
     def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
         """Both edges of each strip of pavement within about `reach_m` of a place of the host: of every road, and on
@@ -184,7 +187,7 @@ class Ground:
             grass = [np.full(len(s), t) for median in self.grass_in_medians(road) for t in median]
             yield road, s, [road.left(s), *grass, road.right(s)]
 
-    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+    def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at stations as the host drives, `aside_m` beside the pavement on both sides."""
         road, s = self.network.main, self.network.stations(driven_m)
         aside = np.concatenate([road.left.base_m - aside_m, road.right.base_m + aside_m])
@@ -274,6 +277,18 @@ class Ground:
         """Height of the ground as built."""
         return terrain.height_at(self.network.terrain, xy_world) + self.above_terrain(xy_world)
 
+    def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+        """Which points lie in the ground as built."""
+        return np.asarray(self.height(points_world[:, :2]) > points_world[:, 2])
+
+    def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """At which places one road passes over another."""
+        return np.zeros(len(xy_world), dtype=bool)
+
+    def height_near(self, points_world: Points3) -> Scalars:
+        """Height of the ground as built at points, of several surfaces that nearest to each."""
+        return self.height(points_world[:, :2])
+
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
         flat = xy_world.reshape(-1, 2)
@@ -281,6 +296,10 @@ class Ground:
         clear = np.full(len(flat), np.inf)
         clear[near] = _nearest(roads, int(near.sum()))
         return clear.reshape(xy_world.shape[:-1])
+
+    def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Distance from the nearest pavement of traffic, negative on it."""
+        return self.clearance(xy_world)
 
     def is_within(self, xy_world: Float[np.ndarray, "n 2"], reach_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at most so far from a pavement."""
@@ -297,12 +316,6 @@ class Ground:
         """Distance from a pavement within which the ground may differ from the terrain."""
         highest_m = max([road.parting.rise_m for road in self.network.roads if road.parting], default=0.0)
         return max(EMBANKMENT_SLOPE * highest_m, NEAR_M) + VERGE_M * self.cell_scale(xy_world)
-
-
-def runs(points: Float[np.ndarray, "n 3"], keep: Bool[np.ndarray, " n"]) -> list[Float[np.ndarray, "_ 3"]]:
-    """The stretches of a line that are kept, of two points or more."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(int), [0]])))
-    return [points[a:b] for a, b in ends.reshape(-1, 2) if b - a >= 2]
 
 
 def _nearest(roads: list[Beside], n: int) -> AnyScalars:

@@ -14,7 +14,8 @@ STEPS = 12
 
 
 def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "200 100"]:
-    """Height of the ground as built at each cell's centre, over the plane that touches the road at the host.
+    """Height of the ground as built at each cell's centre, over the plane that touches the road at the host; where one
+    road passes over another, of that which is nearer to the plane.
 
     Column c lies at x = (c + 0.5) 0.2 - 10 m, row r at y = 80 - (r + 0.5) 0.4 m.
     """
@@ -25,6 +26,6 @@ def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "2
     points_road[:, 0], points_road[:, 1] = (axis.ravel() for axis in np.meshgrid(x, y))
     for _ in range(STEPS):
         points_world = transform(world_from_road, points_road)
-        below = ground.height(points_world[:, :2]) - points_world[:, 2]
+        below = ground.height_near(points_world) - points_world[:, 2]
         points_road[:, 2] += below * world_from_road[2, 2]
     return points_road[:, 2].reshape(SHAPE)

@@ -11,14 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.geometry.areas import clipped, filled, polygon_between, polygons_of, signed_distance, solid
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, FINE_M, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import AS_FAR, Junction, MapNetwork
+from synth3dlanes.geometry.passages import DECK_M, Passage, passages
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.geometry.section_road import KERB_M, RAISED, CrossSection, SectionRoad
 from synth3dlanes.geometry.terrain import height_at
@@ -27,10 +29,6 @@ from synth3dlanes.road_map import MapIsland
 # Places along the host's way from which distances are measured, and rows along roads by their distance from it.
 WAY_STEP_M = 5.0
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
-# Holes in a junction's pavement that are smaller than this are paved.
-LEAST_HOLE_M2 = 150.0
-# Smaller parts of raised areas are left out.
-SLIVER_M2 = 0.01
 # Half the width of a street with its walkways, about.
 HALF_STREET_M = 6.0
 # Roads with heights are looked for this far from points of areas.
@@ -43,8 +41,6 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
-# Smaller areas are slivers.
-LEAST_AREA_M2 = 0.02
 # Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
 BERM_M = 1.5
 
@@ -130,7 +126,7 @@ class MapGround(Ground):
     def strip(self, road: SectionRoad) -> BaseGeometry:
         """The pavement of a road from above."""
         s = self.road_rows(road)
-        return _polygon(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
+        return polygon_between(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
 
     @cached_property
     def arms(self) -> BaseGeometry:
@@ -148,13 +144,13 @@ class MapGround(Ground):
         """The surfaces of junctions and islands."""
         found = []
         for at in self.network.junctions:
-            paved, raised = map(_solid, self._junction(at))
+            paved, raised = map(solid, self._junction(at))
             if not paved.is_empty:
                 found.append(GroundArea(paved, 0.0, "road"))
-            found += [GroundArea(part, KERB_M, "walkway") for part in _polygons(raised)]
+            found += [GroundArea(part, KERB_M, "walkway") for part in polygons_of(raised)]
         for island in self.islands:
-            polygon = _solid(shapely.Polygon(island.outline))
-            found += [GroundArea(part, island.height_m, island.surface) for part in _polygons(polygon)]
+            polygon = solid(shapely.Polygon(island.outline))
+            found += [GroundArea(part, island.height_m, island.surface) for part in polygons_of(polygon)]
         return found
 
     def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
@@ -166,7 +162,7 @@ class MapGround(Ground):
                     if lane.kind != "none":
                         (raised if lane.kind in RAISED else lanes).append(self._between(road, section, (i, i + 1)))
         outline = [shapely.make_valid(shapely.Polygon(at.outline))] if len(at.outline) > 2 else []
-        paved = shapely.difference(_filled(shapely.union_all([*lanes, *outline])), self.arms)
+        paved = shapely.difference(filled(shapely.union_all([*lanes, *outline])), self.arms)
         walkways = shapely.difference(shapely.union_all(raised), shapely.union(paved, self.arms))
         return paved, walkways
 
@@ -197,7 +193,7 @@ class MapGround(Ground):
         """The area between two edges of a road's section."""
         s = self.section_rows(road, section)
         left, right = (road.xy(s, section.edge(edge, s)) for edge in edges)
-        return _polygon(left, right)
+        return polygon_between(left, right)
 
     def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
         """Both edges of the pavement of every road within about `reach_m` of a place, those in junctions included."""
@@ -207,7 +203,7 @@ class MapGround(Ground):
             if (np.hypot(*(left[:, :2] - xy_world).T) < AS_FAR * reach_m).any():
                 yield left, right
 
-    def beside_pavement(self, driven_m: Scalars, aside_m: Scalars) -> Points2:
+    def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at lengths along the host's way, so far beside what is about its pavement on both sides."""
         way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
         s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))
@@ -278,6 +274,39 @@ class MapGround(Ground):
         above[near] = np.where(np.isfinite(paved), paved, np.minimum(np.maximum(0.0, low), np.maximum(high, low)))
         return above
 
+    def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+        """Which points lie in the ground as built; below the deck of a bridge there is none."""
+        found = super().is_in(points_world)
+        for under_m, at in self._under_decks(points_world[:, :2]):
+            z, deck_m = points_world[at, 2], self.height(points_world[at, :2]) - DECK_M
+            found[at] &= (z < under_m) | (z > deck_m)
+        return found
+
+    def height_near(self, points_world: Points3) -> Scalars:
+        """Height of the ground as built at points, on a bridge or below it."""
+        found = super().height_near(points_world)
+        for under_m, at in self._under_decks(points_world[:, :2]):
+            is_below = points_world[at, 2] < (under_m + found[at]) / 2
+            found[at] = np.where(is_below, under_m, found[at])
+        return found
+
+    def _under_decks(self, xy_world: Points2) -> Iterator[tuple[Scalars, Int[np.ndarray, " m"]]]:
+        """Heights of each road that passes below another, and at which of some points."""
+        for area, road in self._passages:
+            at = np.flatnonzero(shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]))
+            if at.size:
+                yield road.base_points(*road.line.project(xy_world[at]))[:, 2], at
+
+    def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """At which places one road passes over another."""
+        inside = [shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]) for area, _ in self._passages]
+        return np.logical_or.reduce([np.zeros(len(xy_world), dtype=bool), *inside])
+
+    @cached_property
+    def _passages(self) -> list[Passage]:
+        roads = [self.network.road(at.id) for at in self.network.roads] if self._has_heights else []
+        return passages(roads, self.strip)
+
     @cached_property
     def _has_heights(self) -> bool:
         return any(road.heights is not None for road in self.network.roads)
@@ -326,7 +355,7 @@ class MapGround(Ground):
 
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement, negative on it."""
-        return _signed_distance(self.pavement, xy_world)
+        return signed_distance(self.pavement, xy_world)
 
     def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at most so far from a pavement, to half a per cent of that."""
@@ -336,7 +365,7 @@ class MapGround(Ground):
 
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""
-        return _signed_distance(self.carriageways, xy_world)
+        return signed_distance(self.carriageways, xy_world)
 
     def shows(self, curve: LaneCurve) -> bool:
         """Whether a line's paint is near enough to be drawn."""
@@ -354,52 +383,3 @@ class MapGround(Ground):
                 if len(xy) > 1:
                     found.append(np.column_stack([xy, self.under(xy) + raised_m]))
         return found
-
-
-def _signed_distance(area: BaseGeometry, xy_world: AnyPoints2) -> AnyScalars:
-    """Distance of points from an area, negative in it."""
-    flat = shapely.points(xy_world.reshape(-1, 2))
-    inside = shapely.contains_properly(area, flat)
-    distance = np.where(inside, -shapely.distance(shapely.boundary(area), flat), shapely.distance(area, flat))
-    return np.asarray(distance.reshape(xy_world.shape[:-1]))
-
-
-def _solid(area: BaseGeometry) -> BaseGeometry:
-    """The polygons of an area, without slivers."""
-    parts = shapely.get_parts(shapely.make_valid(area))
-    polygons = [part for part in parts if shapely.get_dimensions(part) == 2 and shapely.area(part) > LEAST_AREA_M2]
-    return shapely.MultiPolygon([at for part in polygons for at in shapely.get_parts(part)])
-
-
-def _polygon(left: Points2, right: Points2) -> BaseGeometry:
-    """The polygon between two lines; of a road that folds, what it covers."""
-    ring = np.concatenate([left, right[::-1]])
-    polygon = shapely.Polygon(ring)
-    if polygon.is_valid:
-        return polygon
-    quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
-    return shapely.union_all(shapely.make_valid(quads))
-
-
-def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseGeometry:
-    """What of an area is within (x0, y0, x1, y1)."""
-    try:
-        return shapely.clip_by_rect(area, *box)
-    except shapely.errors.GEOSException:
-        # The fast way refuses parts that only touch the box.
-        return shapely.intersection(area, shapely.box(*box))
-
-
-def _polygons(area: BaseGeometry) -> list[shapely.Polygon]:
-    """The polygons that an area consists of, without slivers."""
-    return [part for part in shapely.get_parts(area) if isinstance(part, shapely.Polygon) and part.area > SLIVER_M2]
-
-
-def _filled(area: BaseGeometry) -> BaseGeometry:
-    """An area without its small holes."""
-    parts = [
-        shapely.Polygon(part.exterior, [hole for hole in part.interiors if shapely.Polygon(hole).area > LEAST_HOLE_M2])
-        for part in shapely.get_parts(area)
-        if isinstance(part, shapely.Polygon)
-    ]
-    return shapely.union_all(parts)

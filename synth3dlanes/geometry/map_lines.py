@@ -22,6 +22,8 @@ NODES = NODES + 0.5
 STRAIGHT = 1e-9
 # Lengths along a cubic are measured in so many steps.
 CUBIC_STEPS = 2000
+# Metres per parameter; what is slower stands still.
+LEAST_SPEED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,8 @@ class Cubic(FiniteLine):
             for a, b, c, d in (self.x, self.y)
         ]
         (px, py), (dx, dy), (ddx, ddy) = zip(*values, strict=True)
-        speed = np.hypot(dx, dy)
+        # In a cusp the curve stands still and has no normal.
+        speed = np.maximum(np.hypot(dx, dy), LEAST_SPEED)
         normals = paired(dy, -dx) / speed[..., None]
         return LineFrames(paired(px, py), normals, speed, (dy * ddx - dx * ddy) / speed**2)
 

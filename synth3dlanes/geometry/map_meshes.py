@@ -12,7 +12,8 @@ from jaxtyping import Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.map_ground import GroundArea, MapGround, clipped
+from synth3dlanes.geometry.areas import clipped
+from synth3dlanes.geometry.map_ground import GroundArea, MapGround
 from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, facing_up, grid, terrain_axes, terrain_heights
 from synth3dlanes.geometry.section_road import KERB_M, CrossSection, SectionRoad
 from synth3dlanes.road_map import MapLaneKind

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.arrays import AnyPoints3, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.errors import InputError
 from synth3dlanes.frames import cross
 from synth3dlanes.geometry.lane_curves import LaneCurve, measured
 from synth3dlanes.geometry.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
@@ -92,11 +93,15 @@ class MapNetwork(Network):
         return {road.id: road for road in self.roads}
 
     def road(self, name: str) -> SectionRoad:
-        """A road by its id."""
+        """A road by its id. Raises InputError for one that is too far from the host."""
+        if name not in self._road_of:
+            raise InputError(f"map: expected roads near the host, got {name}")
         return self._road_of[name]
 
     def path(self, lane: str) -> LaneCurve:
-        """The centre line along a lane."""
+        """The centre line along a lane. Raises InputError for one that is too far from the host, or has no width."""
+        if lane not in self._path_of:
+            raise InputError(f"map: expected lanes of traffic near the host, with a width, got {lane}")
         return self._path_of[lane]
 
     # -- the host and the cars
@@ -132,7 +137,9 @@ class MapNetwork(Network):
         return camera.model_copy(update={"y_m": driven_m})
 
     def car_way(self, car: Car) -> tuple[LaneCurve, float]:
-        """The way of a car through its lanes, as it drives, and the length along it of its place."""
+        """The way of a car through its lanes, as it drives, and the length along it of its place. Raises InputError as
+        `path` does for its lane."""
+        self.path(car.lane)
         lanes = [self.lanes[name] for name in (car.lane, *car.route) if name in self.lanes]
         way = self.way_through(lanes)
         return way, way.pieces[0].station(car.s_m)

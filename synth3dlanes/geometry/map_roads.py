@@ -33,7 +33,7 @@ class _Reading:
     """A map and what is made of it step by step."""
 
     def __init__(self, roads: RoadMap, terrain: Terrain) -> None:
-        self.map, self.terrain = roads, terrain
+        self.map, self.terrain, self.route = roads, terrain, frozenset(roads.route)
 
     def network(self, at_m: float) -> MapNetwork:
         near = self._near(at_m)
@@ -94,7 +94,7 @@ class _Reading:
         )
         lanes = [
             lane for i, section in enumerate(sections) if section.end_m > section.start_m
-            for lane in _lanes(road, i, section)
+            for lane in _lanes(road, i, section, self.route)
         ]  # fmt: skip
         made = SectionRoad(
             road.id,
@@ -153,7 +153,7 @@ class _Reading:
         """The direction of every lane: on the roads that the host drives along, and on what goes on from these, it is
         that of its traffic relative to the host. A connector has that of the lanes that it connects, if it is one."""
         on_route = {lanes[name].road: lanes[name].ascends for name in self.map.route}
-        route = frozenset(self.map.route)
+        route = self.route
         found: dict[str, Direction] = {}
         connectors = []
         for chain in chains:
@@ -172,13 +172,15 @@ class _Reading:
     # -- painted lines
 
 
-def _lanes(road: MapRoad, number: int, section: CrossSection) -> Iterator[NetworkLane]:
-    """The lanes of traffic of a section, from the left; numbers count from the left as their traffic drives."""
+def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[str]) -> Iterator[NetworkLane]:
+    """The lanes of traffic of a section, from the left; numbers count from the left as their traffic drives. Those of
+    the host's route may have any width."""
     s = np.linspace(section.start_m, section.end_m, 5)
     edges = section.edges(s)
     driving = [
         i for i, lane in enumerate(section.lanes)
-        if lane.kind == "driving" and (edges[i + 1] - edges[i]).max() > LEAST_WIDTH_M
+        if lane.kind == "driving"
+        and ((edges[i + 1] - edges[i]).max() > LEAST_WIDTH_M or f"{road.id}.{number}.{lane.number}" in route)
     ]  # fmt: skip
     up = {i: (section.lanes[i].number < 0) ^ road.keeps_left ^ section.lanes[i].against for i in driving}
     for i in driving:

@@ -48,6 +48,11 @@ def host_driven(shot: Shot, time_s: float) -> float:
     return _on_track(shot.track, time_s)[0] if shot.track else shot.speed_m_s * time_s
 
 
+def host_speed(shot: Shot, time_s: float) -> float:
+    """The host's speed in m/s at a time of its clip."""
+    return _on_track(shot.track, time_s)[1] if shot.track else shot.speed_m_s
+
+
 def _on_track(track: tuple[tuple[float, float], ...], time_s: float) -> tuple[float, float]:
     """How far a car has driven, and its speed; it stands before its first instant and behind its last."""
     times_s, lengths_m = np.array(track).T

@@ -12,15 +12,18 @@ from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.horizon import far_dam
 from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.meshes import Mesh, grid, is_facing_up, lift_far, over_terrain
-from synth3dlanes.geometry.terrain import gradient_at
+from synth3dlanes.geometry.meshes import LANE_COLUMNS, Mesh, grid, is_facing_up, lift_far, over_terrain
+from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import Marking, PaintColor, Pair
+from synth3dlanes.polylines import lengths_along
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
 # Height of the paint over the road, by distance: more than the road's faces can rise between two rows.
 PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12, 2.0)
 PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0, 4000.0)
+# Between its columns, the pavement of another road may lie so far over a hollow without covering paint.
+HOLLOW_M = 0.001
 # Upper limit of the ratio of paint height to camera height by which paint is moved sideways (see `_floating`).
 MAX_SHARE = 0.05
 # The line's direction is measured over this length.
@@ -124,6 +127,7 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
     for right_m, marking in stripes(curve, markings)[::to_right]:
         rows, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
         lift_m = np.interp(ground.away_on(curve, rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
+        lift_m = lift_m + _over_hollows_m(ground, curve, rows)
         offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
         edges = [curve.shifted(float(t)) for t in offsets]
         sides, onwards = (_sides(ground, edges, at) for at in (rows, rows + ALONG_M))
@@ -141,6 +145,19 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
         kept = painted & is_facing_up(mesh)
         meshes.append(replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept]))
     return over_terrain(_joined(meshes))
+
+
+def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
+    """How far the pavement of another road, which is straight between its columns, lies over hollows of the terrain
+    under a line."""
+    if curve.is_measured or len(ground.network.roads) == 1:
+        return np.zeros(len(s))
+    road, xy, terrain = curve.pieces[0].road, curve.xy_world(s), ground.network.terrain
+    aside = curve.shifted(road.lane_width_m / LANE_COLUMNS / 2).xy_world(s) - xy
+    over_m = (height_at(terrain, xy + aside) + height_at(terrain, xy - aside)) / 2 - height_at(terrain, xy)
+    hidden = over_m > HOLLOW_M
+    hidden[hidden] = ground.is_on_other(road, xy[hidden])
+    return np.where(hidden, over_m, 0.0)
 
 
 def _sides(ground: Ground, edges: Sequence[LaneCurve], s: Scalars) -> Float[np.ndarray, "n 2 3"]:
@@ -206,7 +223,7 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     else:
         before, rows, behind = np.split(rows, np.flatnonzero(~is_far)[[0, -1]] + [0, 1])
     xyz = curve.points_world(rows)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz, axis=0), axis=1))])
+    length = lengths_along(xyz)
     length -= np.interp(0.0, rows, length)
     dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)

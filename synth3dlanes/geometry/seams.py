@@ -14,6 +14,7 @@ from synth3dlanes.geometry.meshes import Mesh, facing_up
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paint import towards_eye
 from synth3dlanes.geometry.roads import NetworkLane
+from synth3dlanes.polylines import stretches
 from synth3dlanes.scene import Markings
 from synth3dlanes.streams import Streams
 
@@ -59,11 +60,10 @@ def ghost_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, 
     share, is_dashed, phase = rng.random(3)
     s = np.arange(-REACH_M, REACH_M, GHOST_STEP_M)
     is_painted = (s / markings.dash_cycle_m + phase) % 1 < (markings.dash_fraction if is_dashed < 0.5 else 1.0)
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], is_painted, [False]]))).reshape(-1, 2)
     traces = [
         np.column_stack(np.broadcast_arrays(s[first:last], inside_lane(lane, share), markings.width_m))
         for lane in clear_lanes(ground.network)
-        for first, last in ends
+        for first, last in stretches(is_painted)
         if last - first > 1
     ]
     return _mesh(ground, traces, eye_world)

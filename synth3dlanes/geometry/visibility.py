@@ -1,7 +1,7 @@
 """Which lane points a camera sees over the ground. World frame."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.ground import Ground
 
@@ -15,17 +15,24 @@ def seen_over_ground(
 ) -> Bool[np.ndarray, " n"]:
     """True where the straight line from the eye to the point stays above terrain, embankments and roads."""
     to = points_world - eye_world
-    distance = np.linalg.norm(to[:, :2], axis=1)
-    n_steps = np.maximum(np.ceil(distance / STEP_M).astype(int), 2)
-    ray = np.repeat(np.arange(len(to)), n_steps - 1)
-    step = np.arange(len(ray)) - np.repeat(np.cumsum(n_steps - 1) - (n_steps - 1), n_steps - 1) + 1
-    sight = eye_world + to[ray] * (step / n_steps[ray])[:, None]
-    hidden = ground.height(sight[:, :2]) > sight[:, 2] + TOLERANCE_M
+    ray, sight = along_sights(eye_world, to, STEP_M)
+    hidden = ground.is_in(sight + np.array([0.0, 0.0, TOLERANCE_M]))
     seen = np.ones(len(to), dtype=bool)
     seen[ray[hidden]] = False
     for crest in ground.crests():
         seen &= ~_behind_crest(eye_world, to, crest)
     return seen
+
+
+def along_sights(
+    eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], step_m: float
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+    """Points inside lines of sight (vectors from the eye to their ends), at most a step apart from above: the number of
+    the line of each, and their places."""
+    n_steps = np.maximum(np.ceil(np.linalg.norm(to[:, :2], axis=1) / step_m).astype(int), 2)
+    ray = np.repeat(np.arange(len(to)), n_steps - 1)
+    step = np.arange(len(ray)) - np.repeat(np.cumsum(n_steps - 1) - (n_steps - 1), n_steps - 1) + 1
+    return ray, eye_world + to[ray] * (step / n_steps[ray])[:, None]
 
 
 def _behind_crest(

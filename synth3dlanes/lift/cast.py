@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.geometry.visibility import along_sights
 from synth3dlanes.lift.ground import GroundMap
 
 # Lines of sight are followed so far, in steps of this length; ground without support is bridged for one step at most.
@@ -79,15 +80,10 @@ def cast(ground: GroundMap, eye_world: Float[np.ndarray, "3"], rays_world: Point
 
 def seen_over(ground: GroundMap, eye_world: Float[np.ndarray, "3"], points_world: Points3) -> Bool[np.ndarray, " n"]:
     """Which points on the ground an eye sees over it. Ground without support hides nothing."""
-    to = points_world - eye_world
-    far_m = np.linalg.norm(to[:, :2], axis=1)
-    n_steps = np.maximum(np.ceil(far_m / FINE_M).astype(int), 2)
-    ray = np.repeat(np.arange(len(to)), n_steps - 1)
-    step = np.arange(len(ray)) - np.repeat(np.cumsum(n_steps - 1) - (n_steps - 1), n_steps - 1) + 1
-    sight = eye_world + to[ray] * (step / n_steps[ray])[:, None]
+    ray, sight = along_sights(eye_world, points_world - eye_world, FINE_M)
     height, std = ground.at(sight[:, :2])
     with np.errstate(invalid="ignore"):
         hidden = height > sight[:, 2] + TOLERANCE_M + 2 * std
-    seen = np.ones(len(to), dtype=bool)
+    seen = np.ones(len(points_world), dtype=bool)
     seen[ray[hidden]] = False
     return seen

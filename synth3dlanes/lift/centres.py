@@ -13,15 +13,17 @@ from synth3dlanes.lift.tracks import Track, on_ground, unplaced
 # Delimiters this far apart bound a lane.
 WIDTHS_M = (2.2, 5.0)
 MIN_LENGTH_M = 10.0
+# How the ids of delimiters begin that pictures show.
+LINE = "line_"
 
 
 def with_centres(tracks: Sequence[Track], ground: GroundMap, path: Path) -> list[Track]:
-    """The tracks, and a centre line between each two delimiters that bound a lane."""
+    """The tracks, and a centre line between each two delimiters that bound a lane and have none yet."""
     lines = [track for track in tracks if track.kind == "delimiter"]
     centres = []
     for left in lines:
         for right in lines:
-            centre = _between(left, right, lines)
+            centre = _between(left, right, tracks)
             placed = None if centre is None else on_ground(centre, ground, path)
             if placed is not None:
                 centres.append(placed)
@@ -32,15 +34,15 @@ def with_centres(tracks: Sequence[Track], ground: GroundMap, path: Path) -> list
     return [*bounded, *others, *centres]
 
 
-def _between(left: Track, right: Track, lines: Sequence[Track]) -> Track | None:
-    """The centre line between two delimiters, where they bound a lane and no other is between them."""
+def _between(left: Track, right: Track, tracks: Sequence[Track]) -> Track | None:
+    """The centre line between two delimiters, where they bound a lane and no other track is between them."""
     shared, i, j = np.intersect1d(left.s, right.s, return_indices=True)
     width = right.d[j] - left.d[i]
     is_lane = (width > WIDTHS_M[0]) & (width < WIDTHS_M[1])
     if is_lane.sum() * STEP_M < MIN_LENGTH_M:
         return None
     middle = (left.d[i] + right.d[j]) / 2
-    for other in lines:
+    for other in tracks:
         if other.id not in (left.id, right.id):
             _, mine, theirs = np.intersect1d(shared, other.s, return_indices=True)
             inside = (other.d[theirs] > left.d[i][mine]) & (other.d[theirs] < right.d[j][mine])
@@ -49,7 +51,7 @@ def _between(left: Track, right: Track, lines: Sequence[Track]) -> Track | None:
         return None
     std = np.hypot(left.std_m[i, 0], right.std_m[j, 0]) / 2
     return Track(
-        id=f"centre_{left.id}",
+        id=f"centre_{left.id.removeprefix(LINE)}_{right.id.removeprefix(LINE)}",
         s=shared[is_lane],
         d=middle[is_lane],
         xyz_world=unplaced(int(is_lane.sum())),

@@ -37,7 +37,7 @@ def label_frame(drive: Drive, frame: DriveFrame, stretch: Stretch, precision: Pr
     own = _host_lane(tracks, host)
     centre = next((lane for lane in lanes if lane.id == own), None)
     horizon = None if centre is None else horizon_plane(label, [centre])
-    return Labels(label, tuple(lanes), LaneGraph((), {}, None), horizon, time_s=round(frame.time_s, 9), objects=None)
+    return Labels(label, tuple(lanes), LaneGraph((), {}, None), horizon, time_s=drive.label_time(frame), objects=None)
 
 
 def _past_things(

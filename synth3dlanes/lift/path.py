@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.errors import InputError
+from synth3dlanes.polylines import lengths_along
 
 # Poses closer than this are one place: a car that stands makes no path.
 APART_M = 1.0
@@ -61,8 +62,11 @@ class Path:
 
 
 def path_of(poses: list[Matrix4]) -> Path:
-    """The path through the places of these poses. Raises InputError where the host does not move."""
+    """The path through the places of these poses. Raises InputError where the host does not move, or a pose is no
+    number."""
     places = np.array([pose[:3, 3] for pose in poses])
+    if not np.isfinite(poses).all():
+        raise InputError("poses: expected finite numbers, got others")
     kept = [0]
     for i in range(1, len(places)):
         if np.linalg.norm(places[i, :2] - places[kept[-1], :2]) >= APART_M:
@@ -72,7 +76,7 @@ def path_of(poses: list[Matrix4]) -> Path:
             f"poses: expected a host that moves by {APART_M:g} m or more, got {len(poses)} poses at a place"
         )
     found = places[kept]
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(found[:, :2], axis=0), axis=1))])
+    s = lengths_along(found[:, :2])
     length_m = float(s[-1])
     smooth, _ = make_splprep(found.T, u=s, k=min(3, len(kept) - 1), s=len(kept) * MISSES_M**2)
     knots = np.linspace(0.0, length_m, max(3, round(length_m / KNOTS_M)))

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 from synth3dlanes.drives.drive import Drive, DriveFrame
 from synth3dlanes.errors import InputError
-from synth3dlanes.lift.centres import with_centres
 from synth3dlanes.lift.cloud import WorldPoints, cloud_of, together
 from synth3dlanes.lift.ground import GroundMap, fit_ground
 from synth3dlanes.lift.path import Path, path_of
@@ -18,7 +17,7 @@ APART_M, MOST_POINTS = 0.5, 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """The ground along a path, and the lanes on it."""
+    """The ground along a path, and the lanes on it: those that pictures show, then those that are marked."""
 
     path: Path
     ground: GroundMap
@@ -26,7 +25,7 @@ class Stretch:
 
 
 def lift_stretch(drive: Drive, frames: Sequence[DriveFrame], precision: Precision) -> Stretch:
-    """The ground and the lanes of some frames of a drive, from all of their scans and 2D lanes."""
+    """The ground and the delimiters of some frames of a drive, from all of their scans and 2D lanes."""
     path = path_of([frame.world_from_host for frame in frames])
     ground = fit_ground(scans_along(drive, frames, path), path, precision)
     groups = joined(seen_lines(drive, frames, ground, path, precision))
@@ -36,7 +35,7 @@ def lift_stretch(drive: Drive, frames: Sequence[DriveFrame], precision: Precisio
         track = curve_of(lane.id, [sight], ground, path)
         if track is not None:
             tracks.append(track.marked_as(lane))
-    return Stretch(path, ground, tuple(with_centres(tracks, ground, path)))
+    return Stretch(path, ground, tuple(tracks))
 
 
 def scans_along(drive: Drive, frames: Sequence[DriveFrame], path: Path) -> WorldPoints:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.drives.drive import Drive, DriveFrame, MarkedLane
 from synth3dlanes.labels import Direction, LaneKind, Marking, PaintColor
 from synth3dlanes.lift.cast import CastPoints, cast
@@ -14,16 +14,20 @@ from synth3dlanes.lift.curves import GAP_M, STEP_M, SeenLine, smooth
 from synth3dlanes.lift.ground import GroundMap
 from synth3dlanes.lift.path import Path
 from synth3dlanes.lift.precision import Precision
+from synth3dlanes.polylines import lengths_along, resampled
 
 # Lines are followed pixel by pixel, but not closer than this on the image.
 SAMPLE_PX = 3.0
-# Places less certain than this, or seen at a flatter angle (as a sine), say nothing of where a line is.
-MAX_STD_M, LEAST_GRAZING = 1.0, 0.005
-# Errors of each place of a line, as a share of those of the line as a whole.
-OWN_SHARE = 0.3
+# Places seen at a flatter angle (as a sine), or less certain along the line of sight than this, as a share of how far
+# they are, say nothing of where a line is.
+LEAST_GRAZING, MOST_SHIFT = 0.005, 0.25
+# Of a line whose most certain places are less certain than this, pictures do not tell which of several lines it is.
+MAX_STD_M = 0.5
 # Two lines are one if they share so many stations, where they are this close: so much, or so many standard deviations,
 # but never as far as the next line may be.
-SHARED, CLOSE_M, CLOSE_STD, NEXT_M = 4, 0.4, 2.0, 1.4
+SHARED, CLOSE_M, CLOSE_STD, NEXT_M = 4, 0.4, 2.0, 1.7
+# Two tracks are one lane where they are this close in the middle of at least so many places that they share.
+SAME_M, SAME_PLACES = 0.8, 5
 # A track shorter than this is noise.
 MIN_LENGTH_M = 5.0
 # A track of fewer sights than this share of those of one that is beside it, nearer than any lane is wide, is none.
@@ -33,7 +37,8 @@ STRAY_SHARE, NARROWEST_M = 0.5, 2.0
 @dataclass(frozen=True, eq=False)
 class Track:
     """A lane along the path: its stations, one metre apart but for gaps; its curve in the world; and how certain it is
-    across and in height. `sights` is the number of the pictures' lines that it is made of."""
+    across and in height. `sights` is the number of the pictures' lines that it is made of: none for a lane that a
+    person marked."""
 
     id: str
     s: Scalars
@@ -47,6 +52,7 @@ class Track:
     direction: Direction = "same"
     left: str | None = None
     right: str | None = None
+    is_marked: bool = False
 
     def has(self, s: float) -> bool:
         """Whether the track is known at a station."""
@@ -54,7 +60,17 @@ class Track:
 
     def marked_as(self, lane: MarkedLane) -> "Track":
         """The track with what was said of its lane."""
-        return replace(self, kind=lane.kind, marking=lane.marking, color=lane.color, direction=lane.direction)
+        said = replace(self, kind=lane.kind, marking=lane.marking, color=lane.color, direction=lane.direction)
+        return replace(said, sights=0, is_marked=True)
+
+    def lies_at(self, plan: Points2) -> float:
+        """How far places (s, d) are from the track in the middle of those beside it, if they may be of the same lane,
+        else infinite."""
+        inside = (plan[:, 0] >= self.s[0]) & (plan[:, 0] <= self.s[-1])
+        if inside.sum() < SAME_PLACES:
+            return np.inf
+        gap_m = float(np.median(np.abs(plan[inside, 1] - np.interp(plan[inside, 0], self.s, self.d))))
+        return gap_m if gap_m < SAME_M else np.inf
 
 
 @dataclass(eq=False)
@@ -105,7 +121,7 @@ def seen_lines(
         if not frame.lanes_px:
             continue
         world_from_cam = frame.world_from_host @ camera.host_from_cam
-        lines = [_even(line) for line in frame.lanes_px]
+        lines = [_resampled(line, SAMPLE_PX) for line in frame.lanes_px]
         rays_cam = camera.lens.rays(camera.img_from_cam, np.concatenate(lines))
         rays_world = rays_cam @ world_from_cam[:3, :3].T
         found = cast(ground, world_from_cam[:3, 3], rays_world)
@@ -123,8 +139,8 @@ def marked_lines(
     """The lanes marked in the top view, beside the path."""
     for lane in marked:
         plan = path.to_plan(_resampled(lane.xy_world, STEP_M))
-        none, own = np.zeros((len(plan), 2)), np.full(len(plan), precision.marked_m)
-        yield lane, SeenLine(plan[:, 0], plan[:, 1], own, none, none[:, 0], picture=-1)
+        own = np.full(len(plan), precision.marked_m)
+        yield lane, SeenLine(plan[:, 0], plan[:, 1], plan, own, np.zeros((len(plan), 3)), picture=-1)
 
 
 def joined(sights: Iterable[SeenLine]) -> list[list[SeenLine]]:
@@ -151,6 +167,8 @@ def _give(tracks: list[_Gathered], sights: list[SeenLine], sums: dict[int, Float
 
 def curve_of(name: str, sights: Sequence[SeenLine], ground: GroundMap, path: Path) -> Track | None:
     """The smooth curve of a track on the ground; None where there is too little of it."""
+    if np.median([sight.total_std.min() for sight in sights]) > MAX_STD_M:
+        return None
     curve = smooth(list(sights))
     if curve is None or curve.supported.sum() * STEP_M < MIN_LENGTH_M:
         return None
@@ -218,16 +236,13 @@ def _sight(
     xyz, height_std, grazing = found.xyz_world[has], found.height_std_m[has], found.grazing[has]
     plan = path.to_plan(xyz[:, :2])
     to = xyz - eye_world
-    far_m = np.linalg.norm(to, axis=1)
-    level = to[:, :2] / np.linalg.norm(to[:, :2], axis=1, keepdims=True)
+    far_m, level_m = np.linalg.norm(to, axis=1), np.linalg.norm(to[:, :2], axis=1)
     right = path.right(plan[:, 0])
-    # How much of a step along the line of sight, and of one to its right, is a step across the path.
-    along, across = (level * right).sum(axis=1), level[:, 1] * right[:, 0] - level[:, 0] * right[:, 1]
+    aside, ahead = (to[:, :2] * right).sum(axis=1), to[:, 1] * right[:, 0] - to[:, 0] * right[:, 1]
     off = np.hypot(precision.pose_at(far_m), far_m * precision.lanes_px / focal_px)
-    shifts = np.column_stack([off * across, off / grazing * along])
-    own = OWN_SHARE * np.hypot(*shifts.T)
-    sight = SeenLine(plan[:, 0], plan[:, 1], own, shifts, np.abs(height_std / grazing * along))
-    kept = sight.total_std < MAX_STD_M
+    shifts = np.column_stack([off, off / grazing, height_std / grazing]) / level_m[:, None]
+    sight = SeenLine(plan[:, 0], plan[:, 1], np.column_stack([ahead, aside]), np.zeros(len(plan)), shifts)
+    kept = shifts[:, 1] < MOST_SHIFT
     return sight.at(kept) if kept.sum() > 1 else None
 
 
@@ -240,12 +255,6 @@ def _stations(sight: SeenLine) -> dict[int, Float[np.ndarray, "2"]]:
     return {int(low + i): np.array([1.0, offset[i] / count[i]]) * count[i] / variance[i] for i in np.flatnonzero(count)}
 
 
-def _even(line: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
-    return _resampled(line, SAMPLE_PX)
-
-
 def _resampled(line: Float[np.ndarray, "n 2"], step: float) -> Float[np.ndarray, "m 2"]:
     """A polyline with a point at every step along it, and its ends."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.linspace(0.0, along[-1], max(2, int(np.ceil(along[-1] / step)) + 1))
-    return np.column_stack([np.interp(at, along, column) for column in line.T])
+    return resampled(line, max(2, int(np.ceil(lengths_along(line)[-1] / step)) + 1))

@@ -1,6 +1,7 @@
 """Lift a drive into a data set: its images with their measured 3D lanes, as samples of clips."""
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.format import LABELS, SCENE, decode_image, encode_image, member_names
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame
-from synth3dlanes.errors import InputError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.host import MAX_FRAMES, Shot
 from synth3dlanes.lift.placeholder import placeholder_scene
 from synth3dlanes.lift.precision import Precision
@@ -34,13 +35,15 @@ FORMATS = {b"\xff\xd8\xff": "jpg", b"\x89PNG\r\n\x1a\n": "png"}
 @dataclass(frozen=True)
 class LiftReport:
     """What a lifted data set holds: its frames, those without any lane, its lanes (each once, however many frames show
-    it), and the median standard deviations of their visible points up to 40 m across and in height (None without)."""
+    it), the median standard deviations of their visible points up to 40 m across and in height (None without), and the
+    ids of rejected lanes that were found nowhere."""
 
     frames: int
     frames_without_lanes: int
     lanes: int
     lateral_std_m: float | None
     height_std_m: float | None
+    not_found: tuple[str, ...] = ()
 
 
 def lift_to(
@@ -54,18 +57,19 @@ def lift_to(
     """Write a drive's frames with their lifted lanes as a split of a data set.
 
     `progress` is called with (frames done, all frames). Frames that are already there are kept. Raises InputError as
-    `lifted_frames` does, and for an `out` that holds something else.
+    `lifted_frames` does, and for an `out` that holds something else; FormatError for files of the drive.
     """
-    n = len(drive.frames)
+    frames = drive.kept()
+    n = len(frames)
     if not n:
         raise InputError(f"{drive.name}: expected frames, got none")
     precision = precision or Precision()
-    shots = _shots(drive)
-    image_format = _format(drive.frames[0])
+    shots = _shots(frames)
+    image_format = _format(frames[0])
     recipe = _recipe(drive, image_format, shots, precision, around)
     numbers = range(-(-n // SHARD_SIZE))
     names, text = member_names(image_format, ()), recipe_text(recipe)
-    tally = _Tally()
+    tally = _Tally({lane.id for lane in drive.rejected})
     destination = Destination(out)
     with destination.claim(recipe, split, n, numbers):
         shard, missing = None, set[int]()
@@ -83,8 +87,15 @@ def lift_to(
 
 
 def _finish(shard: Shard | None, n: int) -> None:
-    if shard is not None and shard.needs_join(n):
+    """Join a shard's samples. Raises FormatError where some cannot be read again: joining leaves them out."""
+    if shard is None:
+        return
+    if shard.needs_join(n):
         shard.join(n)
+    lost = shard.missing(n)
+    if lost:
+        told = f"{len(lost)} that cannot be read again, the first of them frame {lost[0]}"
+        raise FormatError(f"{shard.path('tar')}: expected samples that can be read, got {told}")
 
 
 def _members(
@@ -121,12 +132,12 @@ def _kind(data: bytes) -> str:
     return next((kind for start, kind in FORMATS.items() if data.startswith(start)), "")
 
 
-def _shots(drive: Drive) -> Shots:
+def _shots(frames: Sequence[DriveFrame]) -> Shots:
     """Clips of at most 1,000 frames: the drive as one clip, or as several of equal length and a shorter last one."""
-    n = len(drive.frames)
+    n = len(frames)
     if n == 1:
         return SINGLE
-    steps_s = np.diff([drive.frames[i].time_s for i in range(min(n, MAX_FRAMES))])
+    steps_s = np.diff([frames[i].time_s for i in range(min(n, MAX_FRAMES))])
     clips = -(-n // MAX_FRAMES)
     return Shots(frames=-(-n // clips), fps=float(np.clip(1 / max(float(np.median(steps_s)), 1e-3), 1e-3, 1000.0)))
 
@@ -142,20 +153,43 @@ def _recipe(drive: Drive, image_format: str, shots: Shots, precision: Precision,
         "assets": {kind: {} for kind in KINDS},
         **({} if shots == SINGLE else {"shots": shots.model_dump(mode="json")}),
         "shard_size": SHARD_SIZE,
-        "derived": {"lifted": drive.name, "around": around, "precision": asdict(precision)},
+        "derived": {
+            "lifted": drive.name,
+            "origin_m": list(drive.origin_m),
+            "inputs": _digest(drive),
+            "around": around,
+            "precision": asdict(precision),
+        },
     }
+
+
+def _digest(drive: Drive) -> str:
+    """A name of what a drive is lifted from, but for its scans and images: another where any of it has changed."""
+    camera, found = drive.camera, hashlib.sha256()
+    marked = [(lane.id, lane.kind, lane.marking, lane.color, lane.direction) for lane in drive.marked]
+    found.update(repr((camera.lens, marked)).encode())
+    arrays = [camera.img_from_cam, camera.host_from_cam, drive.host_from_lidar]
+    arrays += [lane.xy_world for lane in drive.marked] + [lane.xy_world for lane in drive.rejected]
+    for frame in drive.kept():
+        found.update(repr((frame.name, frame.time_s, len(frame.lanes_px))).encode())
+        arrays += [frame.world_from_host, *frame.lanes_px]
+        while arrays:
+            found.update(np.ascontiguousarray(arrays.pop(), np.float64).tobytes())
+    return found.hexdigest()[:16]
 
 
 class _Tally:
     """Counts what was lifted."""
 
-    def __init__(self) -> None:
+    def __init__(self, rejected: set[str]) -> None:
+        self.not_found = rejected
         self.frames = self.without = 0
         self.ids: set[str] = set()
         self.std: list[np.ndarray] = []
 
     def add(self, lifted: LiftedFrame) -> None:
         """Count a frame."""
+        self.not_found -= lifted.rejected
         self.frames += 1
         self.without += not lifted.labels.lanes
         for lane in lifted.labels.lanes:
@@ -167,4 +201,4 @@ class _Tally:
     def report(self) -> LiftReport:
         """The result."""
         lateral, height = np.median(self.std, axis=0).tolist() if self.std else (None, None)
-        return LiftReport(self.frames, self.without, len(self.ids), lateral, height)
+        return LiftReport(self.frames, self.without, len(self.ids), lateral, height, tuple(sorted(self.not_found)))

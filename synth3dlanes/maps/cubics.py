@@ -4,6 +4,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
+from operator import attrgetter
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -33,8 +34,9 @@ def _plain(cubics: Iterable[Polynomial]) -> Cubics:
     """The pieces without those that only go on as the one before."""
     kept: list[Polynomial] = []
     for piece in cubics:
-        goes_on = begun_at(kept[-1], piece.s_m) if kept else None
-        if goes_on is None or not is_zero(difference([piece], [goes_on])):
+        if not kept or not _is_small(
+            *(a - b for a, b in zip(_numbers(piece), _begun(kept[-1], piece.s_m), strict=True))
+        ):
             kept.append(piece)
     return tuple(kept)
 
@@ -43,7 +45,7 @@ def piece_at(cubics: Sequence[Polynomial], s_m: float) -> Polynomial | None:
     """The piece that holds at a station: the last that begins at or before it, the first before that."""
     if not cubics:
         return None
-    return cubics[max(0, bisect_right([piece.s_m for piece in cubics], s_m + SAME_M) - 1)]
+    return cubics[max(0, bisect_right(cubics, s_m + SAME_M, key=attrgetter("s_m")) - 1)]
 
 
 def value(cubics: Sequence[Polynomial], s_m: float) -> float:
@@ -66,9 +68,17 @@ def slope(cubics: Sequence[Polynomial], s_m: float) -> float:
 
 def begun_at(piece: Polynomial, s_m: float) -> Polynomial:
     """The same cubic, told from another station on."""
-    x, (a, b, c, d) = s_m - piece.s_m, (piece.a, piece.b, piece.c, piece.d)
-    moved = a + x * (b + x * (c + x * d)), b + x * (2 * c + x * 3 * d), c + 3 * d * x
-    return Polynomial(s_m=s_m, a=moved[0], b=moved[1], c=moved[2], d=d)
+    a, b, c, d = _begun(piece, s_m)
+    return Polynomial(s_m=s_m, a=a, b=b, c=c, d=d)
+
+
+def _begun(piece: Polynomial, s_m: float) -> tuple[float, float, float, float]:
+    x, (a, b, c, d) = s_m - piece.s_m, _numbers(piece)
+    return a + x * (b + x * (c + x * d)), b + x * (2 * c + x * 3 * d), c + 3 * d * x, d
+
+
+def _numbers(piece: Polynomial) -> tuple[float, float, float, float]:
+    return piece.a, piece.b, piece.c, piece.d
 
 
 def moved(cubics: Sequence[Polynomial], by_m: float) -> Cubics:
@@ -134,7 +144,11 @@ def difference(one: Sequence[Polynomial], other: Sequence[Polynomial], sign: flo
 
 def is_zero(cubics: Iterable[Polynomial]) -> bool:
     """Whether the value is 0, to a micrometre within ten metres."""
-    return all(math.hypot(piece.a, 10 * piece.b, 100 * piece.c, 1e3 * piece.d) < 1e-6 for piece in cubics)
+    return all(_is_small(*_numbers(piece)) for piece in cubics)
+
+
+def _is_small(a: float, b: float, c: float, d: float) -> bool:
+    return math.hypot(a, 10 * b, 100 * c, 1e3 * d) < 1e-6
 
 
 def rounded(cubics: Iterable[Polynomial]) -> Cubics:

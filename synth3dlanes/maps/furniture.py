@@ -13,7 +13,7 @@ from synth3dlanes.maps.cubics import value
 from synth3dlanes.maps.document import number
 from synth3dlanes.maps.links import ascends
 from synth3dlanes.maps.plan import places, plan_points
-from synth3dlanes.road_map import MapIsland, MapLane, MapPaint, MapRoad, MapSection
+from synth3dlanes.road_map import MAX_LANES, MapIsland, MapLane, MapPaint, MapRoad, MapSection
 from synth3dlanes.schema import SymbolKind
 
 # What the name, type or subtype of an object says, in small letters without other characters.
@@ -23,6 +23,9 @@ ARROWS: dict[str, SymbolKind] = {
     "arrowstraightright": "arrow_straight_right",
     "arrowleft": "arrow_left",
     "arrowright": "arrow_right",
+    # Of RoadRunner.
+    "arrowtype4l": "arrow_left",
+    "arrowtype4r": "arrow_right",
     "arrowstraight": "arrow_straight",
 }
 # German signs of paint: 294 is a stop line, 341 a give-way line, 297 an arrow by its subtype.
@@ -35,27 +38,30 @@ ARROW_SUBTYPES: dict[str, SymbolKind] = {
     "50": "arrow_straight_right",
 }
 ISLAND_M, MAX_ISLAND_M, MAX_CORNERS = 0.12, 1.0, 1000
+# A crosswalk is crossed along its longer sides, where these are longer by so much.
+OBLONG = 1.2
 
 
 @dataclass(frozen=True)
 class Furniture:
-    """What a road's objects and signals add to the map."""
+    """What a road's objects and signals add to the map, and its objects that are neither paint nor islands."""
 
     paint: tuple[MapPaint, ...]
     islands: tuple[MapIsland, ...]
+    others: tuple[Element, ...]
 
 
 def read_furniture(element: Element, road: MapRoad, where: str, left_out: Counter[str]) -> Furniture:
-    """The objects and signals of a road; `left_out` counts the others."""
-    paint, islands = list[MapPaint](), list[MapIsland]()
+    """The paint and the islands among the objects and signals of a road; `left_out` counts those without a shape."""
+    paint, islands, others = list[MapPaint](), list[MapIsland](), list[Element]()
     for item in element.iterfind("objects/object"):
         kind = item.get("type", "none")
         words = "".join(c for c in f"{item.get('name', '')}{kind}{item.get('subtype', '')}".lower() if c.isalnum())
         arrow = next((found for word, found in ARROWS.items() if word in words), None)
         if "crosswalk" in words:
-            outline = _outline(item, road, where)
+            outline = object_outline(item, road, where)
             if len(outline) == 4:
-                paint.append(MapPaint(kind="crosswalk", outline=_along(outline, item, road, where)))
+                paint.append(MapPaint(kind="crosswalk", outline=_across(outline, item, road, where)))
             else:
                 left_out["crosswalks without four corners"] += 1
         elif any(word in words for word in (*STOP_WORDS, *YIELD_WORDS)):
@@ -65,27 +71,30 @@ def read_furniture(element: Element, road: MapRoad, where: str, left_out: Counte
         elif arrow is not None:
             paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(item, road, where)]
         elif kind == "trafficIsland":
-            outline = _outline(item, road, where)
+            outline = object_outline(item, road, where)
             if 3 <= len(outline) <= MAX_CORNERS:
                 height_m = min(max(number(item, "height", where, ISLAND_M), 0.0), MAX_ISLAND_M)
                 islands.append(MapIsland(outline=outline, height_m=height_m))
             else:
                 left_out["islands without an outline"] += 1
         else:
-            left_out[f"objects of type {kind}"] += 1
-    for signal in element.iterfind("signals/signal"):
-        kind, subtype = signal.get("type", ""), signal.get("subtype", "")
-        if kind in (STOP_SIGNAL, YIELD_SIGNAL):
-            paint += _lines("stop_line" if kind == STOP_SIGNAL else "give_way_line", signal, road, where)
-        elif kind == ARROW_SIGNAL and subtype in ARROW_SUBTYPES:
-            paint += [
-                MapPaint(kind=ARROW_SUBTYPES[subtype], lane=lane, s_m=s) for lane, s in _beneath(signal, road, where)
-            ]
+            others.append(item)
+    for signal in filter(is_paint, element.iterfind("signals/signal")):
+        kind = signal.get("type", "")
+        if kind == ARROW_SIGNAL:
+            arrow = ARROW_SUBTYPES[signal.get("subtype", "")]
+            paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(signal, road, where)]
         else:
-            left_out["signals and signs"] += 1
+            paint += _lines("stop_line" if kind == STOP_SIGNAL else "give_way_line", signal, road, where)
     for tag in ("objects/tunnel", "objects/bridge"):
         left_out[f"{tag.partition('/')[2]}s"] += len(element.findall(tag))
-    return Furniture(tuple(paint), tuple(islands))
+    return Furniture(tuple(paint), tuple(islands), tuple(others))
+
+
+def is_paint(signal: Element) -> bool:
+    """Whether a signal is paint."""
+    kind = signal.get("type", "")
+    return kind in (STOP_SIGNAL, YIELD_SIGNAL) or (kind == ARROW_SIGNAL and signal.get("subtype", "") in ARROW_SUBTYPES)
 
 
 def section_index(road: MapRoad, s_m: float) -> int:
@@ -104,8 +113,11 @@ def edges_at(road: MapRoad, section: MapSection, s_m: float) -> Iterator[tuple[M
             edge = outer
 
 
-def _driving(item: Element, road: MapRoad, where: str) -> tuple[float, list[tuple[str, MapLane, float, float]]]:
-    """The station of an object and the driving lanes there, with their names and edges."""
+LaneAcross = tuple[str, MapLane, float, float]
+
+
+def driving_at(item: Element, road: MapRoad, where: str) -> tuple[float, list[LaneAcross]]:
+    """The station of an object and the driving lanes there, with their names and the t of their edges."""
     s = min(max(number(item, "s", where, 0.0), 0.0), road.length_m)
     i = section_index(road, s)
     found = [
@@ -116,33 +128,44 @@ def _driving(item: Element, road: MapRoad, where: str) -> tuple[float, list[tupl
     return s, found
 
 
+def valid_lanes(item: Element, where: str) -> set[int] | None:
+    """The numbers of the lanes that an object or a signal lists as valid; None if it lists none."""
+    entries = item.findall("validity")
+    if not entries:
+        return None
+    bounds = [sorted(int(number(entry, key, where, 0.0)) for key in ("fromLane", "toLane")) for entry in entries]
+    return {n for low, high in bounds for n in range(max(low, -MAX_LANES), min(high, MAX_LANES) + 1)}
+
+
+def is_facing(item: Element, lane: MapLane, road: MapRoad) -> bool:
+    """Whether an object or a signal is for the direction of a lane's traffic, or for both."""
+    facing = item.get("orientation", "none")
+    return facing not in ("+", "-") or (facing == "+") == ascends(lane, road.keeps_left)
+
+
 def _lines(kind: str, item: Element, road: MapRoad, where: str) -> Iterator[MapPaint]:
     """A line across lanes: those that the object lists as valid, or else those that it is wide enough to cross the
-    middle of; of a mere point beside the road, those of the direction that it faces."""
-    s, lanes = _driving(item, road, where)
-    valid = [
-        range(int(low), int(high) + 1)
-        for entry in item.iterfind("validity")
-        for low, high in [sorted(number(entry, key, where, 0.0) for key in ("fromLane", "toLane"))]
-    ]
-    t, width = number(item, "t", where, 0.0), number(item, "width", where, 0.0)
-    half = max(width, number(item, "length", where, 0.0)) / 2
-    facing = item.get("orientation", "none")
-    for name, lane, low, high in lanes:
-        if valid:
-            is_crossed = any(lane.number in numbers for numbers in valid)
-        elif half > 1.0:
-            is_crossed = abs((low + high) / 2 - t) <= half
-        else:
-            is_crossed = True
-        fits = facing not in ("+", "-") or (facing == "+") == ascends(lane, road.keeps_left)
-        if is_crossed and fits and high > low:
-            yield MapPaint.model_validate({"kind": kind, "lane": name, "s_m": s})
+    middle of; of a mere point beside the road, all. Of lanes in both directions it is for those that it faces."""
+    s, lanes = driving_at(item, road, where)
+    valid, t = valid_lanes(item, where), number(item, "t", where, 0.0)
+    half = max(number(item, "width", where, 0.0), number(item, "length", where, 0.0)) / 2
+
+    def is_crossed(at: LaneAcross) -> bool:
+        _, lane, low, high = at
+        if valid is not None:
+            return lane.number in valid
+        return half <= 1.0 or abs((low + high) / 2 - t) <= half
+
+    crossed = [at for at in lanes if at[3] > at[2] and is_crossed(at)]
+    faced = [at for at in crossed if is_facing(item, at[1], road)]
+    # Files of one direction's lines are told apart by where these lie: not all say the direction as the standard does.
+    for name, *_ in faced or (crossed if half > 1.0 or valid is not None else ()):
+        yield MapPaint.model_validate({"kind": kind, "lane": name, "s_m": s})
 
 
 def _beneath(item: Element, road: MapRoad, where: str) -> Iterator[tuple[str, float]]:
     """The lane that an object lies on, and its station."""
-    s, lanes = _driving(item, road, where)
+    s, lanes = driving_at(item, road, where)
     t = number(item, "t", where, 0.0)
     for name, _, low, high in lanes:
         if low <= t <= high and high > low:
@@ -150,7 +173,7 @@ def _beneath(item: Element, road: MapRoad, where: str) -> Iterator[tuple[str, fl
             return
 
 
-def _outline(item: Element, road: MapRoad, where: str) -> tuple[tuple[float, float], ...]:
+def object_outline(item: Element, road: MapRoad, where: str) -> tuple[tuple[float, float], ...]:
     """The corners of an object in the frame of the map: its outline, or the rectangle of its length and width."""
     s, t = number(item, "s", where, 0.0), number(item, "t", where, 0.0)
     on_road = list(item.iterfind(".//cornerRoad"))
@@ -176,14 +199,19 @@ def _open(corners: Points2) -> tuple[tuple[float, float], ...]:
     return tuple((float(x), float(y)) for x, y in corners)
 
 
-def _along(
+def _across(
     outline: tuple[tuple[float, float], ...], item: Element, road: MapRoad, where: str
 ) -> tuple[tuple[float, float], ...]:
-    """The corners of a crosswalk from that on whose side runs most along the road, as its bars do."""
-    heading = float(plan_points(road.plan, np.array([number(item, "s", where, 0.0)]))[0, 2])
+    """The corners of a crosswalk from the side on which its bars begin: its longer one, along which people walk, or of
+    one that is nearly square the one most across the road."""
     corners = np.array(outline)
     sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.maximum(np.hypot(*sides.T), 1e-9)
-    along = np.abs(sides @ [math.cos(heading), math.sin(heading)]) / lengths
-    first = int(np.argmax(along[:2]))
-    return outline[first:] + outline[:first]
+    lengths = np.hypot(*sides.T)
+    first, second = lengths[0] + lengths[2], lengths[1] + lengths[3]
+    if max(first, second) > OBLONG * min(first, second):
+        begins = 0 if first > second else 1
+    else:
+        heading = float(plan_points(road.plan, np.array([number(item, "s", where, 0.0)]))[0, 2])
+        along = np.abs(sides[:2] @ [math.cos(heading), math.sin(heading)]) / np.maximum(lengths[:2], 1e-9)
+        begins = int(np.argmin(along))
+    return outline[begins:] + outline[:begins]

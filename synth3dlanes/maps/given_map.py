@@ -3,6 +3,7 @@
 import hashlib
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +18,8 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.maps.cubics import is_zero, read_cubics, steepened, times, value
 from synth3dlanes.maps.document import MAX_FILE_BYTES, number, parse_xml
-from synth3dlanes.maps.furniture import read_furniture
+from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
+from synth3dlanes.maps.furniture import edges_at, read_furniture
 from synth3dlanes.maps.lanes import read_sections
 from synth3dlanes.maps.links import LinkedRoad, ascends, lane_links, read_end
 from synth3dlanes.maps.plan import places, read_plan
@@ -32,6 +34,10 @@ NEAR_STEP_M = 20.0
 MAX_MAP_ROADS = 100_000
 # Ways are followed no farther than this.
 FAR_ENOUGH_M = 600.0
+# Lanes that follow each other are at most so far apart.
+LINK_GAP_M = 5.0
+# No lane lies farther beside its reference line, no road is higher or more banked; looked at in steps.
+MAX_ASIDE_M, MAX_HEIGHT_M, MAX_BANK_RAD, CHECK_STEP_M = 1000.0, 1e5, 1.3, 50.0
 
 
 class LanePlace(NamedTuple):
@@ -73,6 +79,8 @@ class GivenMap:
     junctions: tuple[MapJunction, ...]
     paint: tuple[MapPaint, ...]
     islands: tuple[MapIsland, ...]
+    elements: tuple[GivenElement, ...]
+    bodies: tuple[GivenBody, ...]
     left_out: dict[str, int] = field(default_factory=dict)
 
     @cached_property
@@ -105,17 +113,19 @@ class GivenMap:
     @cached_property
     def reach_m(self) -> dict[LaneName, float]:
         """How far traffic gets from the beginning of each lane, at most FAR_ENOUGH_M; in a circle it gets as far."""
-        found = dict.fromkeys(self.lanes, 0.0)
-        waiting = dict.fromkeys(self.lanes)
-        while waiting:
-            name = next(iter(waiting))
-            del waiting[name]
+        found: dict[LaneName, float] = {}
+        open_ends = {name: len(self.following.get(name, ())) for name in self.lanes}
+        known = [name for name, n in open_ends.items() if not n]
+        while known:
+            name = known.pop()
             beyond = max((found[after] for after in self.following.get(name, ())), default=0.0)
-            reach = min(self.lanes[name].length_m + beyond, FAR_ENOUGH_M)
-            if reach > found[name]:
-                found[name] = reach
-                waiting |= dict.fromkeys(self.preceding.get(name, ()))
-        return found
+            found[name] = min(self.lanes[name].length_m + beyond, FAR_ENOUGH_M)
+            for before in self.preceding.get(name, ()):
+                open_ends[before] -= 1
+                if not open_ends[before]:
+                    known.append(before)
+        # What is left leads into a circle.
+        return {name: found.get(name, FAR_ENOUGH_M) for name in self.lanes}
 
     @cached_property
     def outlines(self) -> dict[Name, Points2]:
@@ -161,12 +171,12 @@ def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
     header = root.find("header")
     if header is not None and header.find("offset") is not None:
         left_out["the offset of the header"] += 1
-    origin, names = _origin(elements, where), _names(elements, where)
+    origin, names = _origin(elements, where), _names(_ids(elements, where))
     has_heights = any(_has_heights(element, where) for element in elements)
     roads, linked = dict[Name, MapRoad](), dict[str, LinkedRoad]()
-    paint, islands = list[MapPaint](), list[MapIsland]()
+    paint, islands, in_file = list[MapPaint](), list[MapIsland](), list[FileRoad]()
     by_id = {element.get("id", ""): element for element in root.iterfind("junction")}
-    junction_names = {name: _name(name) for name, at in by_id.items() if at.get("type", "default") == "default"}
+    junction_names = _names([name for name, at in by_id.items() if at.get("type", "default") == "default"])
     for element, (id_of_file, name) in zip(elements, names.items(), strict=True):
         at = f"{where}: road {id_of_file}"
         road, ends = _road(element, name, origin, has_heights, at, left_out)
@@ -176,15 +186,26 @@ def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
         found = read_furniture(element, roads[name], at, left_out)
         paint += found.paint
         islands += found.islands
-    links = lane_links(linked, by_id, left_out)
+        in_file.append(FileRoad(element, roads[name], found.others, at))
+    links = _touching(lane_links(linked, by_id, left_out), roads, left_out)
     junctions = tuple(
         MapJunction(id=name, yields=_yields(by_id[id_of_file], linked, left_out))
         for id_of_file, name in junction_names.items()
     )
-    for tag in ("controller", "junctionGroup", "station"):
+    controllers = {
+        control.get("signalId", ""): at.get("id", "")
+        for at in root.iterfind("controller")
+        for control in at.iter("control")
+    }
+    standing = (
+        read_elements(in_file, controllers, left_out),
+        tuple(body for of in in_file for body in read_bodies(of, left_out)),
+    )
+    for tag in ("junctionGroup", "station"):
         left_out[f"{tag}s"] += len(root.findall(tag))
     counts = {what: n for what, n in left_out.items() if n}
-    return GivenMap(source, digest, origin, names, roads, links, junctions, tuple(paint), tuple(islands), counts)
+    lying = tuple(paint), tuple(islands)
+    return GivenMap(source, digest, origin, names, roads, links, junctions, *lying, *standing, counts)
 
 
 def _origin(elements: list[Element], where: str) -> tuple[float, float]:
@@ -198,23 +219,29 @@ def _origin(elements: list[Element], where: str) -> tuple[float, float]:
     return round(x / ROUND_M) * ROUND_M, round(y / ROUND_M) * ROUND_M
 
 
-def _name(text: str) -> Name:
-    """The id of a road or junction as one of ours."""
-    return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in text)[:40] or "_"
-
-
-def _names(elements: list[Element], where: str) -> dict[str, Name]:
-    """Our ids of roads by those of the file."""
-    found: dict[str, Name] = {}
-    for element in elements:
-        id_of_file = element.get("id", "")
-        if id_of_file in found:
-            raise FormatError(f"{where}: expected ids of roads that differ, got {shown(id_of_file)} twice")
-        name = _name(id_of_file)
-        while name in found.values() and name != id_of_file:
-            name += "_"
-        found[id_of_file] = name
+def _names(ids: Sequence[str]) -> dict[str, Name]:
+    """Our ids of roads or junctions by those of the file, which differ: equal where they can be."""
+    plain = {
+        text: "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in text)[:40] or "_"
+        for text in ids
+    }
+    taken, found = {text for text, name in plain.items() if text == name}, dict[str, Name]()
+    counts: Counter[str] = Counter()
+    for text, name in plain.items():
+        found[text] = name
+        while text != name and found[text] in taken:
+            counts[name] += 1
+            found[text] = f"{name}_{counts[name]}"
+        taken.add(found[text])
     return found
+
+
+def _ids(elements: list[Element], where: str) -> list[str]:
+    """The ids of roads in the file. Raises FormatError where two are equal."""
+    ids = [element.get("id", "") for element in elements]
+    if twice := [text for text, n in Counter(ids).items() if n > 1]:
+        raise FormatError(f"{where}: expected ids of roads that differ, got {shown(twice[0])} twice")
+    return ids
 
 
 def _has_heights(element: Element, where: str) -> bool:
@@ -249,9 +276,54 @@ def _road(
         keeps_left=keeps_left,
     )
     before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
+    _check_sizes(road, where)
     if not is_zero(banks):
         road = _from_above(road)
     return road, LinkedRoad(name, sections, before, after, element.get("junction"), keeps_left)
+
+
+def _check_sizes(road: MapRoad, where: str) -> None:
+    """Raise FormatError for a road that is somewhere absurdly wide, high or banked."""
+    ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
+    for section, end_m in zip(road.sections, ends, strict=True):
+        for s_m in np.linspace(section.s_m, end_m, 2 + int((end_m - section.s_m) / CHECK_STEP_M)).tolist():
+            edges = [value(road.lane_offsets, s_m), *(outer for _, _, outer in edges_at(road, section, s_m))]
+            for what, most, found in (
+                ("edges of lanes", MAX_ASIDE_M, max(map(abs, edges))),
+                ("heights", MAX_HEIGHT_M, abs(value(road.heights, s_m))),
+                ("superelevations", MAX_BANK_RAD, abs(value(road.banks, s_m))),
+            ):
+                if not found <= most:
+                    raise FormatError(f"{where}: {what}: expected at most {most:g}, got {found:.4g} at s = {s_m:.4g}")
+
+
+def _touching(
+    links: Sequence[tuple[LaneName, LaneName]], roads: dict[Name, MapRoad], left_out: Counter[str]
+) -> tuple[tuple[LaneName, LaneName], ...]:
+    """The links of lanes that end where the next one begins."""
+    ends: dict[tuple[LaneName, bool], tuple[float, float]] = {}
+    kept = []
+    for link in links:
+        for name, leaves in zip(link, (True, False), strict=True):
+            if (name, leaves) not in ends:
+                ends[name, leaves] = _end_of(name, leaves, roads)
+        if math.dist(ends[link[0], True], ends[link[1], False]) <= LINK_GAP_M:
+            kept.append(link)
+        else:
+            left_out["links of lanes that do not touch"] += 1
+    return tuple(kept)
+
+
+def _end_of(name: LaneName, leaves: bool, roads: dict[Name, MapRoad]) -> tuple[float, float]:
+    """The middle of a lane where its traffic leaves it, or enters it."""
+    road_id, i, number = name.rsplit(".", 2)
+    road, section = roads[road_id], int(i)
+    lane = next(at for at in road.sections[section].lanes if at.number == int(number))
+    low, high = LanePlace(road, section, lane).span_m
+    s_m = high if ascends(lane, road.keeps_left) == leaves else low
+    t_m = next((a + b) / 2 for at, a, b in edges_at(road, road.sections[section], s_m) if at is lane)
+    x, y = places(road.plan, np.array([s_m]), np.array([t_m]))[0].tolist()
+    return x, y
 
 
 def _shape(element: Element, where: str) -> MapShape:

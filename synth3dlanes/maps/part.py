@@ -7,9 +7,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.maps.cubics import SAME_M, moved, part, rounded, value
+from synth3dlanes.maps.elements import GivenBody, GivenElement
 from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.places import MapStation, draw_route
 from synth3dlanes.maps.plan import plan_points
@@ -25,6 +27,7 @@ from synth3dlanes.road_map import (
     PlanPiece,
     RoadMap,
 )
+from synth3dlanes.schema import validation_problems
 
 # Roads are kept that come this close to the host; longer roads are cut to their pieces that do.
 KEPT_M, LONG_M = 500.0, 1000.0
@@ -43,16 +46,26 @@ class _Cut:
 
 
 class MapPart(NamedTuple):
-    """A part of a map, and where the host is on it: the number of its lane on the route, and a station of its road."""
+    """A part of a map, and where the host is on it: the number of its lane on the route, and a station of its road; and
+    what stands there."""
 
     map: RoadMap
     lane: int
     s_m: float
+    elements: tuple[GivenElement, ...] = ()
+    bodies: tuple[GivenBody, ...] = ()
 
 
 def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
     """The map around a place. The world's origin is at the host's place on its reference line, and world y is the
-    direction of its lane there."""
+    direction of its lane there. Raises InputError for a place or numbers that no scene can have."""
+    try:
+        return _part_around(given, at, rng)
+    except ValidationError as error:
+        raise InputError(validation_problems(error, f"map {given.source}")[0]) from None
+
+
+def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
     route, number = draw_route(given, at, rng)
     lane = given.lanes[at.lane]
     x, y, heading = plan_points(lane.road.plan, np.array([at.s_m]))[0].tolist()
@@ -71,6 +84,11 @@ def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> Ma
     junctions = {road.junction for road in roads}
     paint = (_painted(item, frame, names, cuts) for item in given.paint)
     islands = (item.model_copy(update={"outline": frame.corners(item.outline)}) for item in given.islands)
+    first, last = number, number + 1
+    while first > 0 and route[first - 1] in names:
+        first -= 1
+    while last < len(route) and route[last] in names:
+        last += 1
     found = {
         "roads": roads,
         "links": _renamed(given.links, names),
@@ -81,12 +99,16 @@ def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> Ma
         ),
         "paint": tuple(item for item in paint if item is not None),
         "islands": tuple(item for item in islands if _is_near(item.outline)),
-        "route": tuple(names[name] for name in route),
+        # Without lanes that are not kept, to which only links over gaps lead.
+        "route": tuple(names[name] for name in route[first:last]),
         "source": given.source,
         "digest": given.digest,
         "given_frame": (frame.x + given.origin[0], frame.y + given.origin[1], frame.z, frame.turn),
     }
-    return MapPart(RoadMap.model_validate(found), number, round(at.s_m - cuts[lane.road.id].from_m, DECIMALS))
+    standing = tuple(filter(None, (frame.element(item, names) for item in given.elements)))
+    bodies = tuple(body for body in map(frame.body, given.bodies) if _is_near([(body.x_m, body.y_m)]))
+    s_m = round(at.s_m - cuts[lane.road.id].from_m, DECIMALS)
+    return MapPart(RoadMap.model_validate(found), number - first, s_m, standing, bodies)
 
 
 def _renamed(
@@ -221,6 +243,21 @@ class _Frame:
                 "lane_offsets": rounded(road.lane_offsets),
             }
         )
+
+    def element(self, item: GivenElement, names: Mapping[LaneName, LaneName]) -> GivenElement | None:
+        """A signal or sign of the map in the world, with those of its lanes that are kept; None of one far away."""
+        of = item.element
+        x, y = self.point((of.x_m, of.y_m))
+        if not _is_near([(x, y)]):
+            return None
+        lanes = tuple(names[name] for name in of.lanes if name in names)
+        yaw_rad = round(_wrapped(of.yaw_rad - self.turn), DECIMALS)
+        return item._replace(element=of.model_copy(update={"x_m": x, "y_m": y, "yaw_rad": yaw_rad, "lanes": lanes}))
+
+    def body(self, item: GivenBody) -> GivenBody:
+        """A building or a tree of the map in the world."""
+        x, y = self.point((item.x_m, item.y_m))
+        return item._replace(x_m=x, y_m=y, heading_rad=round(_wrapped(item.heading_rad - self.turn), DECIMALS))
 
     def _piece(self, piece: PlanPiece) -> PlanPiece:
         x, y = self.point((piece.x_m, piece.y_m))

@@ -17,6 +17,8 @@ AHEAD_M, BEHIND_M = 450.0, 150.0
 # A place is drawn where the way goes on at least so far, if there is one, in a lane at least so wide.
 ONWARD_M, WIDE_M = 250.0, 2.0
 TRIES, MAX_ROUTE = 200, 1000
+# A host has at least so much of its way ahead.
+LEAST_AHEAD_M = 10.0
 DECIMALS = 3
 
 
@@ -91,7 +93,7 @@ def read_place(given: GivenMap, text: str) -> MapStation:
 
 def draw_route(given: GivenMap, at: MapStation, rng: np.random.Generator) -> tuple[tuple[LaneName, ...], int]:
     """The lanes that the host drives along, some of them behind it, and the number of its own among them. Where ways
-    part, each that goes on far enough is as likely."""
+    part, each that goes on far enough is as likely. Raises InputError where the way ends at once."""
     place = given.lanes[at.lane]
     low, high = place.span_m
     driven_m = at.s_m - low if place.ascends else high - at.s_m
@@ -111,4 +113,10 @@ def draw_route(given: GivenMap, at: MapStation, rng: np.random.Generator) -> tup
             break
         route.append(ways[int(rng.random() * len(ways))])
         ahead_m += given.lanes[route[-1]].length_m
+    rounds = route.count(route[-1])
+    if ahead_m < LEAST_AHEAD_M * rounds or len(route) >= 2 * MAX_ROUTE:
+        raise InputError(
+            f"map {given.source}: expected a way of {LEAST_AHEAD_M:g} m and more ahead of the host, got"
+            f" {ahead_m:.3g} m in {len(route) - number} lanes at {at.lane}, s = {at.s_m:g}"
+        )
     return tuple(route), number

@@ -58,7 +58,10 @@ def _piece(geometry: Element, length: float, where: str, origin: tuple[float, fl
             return PlanPiece(**start, u=along, v=aside, parameter_end=_parameter_at(along, aside, length))
         if form.tag == "paramPoly3":
             end = 1.0 if form.get("pRange", "normalized") == "normalized" else length
-            return PlanPiece(**start, u=_four(form, "U", where), v=_four(form, "V", where), parameter_end=end)
+            u, v = (_four(form, axis, where) for axis in "UV")
+            if not _lengths(u, v, np.linspace(0, end, N_LENGTH))[-1] > SHORT_M:
+                raise FormatError(f"{where}: geometry: paramPoly3: expected a curve with a length, got a point")
+            return PlanPiece(**start, u=u, v=v, parameter_end=end)
     raise FormatError(f"{where}: geometry: expected line, arc, spiral, poly3 or paramPoly3, got none of them")
 
 

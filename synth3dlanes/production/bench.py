@@ -194,7 +194,7 @@ def time_naive(recipe: Recipe, index: int, samples: int) -> float:
     """In a worker: the seconds of a render with Blender's default settings."""
     from synth3dlanes.blender.benchmark_renders import naive_seconds
 
-    return naive_seconds(recipe.scene(index), recipe.settings, recipe.library, samples)
+    return naive_seconds(recipe.scene(index), recipe.library, samples)
 
 
 def make_reference(recipe: Recipe, index: int) -> UInt8[np.ndarray, "h w 3"]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from synth3dlanes.assets.car_colors import sold_color
+from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.errors import InputError
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.camera import world_from_host
@@ -82,3 +83,13 @@ def _parking(network: Network, s_m: float, width_m: float, rng: np.random.Genera
         return None
     offset_m = network.rightward * (road.lane_width_m + road.shoulder_m) / 2
     return outermost[int(rng.random() * len(outermost))], round(offset_m, DECIMALS)
+
+
+def car_look(looks: Draw, assets: Assets, model: int, scale: float) -> dict[str, object]:
+    """Model and colours of a car on a map."""
+    (color,) = zip(*looks.rows(("color",), 3), strict=True)
+    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
+    u_paint, u_shade = looks.rng.random(2)
+    if palette == "sold":
+        color, saturation = sold_color(assets.car_models[model - 1], u_paint, u_shade), 1.0
+    return {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}

@@ -55,7 +55,7 @@ def road_points(road: MapRoad) -> Points3:
     return np.concatenate(found)
 
 
-def _lowest(xyz: Points3) -> Points3:
+def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:
     """Those of places that have no other far below them close by."""
     pairs = cKDTree(xyz[:, :2]).query_pairs(BESIDE_M, output_type="ndarray")
     apart = xyz[pairs[:, 0]] - xyz[pairs[:, 1]]

@@ -1,11 +1,11 @@
 """What is drawn on a given map: the host's place and speed, and the cars around it. World frame, metres."""
 
+import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.assets.car_colors import sold_color
-from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.distributions import Choice, Uniform
 from synth3dlanes.geometry import placement
 from synth3dlanes.geometry.lane_curves import KNOT_M, LaneCurve
@@ -18,7 +18,7 @@ from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.part import MapPart, part_around
 from synth3dlanes.maps.places import MapStation, draw_place
 from synth3dlanes.road_map import LaneName, MapRoad
-from synth3dlanes.sampling.cars import CAR_GAP_M
+from synth3dlanes.sampling.cars import CAR_GAP_M, car_look
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.traffic import CHECK_EVERY_S, SPEED_TRIES
 from synth3dlanes.scene import Car
@@ -81,8 +81,33 @@ def slowed(network: MapNetwork, at_m: float, shot: Shot) -> Shot:
     return shot.model_copy(update={"speed_m_s": speed_m_s})
 
 
-def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float) -> float:
-    """The speed with which a car can drive along a way for so long."""
+def red_lines(world: World, network: MapNetwork) -> dict[LaneName, float]:
+    """Where traffic may not go on, by lanes, as stations of their roads: at the stop lines of signals that are neither
+    green nor off, or where the junction begins."""
+    roads = world.scene.map
+    assert roads is not None, "asked only of maps"
+    lines = {at.lane: at.s_m for at in roads.paint if at.kind == "stop_line" and at.lane is not None}
+    inside = {road.id for road in roads.roads if road.junction is not None}
+    found: dict[LaneName, float] = {}
+    for signal in world.scene.roadside.signals:
+        if signal.state_at(0.0) not in ("green", "off"):
+            for name in signal.lanes:
+                if name in network.lanes:
+                    lane = network.lanes[name]
+                    found[name] = lines.get(name, lane.driven[0] if lane.road in inside else lane.driven[1])
+    return found
+
+
+def _line_ahead(way: LaneCurve, lines: Mapping[LaneName, float], front_m: float) -> float:
+    """The length along a way at which the first of some lines before a place of it is; infinite without one."""
+    at = (piece.station(lines[lane.id]) for lane, piece in zip(way.lanes, way.pieces, strict=True) if lane.id in lines)
+    return min((m for m in at if m >= front_m), default=math.inf)
+
+
+def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, line_m: float = math.inf) -> float:
+    """The speed with which a car can drive along a way for so long, if its middle must not pass a place."""
+    if at_m + speed_m_s * duration_s > line_m:
+        speed_m_s = max(line_m - at_m, 0.0) / max(duration_s, 1e-9)
     end_m = min(at_m + speed_m_s * duration_s, way.end_m)
     s = np.arange(at_m, end_m + 2 * BEND_M, BEND_M / 2)
     xy = way.xy_world(np.clip(s, 0, way.end_m))
@@ -103,11 +128,12 @@ def draw_map_cars(world: World, network: MapNetwork, looks: Draw, speeds: Draw, 
     host = _footprints(network.way, host_m, world.scene.camera.offset_m, placement.HOST_SIZE_M)
     taken, cars = [host], list[Car]()
     near, chances = _near(world, network, reach_m)
+    lines = red_lines(world, network)
     if not near:
         return ()
     for _ in range(looks("n")):
         model, scale = looks("model"), looks("scale")
-        look = _look(looks, world.scene.assets, model) | {"model": model, "scale": scale}
+        look = car_look(looks, world.scene.assets, model, scale)
         body = world.scene.assets.car_models[model - 1]
         size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
         for _ in range(TRIES):
@@ -116,9 +142,10 @@ def draw_map_cars(world: World, network: MapNetwork, looks: Draw, speeds: Draw, 
             route = _onward(network, lane, rng) if shot.n_frames > 1 else ()
             way = network.way_through([lane, *(network.lanes[name] for name in route)])
             at_m = way.pieces[0].station(s_m)
+            line_m = _line_ahead(way, lines, at_m + size[0] / 2) - size[0] / 2
             found = None
             for wish_m_s in [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if shot.n_frames > 1 else [0.0]:
-                speed_m_s = _allowed(way, at_m, wish_m_s, shot.duration_s) if wish_m_s else 0.0
+                speed_m_s = _allowed(way, at_m, wish_m_s, shot.duration_s, line_m) if wish_m_s else 0.0
                 path = _footprints(way, at_m + speed_m_s * times_s, 0.0, size)
                 if not any(placement.overlaps_any(path, other) for other in taken):
                     found = speed_m_s
@@ -166,15 +193,6 @@ def _footprints(way: LaneCurve, lengths_m: np.ndarray, offset_m: float, size: tu
     """The rectangles of a car at lengths along its way."""
     inside = np.clip(lengths_m, 0.6, max(way.end_m - 0.6, 0.6))
     behind, ahead = way.xy_world(inside - 0.5), way.xy_world(inside + 0.5)
-    heading = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1, keepdims=True)
+    heading = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
     middle = way.xy_world(lengths_m) + offset_m * np.stack([heading[:, 1], -heading[:, 0]], axis=-1)
     return placement.footprint(middle, heading, *size)
-
-
-def _look(looks: Draw, assets: Assets, model: int) -> dict[str, object]:
-    (color,) = zip(*looks.rows(("color",), 3), strict=True)
-    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
-    u_paint, u_shade = looks.rng.random(2)
-    if palette == "sold":
-        color, saturation = sold_color(assets.car_models[model - 1], u_paint, u_shade), 1.0
-    return {"color": color, "gloss": gloss, "saturation": saturation}

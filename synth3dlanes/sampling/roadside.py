@@ -20,6 +20,7 @@ from synth3dlanes.geometry.rails import KERBS, RAILS
 from synth3dlanes.geometry.roads import SIDES, Side
 from synth3dlanes.geometry.roadside import Footprints, footprints
 from synth3dlanes.geometry.sign_faces import FACES, SIGNS
+from synth3dlanes.polylines import stretches
 from synth3dlanes.roadside import Building, Crossing, Post, Rail, RailKind, RoadSide, Roadside
 from synth3dlanes.schema import Color
 from synth3dlanes.world import World
@@ -94,7 +95,7 @@ def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
     wall_m = draw("wall_height_m")
     rails: list[Rail] = []
     for place, kind in kinds.items():
-        color = _color(rng, WALLS if kind == "noise_wall" else GRAYS)
+        color = shaded(rng, WALLS if kind == "noise_wall" else GRAYS)
         on_ramp: RailKind = kind if kind in ("guardrail", "concrete") else "guardrail"
         for edge in _edges(ground.network, place):
             if kind != "none":
@@ -103,7 +104,7 @@ def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
             if has_ramp_rail and ground.network.road(edge.road).ramp is not None:
                 height_m = RAILS[on_ramp].height_m or wall_m
                 rails += _rails(ground, edge, RailDraw(on_ramp, RAISED_ASIDE_M, height_m, color), True)
-    rails += _median_rail(ground, draw("median"), _color(rng, GRAYS))
+    rails += _median_rail(ground, draw("median"), shaded(rng, GRAYS))
     crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, [])
     crossings += _crossings(world, "gantry", draw("n_gantries"), draw("clearance_m"), rng, crossings)
     behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
@@ -205,8 +206,7 @@ def _median_rail(ground: Ground, kind: Literal["none", "guardrail", "concrete"],
 
 def _runs(s: Scalars, free: Bool[np.ndarray, " n"]) -> Iterator[tuple[float, float]]:
     """The first and last stations of the free stretches that are long enough."""
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], free, [False]]).astype(int)))
-    for first, end in zip(changes[::2], changes[1::2], strict=True):
+    for first, end in stretches(free):
         if s[end - 1] - s[first] >= MIN_RAIL_M:
             yield float(s[first]), float(s[end - 1])
 
@@ -278,7 +278,7 @@ def _crossings(
         for _ in range(TRIES):
             s_m = _ahead(ground, rng, CROSSINGS_M)
             width_m = round(float(rng.uniform(8, 14) if kind == "bridge" else rng.uniform(0.7, 1.1)), DECIMALS)
-            color = _color(rng, GRAYS) if kind == "bridge" else BOARDS[int(rng.random() * len(BOARDS))]
+            color = shaded(rng, GRAYS) if kind == "bridge" else BOARDS[int(rng.random() * len(BOARDS))]
             crossing = Crossing(kind=kind, s_m=s_m, clearance_m=clearance_m, width_m=width_m, color=color)
             if all(abs(s_m - other.s_m) > CROSSINGS_APART_M for other in found) and _spans(ground, crossing):
                 found.append(crossing)
@@ -325,10 +325,10 @@ def _building(
             width_m=width_m,
             length_m=length_m,
             height_m=height_m,
-            color=_color(rng, FRONTS),
-            roof=_color(rng, ROOFS),
+            color=shaded(rng, FRONTS),
+            roof=shaded(rng, ROOFS),
         )
-        outline = _outline(building)
+        outline = floor_plan(building)
         if not (
             taken.clear(outline, 2.0) & footprints(ground, Roadside(buildings=tuple(others))).clear(outline, 2.0)
         ).all():
@@ -340,7 +340,7 @@ def _building(
             return
 
 
-def _outline(building: Building) -> Float[np.ndarray, "n 2"]:
+def floor_plan(building: Building) -> Float[np.ndarray, "n 2"]:
     """World points over a building's floor plan."""
     share = np.linspace(-0.5, 0.5, 7)
     x, y = np.meshgrid(share * building.width_m, share * building.length_m)
@@ -348,7 +348,7 @@ def _outline(building: Building) -> Float[np.ndarray, "n 2"]:
     return np.asarray(building_frame(building).world(places)[:, :2])
 
 
-def _color(rng: Rng, among: tuple[Color, ...]) -> Color:
+def shaded(rng: Rng, among: tuple[Color, ...]) -> Color:
     """One of some colours, a little lighter or darker."""
     color, shade = among[int(rng.random() * len(among))], 0.85 + 0.3 * rng.random()
     red, green, blue = (round(min(shade * channel, 1.0), 4) for channel in color)

@@ -26,9 +26,9 @@ MIN_CORNERS = 3
 ROOM = 1.15
 # Trunks go on underground, where they hide points behind a hill.
 ROOTS_M = 1.0
-# Every car is solid in this part of its box: above the open space below a truck, below the windows, and behind the gap
-# at a truck's cab.
-CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.7), (0.7, 0.2)), (0.38, 0.5)
+# Every car is solid in this part of its box: above the open space below a truck, below the windows, behind the gap at a
+# truck's cab, and between the arches of the wheels, through which one sees above the tyres.
+CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.35), (0.7, 0.2)), (0.38, 0.5)
 # The host's bonnet fills this box below its highest point, and lies in that one.
 BONNET_CORE = ((-0.6, 0.35, -0.3), (0.6, 1.3, -0.16))
 BONNET = ((-0.78, 0.02, -0.4), (0.78, 1.6, 0.02))

@@ -22,6 +22,7 @@ from scipy.interpolate import CubicSpline
 
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.labels import MASKS, CameraLabel, Labels, Lane
+from synth3dlanes.polylines import stretches
 from synth3dlanes.settings import FIRST_DELIMITER_ID
 from synth3dlanes.validate.paint import WorldPaint
 
@@ -181,8 +182,7 @@ def _slices(paint: WorldPaint, camera: CameraLabel, lane: Lane, half_m: float) -
     shows = np.isin(at[:-1].astype(int), steps) & strip.painted[:-1] & strip.painted[1:]
     # Only stretches that go up in the image, so that a row cuts the line once.
     shows &= (np.diff(left[:, 1]) < 0) & (np.diff(right[:, 1]) < 0)
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], shows, [False]])))
-    runs = [slice(first, last + 1) for first, last in ends.reshape(-1, 2)]
+    runs = [slice(first, last + 1) for first, last in stretches(shows)]
     parts = [none, *(_run(left[run], right[run], points_cam[run]) for run in runs)]
     slices = Slices(*(np.concatenate(values) for values in zip(*parts, strict=True)))
     kept = np.flatnonzero(slices.right_px > slices.left_px)

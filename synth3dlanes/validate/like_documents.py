@@ -36,7 +36,7 @@ def unlike(expected: bytes, found: bytes) -> Iterator[str]:
         yield "; ".join(lines[:NAMED_AT_MOST]) + more
     for mask in MASKS:
         both = [path for path in made if path.endswith(f".{mask}") and path.rpartition(".")[0] in entries[1]]
-        yield from _masks({path: made[path] for path in both}, lies, mask)
+        yield from _masks({path: made[path] for path in both}, lies)
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
@@ -91,7 +91,7 @@ def _or_none(value: Any) -> str:
     return "none" if value is None else shown(value)
 
 
-def _masks(made: Mapping[str, Any], lies: Mapping[str, Any], mask: str) -> Iterator[str]:
+def _masks(made: Mapping[str, Any], lies: Mapping[str, Any]) -> Iterator[str]:
     """Masks that differ at more points than graze something."""
     flips, ends, wrong, shifts = 0, 0, [], set()
     for path, expected in made.items():

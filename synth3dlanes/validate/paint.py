@@ -17,7 +17,7 @@ from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
 from synth3dlanes.scene import Scene
-from synth3dlanes.validate.places import SurfacePlaces, places
+from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.world import World
 
 # Paint narrower, or a dash lower in the image, than this may fall between the pixels' single samples.
@@ -131,7 +131,7 @@ class WorldPaint:
         markings = self.world.scene.markings
         return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
 
-    def beyond_m(self, id_: str, place: SurfacePlaces) -> Scalars:
+    def beyond_m(self, id_: str, place: AnyPlaces) -> Scalars:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
         curve = self._curves[id_]

@@ -153,10 +153,10 @@ class RoadPlaces:
         return found
 
 
-SurfacePlaces = RoadPlaces | MapPlaces
+AnyPlaces = RoadPlaces | MapPlaces
 
 
-def places(ground: Ground, xy_world: Points2) -> SurfacePlaces:
+def places(ground: Ground, xy_world: Points2) -> AnyPlaces:
     """Project points near a road onto it."""
     # Nothing else asks for the kind of a ground.
     if isinstance(ground, MapGround):

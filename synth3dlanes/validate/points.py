@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Passes, Points2
+from synth3dlanes.frames import transform
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
@@ -93,6 +94,9 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
             found += _surface(lane, strip, uv, passes)
         if "depth" in passes and "semantic" in passes:
             sight = _sight(camera, lane, strip, uv, passes)
+            # The deck of a bridge is as thin as its road: from below its points are at their depths, too.
+            stacked = evidence.world.ground.is_stacked(transform(camera.world_from_cam, lane.xyz_cam)[:, :2])
+            sight = Sight(*(of & ~stacked for of in sight))
             found += _against_masks(lane, sight)
             moved += _wrong_if_moved(lane, sight)
         measures += found

@@ -29,6 +29,8 @@ MATRIX = 1e-8
 LAW_M = 0.001
 # Points of measured lines are a metre apart wherever the host is: the middle of a chord is so far from a sharp bend.
 CHORD_M = 0.03
+# The longest end of a lane of a map without points: they are a metre apart, and a line has two.
+REST_M = 2.0
 # Number of lines of sight that may graze the core's edges.
 MAX_WRONG = 1
 # Largest number of points of a line behind twigs outside their boxes in 1,350 scenes.
@@ -105,12 +107,14 @@ def check_host(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the host's position."""
     world, labels, camera = evidence.world, evidence.labels, evidence.world.view.camera
     segment = world.network.host_lane(camera.lane, camera.y_m).id
-    paths = next((found.centerlines for found in labels.graph.segments if found.id == segment), ())
+    # Of the last metres of a lane of a map there is no line; the next one begins there.
+    reach_m, law_m = (REST_M, CHORD_M) if world.network.host_way(camera).is_measured else (0.0, LAW_M)
+    own = {segment, world.network.host_lane(camera.lane, camera.y_m + reach_m).id}
+    paths = {path for found in labels.graph.segments if found.id in own for path in found.centerlines}
     lanes = [lane for lane in labels.lanes if lane.id in paths]
     world_from_host = _host_of(world.scene, labels.camera)
     foot, ahead = world_from_host[:2, 3], world_from_host[:2, 1]
     asides_m = [aside_m for lane in lanes for aside_m in _asides(labels, lane, foot)]
-    law_m = CHORD_M if world.network.host_way(camera).is_measured else LAW_M
     if not asides_m:
         yield Finding("", f"host: expected a centre line of its lane {segment}, got none")
     elif min(abs(aside_m - camera.offset_m) for aside_m in asides_m) > law_m:

@@ -18,7 +18,7 @@ from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.pixels import some_pixels
-from synth3dlanes.validate.places import SurfacePlaces, places
+from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
 from synth3dlanes.world import World
 
@@ -56,7 +56,7 @@ class Pavement(NamedTuple):
 
     range_m: Scalars
     semantic: Ids
-    places: SurfacePlaces
+    places: AnyPlaces
     up_world: Points3
     gap_m: Scalars
     below_eye_m: Scalars

@@ -17,7 +17,7 @@ from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding
 from synth3dlanes.validate.pixels import some_pixels
-from synth3dlanes.validate.places import SurfacePlaces, on_road, places
+from synth3dlanes.validate.places import AnyPlaces, on_road, places
 from synth3dlanes.world import World
 
 # Pixels this close to an edge of paint may show either side of it.
@@ -68,7 +68,7 @@ def _judge(name: str, shown: Bool[np.ndarray, " n"], outside_m: Scalars, margin_
         yield Finding("", f"{name}: expected {inside} pixels of its paint, got another surface at {gaps.sum()} of them")
 
 
-def _beyond_m(world: World, symbol: Symbol, place: SurfacePlaces) -> Scalars:
+def _beyond_m(world: World, symbol: Symbol, place: AnyPlaces) -> Scalars:
     """Distance of points on the road outside a symbol's paint, negative inside."""
     network, form = world.network, shape(world.ground, symbol)
     if symbol.kind == "gore":

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.interpolate import CubicSpline
 from synth3dlanes_baseline.anchors import DROPPED, IGNORED, KEPT, anchor_positions_m, encode, sample_curves
 from synth3dlanes_baseline.config import NANO, PAPER, PAPER_KNOTS_M, TEN_KNOTS_M
 from synth3dlanes_baseline.curves import is_usable, plane_pose, resample, road_curves, target_pose
@@ -200,6 +201,9 @@ def test_suppression_keeps_one_of_a_plateau():
 
 def test_the_default_spline_is_the_natural_cubic():
     knots = np.array([5.0, 20, 40, 60, 80, 100])
+    values, at_m = np.random.default_rng(0).normal(size=(6, 3, 2)), np.arange(-3.0, 110.0)
+    expected = CubicSpline(knots, values, bc_type="natural")(at_m)
+    assert interpolate(knots, values, at_m, "natural") == pytest.approx(expected, abs=1e-12)
     row_at_zero = interpolate(knots, np.eye(6), np.array([0.0]), "natural")
     # By how much noise of the knots grows at y = 0: 1.48 with natural ends, 2.15 with not-a-knot ones.
     assert math.hypot(*row_at_zero[0]) == pytest.approx(1.48, abs=0.005)

@@ -23,7 +23,7 @@ def writers(out: Path, roads):
     state = checkpoint.Checkpoint(train_config("nano", {}), {}, {"weight": torch.zeros(1)}, None)
 
     def pictures() -> None:
-        save_pictures(out / "00000000.png", image, labels.camera.img_from_cam, prediction, labels, 0.5)
+        save_pictures(out / "00000000", image, labels.camera.img_from_cam, prediction, labels, 0.5)
 
     def log() -> None:
         with TrainingLog(out, 1, 1, 0, 1, is_shown=True) as history:
@@ -34,7 +34,7 @@ def writers(out: Path, roads):
         "best.pt": lambda: checkpoint.save(out / "best.pt", state),
         "annotations.cache": lambda: annotation_file(out / "annotations.cache", "here"),
         "predictions.jsonl": lambda: write_predictions(out / "predictions.jsonl", [prediction]),
-        "00000000.png": pictures,
+        "00000000.figure.jpg": pictures,
         "00000000.overlay.jpg": pictures,
         "history.jsonl": log,
         "tensorboard": log,
@@ -42,7 +42,7 @@ def writers(out: Path, roads):
 
 
 NAMES = [
-    *("last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.png", "00000000.overlay.jpg"),
+    *("last.pt", "best.pt", "annotations.cache", "predictions.jsonl", "00000000.figure.jpg", "00000000.overlay.jpg"),
     *("history.jsonl", "tensorboard"),
 ]
 

@@ -9,7 +9,7 @@ import torch
 from PIL import Image, ImageDraw
 from synth3dlanes_baseline import checkpoint as checkpoints
 from synth3dlanes_baseline.config import train_config
-from synth3dlanes_baseline.data import FocalLengths, fit, intrinsics_of, resize
+from synth3dlanes_baseline.data import CameraImage, FocalLengths, fit, intrinsics_of, resize
 from synth3dlanes_baseline.image_lines import columns_of
 from synth3dlanes_baseline.lanes import Detection, Prediction, write_predictions
 from synth3dlanes_baseline.model import LaneNet
@@ -198,9 +198,10 @@ def test_a_checkpoint_knows_the_focal_lengths_it_was_trained_on_and_every_image_
     assert seen[0] == pytest.approx(70, rel=0.01)
     pixels = torch.from_numpy(image[None]).permute(0, 3, 1, 2)
     (expected,) = detector.in_batch([sample.key], pixels, torch.tensor([seen]))
-    (of_image,) = detector.in_images([(sample.key, sample.image, intrinsics)])
+    image = CameraImage(sample.key, sample.image, intrinsics)
+    ((_, of_image),) = detector.in_images([image])
     ((_, of_sample),) = detector.in_samples([sample], workers=0)
-    (resized,) = replace(detector, trained=None).in_images([(sample.key, sample.image, intrinsics)])
+    ((_, resized),) = replace(detector, trained=None).in_images([image])
     of_image, of_sample, resized, expected = (
         [lane.score for lane in prediction.lanes] for prediction in (of_image, of_sample, resized, expected)
     )

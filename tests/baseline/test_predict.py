@@ -1,6 +1,7 @@
 """From a checkpoint to files: predictions, pictures, reports, ONNX, flat ground; and from files to scores."""
 
 import ast
+import collections
 import dataclasses
 import inspect
 import json
@@ -8,14 +9,15 @@ import subprocess
 import sys
 
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
 from PIL import Image
 from synth3dlanes_baseline import checkpoint as checkpoints
-from synth3dlanes_baseline import evaluate, onnx_decode, statistics
+from synth3dlanes_baseline import evaluate, onnx_decode, sources, statistics
 from synth3dlanes_baseline.config import train_config
-from synth3dlanes_baseline.data import intrinsics_of
+from synth3dlanes_baseline.data import CameraImage, intrinsics_of
 from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions, score
 from synth3dlanes_baseline.flat_ground import through_flat_ground
 from synth3dlanes_baseline.inference import choose_device, layout_of, predictions_of
@@ -23,8 +25,10 @@ from synth3dlanes_baseline.lanes import read_predictions, write_predictions
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.onnx_decode import decode
 from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
+from synth3dlanes_baseline.onnx_int8 import quantised
 from synth3dlanes_baseline.overlay import _lines, save_pictures
-from synth3dlanes_baseline.predict import PredictionSummary, assumed_intrinsics, detector_for, predict
+from synth3dlanes_baseline.pictures import assumed_intrinsics
+from synth3dlanes_baseline.predict import PredictConfig, PredictionSummary, detector_for, predict
 from synth3dlanes_baseline.report import markdown, save_plots, table_1_cells, to_document, to_text
 from synth3dlanes_baseline.statistics import describe_targets
 
@@ -49,18 +53,16 @@ def _untrained(path, row):
     return path
 
 
-def detected(checkpoint, source, *args, **options) -> PredictionSummary:
+def detected(checkpoint, source, out, *intrinsics, **options) -> PredictionSummary:
     """What `predict` finds on the CPU."""
-    return predict(detector_for(source, checkpoint, "cpu"), source, *args, **options)
+    return predict(detector_for(source, checkpoint, "cpu"), source, out, PredictConfig(*intrinsics, **options))
 
 
 @pytest.fixture
 def split(roads, tmp_path, monkeypatch):
     """A split of drawn pictures behind the name DIR/test."""
-    from synth3dlanes_baseline import predict
-
     samples = roads.samples(np.random.default_rng(4), 5, (160, 120))
-    for module in (evaluate, predict, statistics):
+    for module in (evaluate, sources, statistics):
         monkeypatch.setattr(module, "open_split", lambda path: samples)
     return samples
 
@@ -83,7 +85,7 @@ def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp
         assert from_file[kind]["ap"] == pytest.approx(direct[kind]["ap"], abs=0.02)
         assert from_file[kind]["n_detections"] == direct[kind]["n_detections"]
     assert from_file["pose"] == pytest.approx(direct["pose"], abs=1e-3)
-    pictures = sorted((tmp_path / "out").glob("*.png"))
+    pictures = sorted((tmp_path / "out").glob("*.figure.jpg"))
     assert len(pictures) == 2
     with Image.open(pictures[0]) as picture:
         assert picture.width > 600
@@ -214,6 +216,19 @@ def test_onnx_gives_equal_outputs(tmp_path):
     assert json.loads(metadata["config"])["has_visibility"] is True
     assert metadata == metadata_of(model.config)
 
+    # In int8 are the convolutions alone; what they give is near.
+    pictures = [CameraImage("0", (255 * image[0]).byte().permute(1, 2, 0).numpy(), (138.6, 138.6, 80.0, 60.0))]
+    small = quantised(onnx.load(path), pictures, checkpoints.detector(tmp_path / "best.pt", torch.device("cpu")))
+    by_kind = collections.Counter(node.op_type for node in small.graph.node)
+    weights = {one.name: one.data_type for one in small.graph.initializer}
+    n_int8 = sum(kind == onnx.TensorProto.INT8 and name.endswith("_quantized") for name, kind in weights.items())
+    assert n_int8 == by_kind["Conv"] > 20
+    session = onnxruntime.InferenceSession(small.SerializeToString(), providers=["CPUExecutionProvider"])
+    again = session.run(list(OUTPUTS), {"image": image.numpy(), "intrinsics": intrinsics.numpy()})
+    for value, other in zip(again, values, strict=True):
+        off = np.abs(value - other).mean() / np.abs(other).mean()
+        assert 0 < off < 0.1
+
 
 @pytest.mark.parametrize("row", ["full", "improved"])
 def test_the_decoder_of_onnx_outputs_gives_the_lanes_of_predict(row):
@@ -306,7 +321,7 @@ def test_pictures_follow_the_shape_of_the_image_and_one_has_its_size(roads, tmp_
     width, height = size_px
     camera = np.array([[width / 2, width / 2, 0], [0, height / 2, -width / 2], [0, 1.0, 0]])
     for truth in (labels, ()):
-        save_pictures(tmp_path / "a.png", Image.new("RGB", size_px, "black"), camera, prediction, truth)
+        save_pictures(tmp_path / "a", Image.new("RGB", size_px, "black"), camera, prediction, truth)
         with Image.open(tmp_path / "a.overlay.jpg") as picture:
             assert picture.size == size_px
             overlay = np.asarray(picture).astype(int)
@@ -319,7 +334,7 @@ def test_pictures_follow_the_shape_of_the_image_and_one_has_its_size(roads, tmp_
             is_line = abs(row - color).max(axis=1) < 90
             n_lines = np.count_nonzero(np.diff(is_line.astype(int)) == 1)
             assert n_lines == (3 if truth else 1), "a line between the two of the label"
-        with Image.open(tmp_path / "a.png") as figure:
+        with Image.open(tmp_path / "a.figure.jpg") as figure:
             assert (figure.width > 100 * (5 * width / height + 5)) == is_beside
             assert min(figure.size) > 500
 
@@ -367,4 +382,4 @@ def test_a_picture_of_the_largest_size_takes_less_than_a_gigabyte(tmp_path):
     command = [sys.executable, "-c", script, str(tmp_path), str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=280)
     assert int(done.stdout) * 1024 < 1_000_000_000
-    assert len(list((tmp_path / "out").glob("*.png"))) == 3
+    assert len(list((tmp_path / "out").glob("*.figure.jpg"))) == 3

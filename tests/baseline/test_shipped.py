@@ -1,6 +1,8 @@
 """The weights in the package: small, and good enough that the first picture a user tries shows lanes."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +42,28 @@ def test_predict_finds_the_hosts_lane_in_a_picture_without_further_words(rendere
     true_m = [_x_at(lane.xyz_cam, 15.0) for lane in rendered.labels.lanes if lane.kind == "centerline"]
     host_m = min(true_m, key=abs)
     assert min(abs(x_m - host_m) for x_m in at_15_m) < 0.6
-    assert (tmp_path / "out/photo.png").is_file()
+    assert (tmp_path / "out/photo.figure.jpg").is_file()
+
+
+HEAVY = {"scipy", "matplotlib", "pyarrow", "fsspec", "pandas", "tensorboard", "synth3dlanes.dataset.read"}
+PROBE = """
+import sys
+from synth3dlanes_cli.main import main
+try:
+    main(["predict", sys.argv[1], "--out", sys.argv[2]])
+finally:
+    print(*sys.modules, sep="\\n")
+"""
+
+
+def test_a_photograph_loads_nothing_heavy_but_torch(tmp_path):
+    """It takes less than two seconds of a core; scipy and matplotlib alone would take one more."""
+    Image.new("RGB", (480, 360), (90, 100, 110)).save(tmp_path / "photo.png")
+    command = [sys.executable, "-c", PROBE, str(tmp_path / "photo.png"), str(tmp_path / "out")]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout.split("\n")
+    assert (tmp_path / "out/photo.overlay.jpg").is_file()
+    assert "torch" in loaded
+    assert not HEAVY & set(loaded)
 
 
 def _x_at(xyz_cam, y_m):

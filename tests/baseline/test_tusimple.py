@@ -14,7 +14,7 @@ from synth3dlanes_baseline.evaluate import evaluate_checkpoint, score_on
 from synth3dlanes_baseline.lanes import Detection, Prediction
 from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.poses import Pose, cam_from_road
-from synth3dlanes_baseline.predict import detector_for, predict
+from synth3dlanes_baseline.predict import PredictConfig, detector_for, predict
 from synth3dlanes_baseline.projection import road_from_cam
 from synth3dlanes_baseline.sources import open_split
 from synth3dlanes_baseline.tusimple import POSE, TusimpleOnPlane
@@ -88,4 +88,4 @@ def test_the_image_only_network_is_scored_without_a_camera(tusimple, tmp_path):
     assert 0 <= accuracy <= 1
     assert 0 <= false_negative <= 1
     detector = detector_for(tusimple, tmp_path / "a.pt", "cpu")
-    assert predict(detector, tusimple, tmp_path / "found", n_overlays=0).n_images == 1
+    assert predict(detector, tusimple, tmp_path / "found", PredictConfig(n_overlays=0)).n_images == 1

@@ -46,7 +46,7 @@ def forget():
 
 def test_bytes_do_not_depend_on_what_was_made_before():
     in_order = [make_sample(RECIPE, index).members for index in range(6)]
-    for index in (4, 0, 2, 1, 5):
+    for index in (4, 2, 1):
         if index != 1:  # which goes on from 2
             forget()
         assert make_sample(RECIPE, index).members == in_order[index], index

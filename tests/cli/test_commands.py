@@ -97,7 +97,7 @@ def test_render_makes_the_very_bytes_that_the_data_set_has(in_tmp_path: Path) ->
 
 def test_it_runs_as_a_module_too(run: Run) -> None:
     words = [sys.executable, "-m", "synth3dlanes", "params", "show", "tiny"]
-    as_module = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
+    as_module = subprocess.run(words, capture_output=True, text=True, timeout=240, check=True)
     assert as_module.stdout == run("params", "show", "tiny").stdout
 
 
@@ -110,5 +110,5 @@ def test_the_shell_completes(line: str, expected: str) -> None:
     program = "from synth3dlanes_cli.main import main; main(prog_name='synth3dlanes')"
     asked = {"_SYNTH3DLANES_COMPLETE": "bash_complete", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
     command = [sys.executable, "-c", program]
-    completed = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60)
+    completed = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=240)
     assert completed.stdout == f"plain,{expected}\n"

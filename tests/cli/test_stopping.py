@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
 from synth3dlanes.production.signals import StopSignal
+from tests.thorough import first
 
 
 @pytest.mark.parametrize(
@@ -43,7 +44,7 @@ def test_a_signal_ends_a_command_in_one_line(monkeypatch, error, code, arguments
 
 @pytest.mark.parametrize(
     ("signals", "code"),
-    [((signal.SIGINT, signal.SIGINT), 130), ((signal.SIGTERM, signal.SIGINT), 130), ((signal.SIGHUP,), 129)],
+    first(1, [((signal.SIGTERM, signal.SIGINT), 130), ((signal.SIGINT, signal.SIGINT), 130), ((signal.SIGHUP,), 129)]),
 )
 def test_a_second_signal_ends_a_run_at_once_in_one_line(tmp_path, signals, code):
     command = [sys.executable, "-m", "tests.fake_cli", "generate", "--n", "200", "--out", str(tmp_path / "d")]
@@ -58,7 +59,7 @@ def test_a_second_signal_ends_a_run_at_once_in_one_line(tmp_path, signals, code)
     for second in signals[1:]:
         assert next(line for line in process.stderr if "Ctrl-C again stops at once" in line)
         process.send_signal(second)
-    stdout, stderr = process.communicate(timeout=60)
+    stdout, stderr = process.communicate(timeout=240)
     assert process.returncode == code
     assert "Traceback" not in stderr
     if len(signals) > 1:
@@ -75,11 +76,14 @@ def is_shared_process(process: psutil.Process) -> bool:
 
 @pytest.mark.parametrize(
     ("command", "is_early"),
-    [
-        (["sample", "--n", "3000"], True),
-        (["sample", "--n", "3000"], False),
-        (["validate", "FOLDER", "--workers", "2"], True),
-    ],
+    first(
+        1,
+        [
+            (["validate", "FOLDER", "--workers", "2"], True),
+            (["sample", "--n", "3000"], True),
+            (["sample", "--n", "3000"], False),
+        ],
+    ),
 )
 def test_ctrl_c_in_a_terminal_ends_shared_processes_without_a_word(command, is_early, folder):
     """The terminal sends it to every process, also to those that have just begun."""
@@ -93,7 +97,7 @@ def test_ctrl_c_in_a_terminal_ends_shared_processes_without_a_word(command, is_e
     else:
         assert process.stdout.readline()
     os.killpg(process.pid, signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
+    _, stderr = process.communicate(timeout=240)
     assert process.returncode == 130, stderr
     assert stderr.splitlines()[-1] == f"python -m synth3dlanes {command[0]}: interrupted"
     assert "Traceback" not in stderr

@@ -1,5 +1,6 @@
 """Data sets cut and put together hold the very bytes of their sources, each sample once."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -106,6 +107,20 @@ def test_merged_parts_are_what_one_run_makes(tmp_path, monkeypatch, linked):
     assert tar.samefile(second / "train/00001.tar") is linked
     assert merge([str(first), str(second)], str(tmp_path / "c")) == {"train": 8}
     assert files(tmp_path / "c") == files(whole)
+
+
+@pytest.mark.parametrize("garbage", ["zeros", "a cut", "a pipe"])
+def test_a_tar_that_is_not_what_its_index_says_is_not_taken_over(tmp_path, garbage):
+    tar = make(tmp_path / "a", list(range(4))) / "train/00000.tar"
+    whole = tar.read_bytes()
+    tar.unlink()
+    if garbage == "a pipe":
+        os.mkfifo(tar)
+    else:
+        tar.write_bytes(bytes(len(whole)) if garbage == "zeros" else whole[:2000] + bytes(len(whole) - 2000))
+    with pytest.raises(FormatError, match=r"00000\.tar"):
+        merge([str(tmp_path / "a")], str(tmp_path / "c"))
+    assert not list((tmp_path / "c").glob("train/*.tar"))
 
 
 def test_shards_that_several_share_are_joined_anew(tmp_path):

@@ -9,7 +9,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import permutations
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.dataset import write
 from synth3dlanes.dataset.columns import SCHEMA, index_row
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.folder import claim
@@ -26,6 +26,7 @@ from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.files import open_regular
 from tests import fake_samples
 
 
@@ -199,20 +200,37 @@ def test_a_tar_that_cannot_be_read_is_not_called_damaged(shard, monkeypatch):
     """Of a fault of the disk nothing follows for the samples, so nothing is made anew, nor is removing advised."""
     add(shard, 4)
     shard.path("parquet").unlink()
-    whole, opened = shard.path("tar").read_bytes(), Path.open
+    whole = shard.path("tar").read_bytes()
 
-    def refuse(path, *args, **kwargs):
+    def refuse(path):
         if path == shard.path("tar"):
             raise OSError(errno.EIO, "Input/output error")
-        return opened(path, *args, **kwargs)
+        return open_regular(path)
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(write, "open_regular", refuse)
     for ask in (shard.missing, shard.join):
         with pytest.raises(OSError, match=r"Input/output error$"):
             ask(5)
     monkeypatch.undo()
     assert shard.path("tar").read_bytes() == whole
     assert shard.missing(5) == []
+
+
+def test_pipes_in_the_place_of_files_are_not_waited_for(tmp_path, shard):
+    """A part that is a pipe is made anew; a tar and an index that are pipes are named."""
+    unfinished = a_shard(tmp_path / "unfinished")
+    add(unfinished, 1)
+    os.mkfifo(unfinished.path("parts") / "00000000.tar")
+    unfinished.join(2)
+    assert unfinished.missing(2) == [0]
+    for suffix in ("tar", "parquet"):
+        other = a_shard(tmp_path / suffix)
+        add(other, 0)
+        other.join(1)
+        other.path(suffix).unlink()
+        os.mkfifo(other.path(suffix))
+        with pytest.raises((FormatError, InputError), match=rf"00000\.{suffix}: expected "):
+            other.missing(2) and other.join(2)
 
 
 def test_parts_beyond_n_stay_for_a_larger_n(tmp_path, shard):

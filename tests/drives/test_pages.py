@@ -1,6 +1,7 @@
 """The marking page and the review page in a headless Chromium: what is done in them is in the files that they save."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ from playwright.sync_api import Page, expect
 
 from synth3dlanes.drives.marks import read_marks
 from synth3dlanes.drives.open import open_drive
-from synth3dlanes.drives.pages import ReviewedFrame, marking_page, review_page
+from synth3dlanes.drives.pages import ReviewedFrame, ReviewedSplit, marking_page, review_page
 from synth3dlanes.drives.review import read_review
 from synth3dlanes.drives.top_view import top_view
+from synth3dlanes.frames import transform
 from synth3dlanes.ground_truth import ground_truth
 from tests.drives import road as made
 from tests.figures.test_browser import CONTRASTS
@@ -150,7 +152,7 @@ def test_the_pages_can_be_read(open_page, page_text):
         assert page.evaluate("document.documentElement.scrollWidth") <= 700
         page.close()
     frames = [ReviewedFrame("00000000", "", ground_truth(FLAT), None)]
-    for text in (page_text, review_page("monday", frames)):
+    for text in (page_text, review_page(ReviewedSplit("monday"), frames)):
         found = Axe().run(open_page(text, 1400)).response
         assert len(found["passes"]) > 15, "rules that apply and hold"
         assert [(rule["id"], rule["impact"], len(rule["nodes"])) for rule in found["violations"]] == []
@@ -159,7 +161,7 @@ def test_the_pages_can_be_read(open_page, page_text):
 def test_frames_are_accepted_and_rejected(open_page, tmp_path):
     labels = ground_truth(FLAT)
     frames = [ReviewedFrame(f"{number:08d}", f"{number} s", labels, None) for number in range(4)]
-    page = open_page(review_page("drives/monday", frames))
+    page = open_page(review_page(ReviewedSplit("drives/monday"), frames))
     told = page.locator("#told")
     expect(told).to_contain_text("00000000: no verdict; 0 accepted, 0 rejected of 4")
     for key in "ara":
@@ -175,11 +177,40 @@ def test_frames_are_accepted_and_rejected(open_page, tmp_path):
     page.keyboard.press("c")
     review = read_review(saved(page, tmp_path / "review.json"))
     assert review.source == "drives/monday"
-    assert review.frames == {"00000000": "accepted", "00000002": "rejected"}
-    assert review.rejected == {"00000002"}
+    said = [(frame.name, frame.verdict) for frame in review.frames]
+    assert said == [("00000000", "accepted"), ("00000002", "rejected")]
     # Loaded into a new page it gives the same file.
-    other = open_page(review_page("drives/monday", frames))
+    other = open_page(review_page(ReviewedSplit("drives/monday"), frames))
     other.locator("#file").set_input_files(tmp_path / "review.json")
     expect(other.locator("#told")).to_contain_text("1 accepted, 1 rejected of 4")
     again = saved(other, tmp_path / "again.json")
     assert again.read_text() == (tmp_path / "review.json").read_text()
+
+
+def test_lanes_are_rejected_and_known_again_by_their_places(open_page, tmp_path):
+    """Verdicts of a file are taken by time and place, whatever ids are now; those on other frames are kept."""
+    labels = ground_truth(FLAT)
+    split = ReviewedSplit("lifted/train", "monday", (500.0, 100.0, 0.0))
+    frames = [ReviewedFrame(f"{number:08d}", "", replace(labels, time_s=0.1 * number), None) for number in range(3)]
+    page = open_page(review_page(split, frames))
+    lane = next(lane for lane in labels.lanes if lane.kind == "delimiter")
+    button = page.locator(f".reviewed:not(.off) [data-lane={lane.id}]")
+    button.click()
+    expect(button).to_have_attribute("aria-label", f"{lane.id} rejected")
+    page.keyboard.press("r")
+    review = read_review(saved(page, tmp_path / "review.json"))
+    assert [(one.name, one.time_s, one.verdict) for one in review.frames] == [("00000000", 0.0, "rejected")]
+    (rejected,) = review.lanes
+    assert (rejected.id, rejected.verdict) == (lane.id, "rejected")
+    xy = transform(labels.camera.world_from_cam, lane.xyz_cam)[:, :2] + [500.0, 100.0]
+    gaps = np.linalg.norm(np.array(rejected.xy)[:, None] - xy[None], axis=2).min(axis=1)
+    assert gaps.max() < 0.01
+    # The first frame is gone, and the lane has another id.
+    renamed = replace(labels, lanes=tuple(replace(own, id=f"new_{own.id}") for own in labels.lanes))
+    later = [frame._replace(labels=replace(renamed, time_s=frame.labels.time_s)) for frame in frames[1:]]
+    other = open_page(review_page(split, later, review))
+    expect(other.locator("#told")).to_contain_text("0 accepted, 0 rejected of 2; 1 of")
+    expect(other.locator("#told")).to_contain_text("1 verdict on what is not on this page")
+    again = read_review(saved(other, tmp_path / "again.json"))
+    assert again.frames == review.frames
+    assert [(one.id, one.verdict) for one in again.lanes] == [(f"new_{lane.id}", "rejected")]

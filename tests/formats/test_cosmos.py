@@ -22,7 +22,7 @@ from synth3dlanes.formats.cosmos import verify as of_tables
 from synth3dlanes.formats.cosmos.controls import edges
 from synth3dlanes.formats.cosmos.convention import FOLDERS, ClipFiles, line_style
 from synth3dlanes.formats.cosmos.ftheta import fitted
-from synth3dlanes.formats.cosmos.read import ClipFolder
+from synth3dlanes.formats.cosmos.read import CosmosClip
 from synth3dlanes.formats.cosmos.verify_videos import video_problems
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
@@ -95,14 +95,14 @@ def found_in_tables(out: Path, clips: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 def found_in_videos(out: Path, clips: Path, kind: str) -> list[str]:
     """What is found wrong in the videos of a kind of the front camera."""
-    clip, reader = ClipFolder(out, ClipFiles("test", "test-00000000")), Reader(f"{clips}/test")
+    clip, reader = CosmosClip(out, ClipFiles("test", "test-00000000")), Reader(f"{clips}/test")
     pictures = [SourceSample(reader, place) for place in reader.clip(0, 0)]
     return list(video_problems(clip, FRONT, pictures, (kind,)))
 
 
 def found_in_any(out: Path, clips: Path) -> None:
     """Read the times, the spans and a video."""
-    assert ClipFolder(out, ClipFiles("test", "test-00000000")).times
+    assert CosmosClip(out, ClipFiles("test", "test-00000000")).times
     found_in_videos(out, clips, "seg")
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.geometry.motion import car_at
+from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.world import resolve
 from tests.map_scenes import ARM_M, HALF_M, HILLS, LEFT_TURN, WIDTH_M, map_scene
 
@@ -82,3 +83,21 @@ def test_lines_and_neighbours_are_named_alike_in_every_frame_of_a_clip():
         for lane in label(world, world.view).lanes:
             now = (lane.direction, lane.left, lane.right, lane.marking, lane.connector)
             assert seen.setdefault(lane.id, now) == now, lane.id
+
+
+def test_the_labelled_velocity_of_a_car_on_a_track_is_that_of_the_frame():
+    """A car that brakes, waits and starts anew: its places a tenth of a second before and behind tell its speed."""
+    labels = {
+        time_s: ground_truth(frame(time_s, cars=(CAR,)).scene)
+        for time_s in (0.9, 1.0, 1.1, 4.9, 5.0, 5.1, 7.9, 8.0, 8.1)
+    }
+    places = {
+        time_s: (at.camera.world_from_cam @ at.objects[0].cam_from_object)[:3, 3] for time_s, at in labels.items()
+    }
+    speeds = []
+    for before, now, after in ((0.9, 1.0, 1.1), (4.9, 5.0, 5.1), (7.9, 8.0, 8.1)):
+        moved = (places[after] - places[before]) / 0.2
+        told = labels[now].camera.world_from_cam[:3, :3] @ labels[now].objects[0].velocity_cam
+        np.testing.assert_allclose(told, moved, atol=0.3)
+        speeds.append(np.linalg.norm(told))
+    assert speeds[1] == 0 < 2 < speeds[0] < speeds[2]

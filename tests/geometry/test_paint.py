@@ -6,6 +6,9 @@ from scipy.ndimage import label as clusters
 
 from synth3dlanes.geometry.paint import DOT_HEIGHT_M, DOT_M, DOTS_M
 from synth3dlanes.ground_truth import label
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.validate.standing import mesh_height
 from synth3dlanes.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
 
@@ -142,3 +145,13 @@ def _area(mesh, low, high):
     p, q = c - a, d - b
     inside = (a[:, 1] > low) & (a[:, 1] < high)
     return np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])[inside].sum() / 2
+
+
+def test_paint_of_an_exit_lies_over_the_other_roads_pavement_in_a_hollow():
+    world = resolve(sample_scene(Scenes(load_params("appendix_i"), seed=9400), index=79))
+    eye = world.view.eye_world
+    for name, mesh in world.paint(world.view).items():
+        painted = mesh.vertices_world[np.unique(mesh.faces)]
+        near = painted[np.linalg.norm(painted[:, :2] - eye[:2], axis=1) < 30]
+        over_m = near[:, 2] - mesh_height(world.site.pavement, near[:, :2])
+        assert np.nanmean(over_m > 0) > 0.98, name

@@ -40,6 +40,10 @@ def test_it_has_every_frame_with_its_lanes(made: tuple[Path, LiftReport]) -> Non
     description = json.loads((out / "dataset.json").read_text())
     assert "license" not in description
     assert description["derived"]["lifted"] == "hill"
+    for name in ("README.md", "croissant.json"):
+        text = (out / name).read_text()
+        assert "real drive" in text
+        assert "synthetic" not in text.lower()
 
 
 def test_lifting_again_adds_nothing(made: tuple[Path, LiftReport]) -> None:
@@ -62,6 +66,13 @@ def test_openlane_takes_it(made: tuple[Path, LiftReport], tmp_path: Path) -> Non
     summary = Export(str(made[0]), tmp_path / "openlane", "openlane").write(1)
     assert sum(summary.n_frames.values()) == 8
     assert summary.n_lines >= 8
+
+
+def test_formats_that_say_more_than_lanes_do_not_take_it(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
+    """They would have the placeholder's road, or lack objects and passes."""
+    for name in ("argoverse2", "coco", "kitti", "masks", "opendrive", "openlane_v2", "yolo"):
+        with pytest.raises(InputError, match=f"expected a data set of scenes for {name}, got one that was lifted"):
+            Export(str(made[0]), tmp_path / name, name).write(1)
 
 
 def test_faults_of_measured_labels_are_found(made: tuple[Path, LiftReport]) -> None:

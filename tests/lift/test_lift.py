@@ -203,11 +203,12 @@ def test_standard_deviations_hold() -> None:
         for picture in range(20):
             s = np.arange(2.0 * picture, 2.0 * picture + 50)
             grown = 0.002 * (s - s[0] + 5)
-            shifts = np.column_stack([grown, np.zeros(len(s))])
+            sight_m = np.column_stack([np.ones(len(s)), np.zeros(len(s))])
+            shifts = np.column_stack([grown, np.zeros(len(s)), np.zeros(len(s))])
             own = np.repeat(rng.standard_normal(13), 4)[: len(s)] * 0.5 * grown
             off = rng.standard_normal() * grown + own
             truth = 1.75 + 0.5 * np.sin(s / 40)
-            lines.append(SeenLine(s, truth + off, 0.5 * grown, shifts, 0 * s, picture))
+            lines.append(SeenLine(s, truth + off, sight_m, 0.5 * grown, shifts, picture))
         found = smooth(lines)
         off = np.abs(found.d - 1.75 - 0.5 * np.sin(found.s / 40))
         inside, total = inside + (off < found.std).sum(), total + len(off)

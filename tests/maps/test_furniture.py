@@ -23,8 +23,9 @@ def test_a_crosswalk_of_road_corners_lies_there_with_its_bars_along_the_road() -
     (paint,) = read(f'<object id="1" type="crosswalk" s="13" t="0"><outline>{corners}</outline></object>').paint
     # The road runs up from (5, 6), so that t is to the left of x = 5.
     assert sorted(paint.outline) == [pytest.approx(at) for at in sorted([(13, 18), (1, 18), (1, 21), (13, 21)])]
+    # Its bars begin on a side across the road.
     first = np.subtract(paint.outline[1], paint.outline[0])
-    assert abs(first[0]) < 1e-6 < abs(first[1])
+    assert abs(first[1]) < 1e-6 < abs(first[0])
 
 
 def test_a_rectangle_of_length_and_width_is_an_outline_too() -> None:
@@ -53,7 +54,14 @@ def test_signals_of_paint_and_their_lanes() -> None:
     light = '<signal id="3" type="1000001" s="26" t="-9"/>'
     found = read("", stop + arrow + light)
     assert [(paint.kind, paint.lane) for paint in found.paint] == [("stop_line", "1.0.-2"), ("arrow_left", "1.0.-1")]
-    assert found.left_out == {"signals and signs": 1}
+    assert [item.element.height_m for item in found.elements] == [2.3]
+    assert found.left_out == {}
+
+
+def test_a_line_across_one_direction_is_there_whatever_its_orientation_says() -> None:
+    """RoadRunner's files say the direction in which a thing faces, not that of its traffic."""
+    found = read('<object id="1" type="-1" name="StopLine" s="20" t="-3.5" width="7" orientation="-"/>').paint
+    assert {paint.lane for paint in found} == {"1.0.-1", "1.0.-2"}
 
 
 def test_a_traffic_island_has_its_outline_and_height() -> None:

@@ -4,11 +4,21 @@ import re
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from click.testing import CliRunner
+from synth3dlanes_cli.main import main
 
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.maps.given_map import read_map, read_opendrive
+from synth3dlanes.params import load_params
+from synth3dlanes.road_map import PlanPiece
+from synth3dlanes.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.sampling.on_map import MapPlace
+from tests.map_scenes import FOUR_WAY, map_scene
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
+from tests.maps.test_parts import link
 
 LINE = plan(("<line/>", 50.0))
 BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">' + "".join(
@@ -21,6 +31,11 @@ def changed(old: str, new: str) -> bytes:
     text = opendrive(road(LINE)).decode()
     assert old in text
     return text.replace(old, new, 1).encode()
+
+
+def profiled(profile: str) -> bytes:
+    """A sound file with heights or banks."""
+    return opendrive(road(LINE, profile=profile))
 
 
 HOSTILE = {
@@ -53,6 +68,13 @@ HOSTILE = {
     "a lane twice": (opendrive(road(LINE, section(lane(-1), lane(-1)))), "expected one lane -1, got another"),
     "a lane on the other side": (changed('<left><lane id="1"', '<left><lane id="-7"'), "left: expected lanes numbered"),
     "a wide lane": (changed('a="3.5"', 'a="1e7"'), "expected"),
+    "lanes far aside": (changed('b="0"', 'b="50"'), "edges of lanes: expected at most 1000, got 1254 at s = 25"),
+    "a steep road": (profiled('<elevationProfile><elevation s="0" d="9e3"/></elevationProfile>'), "heights: expected"),
+    "a bank": (profiled('<lateralProfile><superelevation s="0" a="1.6"/></lateralProfile>'), "superelevations: "),
+    "a curve that stands still": (
+        changed("<line/>", '<paramPoly3 aU="0" bU="0" cU="0" dU="0" aV="0" bV="0" cV="0" dV="0"/>'),
+        "paramPoly3: expected a curve with a length",
+    ),
 }  # fmt: skip
 
 
@@ -77,7 +99,8 @@ def test_links_in_circles_and_to_nowhere_end(tmp_path: Path) -> None:
     )
     onward = '<predecessor id="-1"/><successor id="-1"/>'
     lost = '<successor elementType="road" elementId="404" contactPoint="start"/>'
-    data = opendrive(road(LINE, section(lane(-1, PLAIN, link=onward)), link=ring), road(LINE, TWO, "2", link=lost))
+    circle = plan(('<arc curvature="0.1"/>', 20 * np.pi))
+    data = opendrive(road(circle, section(lane(-1, PLAIN, link=onward)), link=ring), road(LINE, TWO, "2", link=lost))
     found = read_opendrive(data, "x.xodr", "map x.xodr")
     assert found.links == (("1.0.-1", "1.0.-1"),)
     assert found.left_out == {"links to roads that are not there": 1}
@@ -87,3 +110,93 @@ def test_a_file_that_is_not_there_or_is_a_folder(tmp_path: Path) -> None:
     for path in (tmp_path / "none.xodr", tmp_path):
         with pytest.raises((InputError, FormatError), match=re.escape(f"{path}")):
             read_map(path)
+
+
+def ring(form: str, length_m: float) -> bytes:
+    """A road that leads back to itself."""
+    return opendrive(road(plan((form, length_m)), THROUGH, link=link("1:end", "1:start")))
+
+
+FAR = plan(("<line/>", 300.0), start=(5000.0, 0.0, 0.0))
+THROUGH = section(lane(-1, PLAIN, link='<predecessor id="-1"/><successor id="-1"/>'))
+NO_PLACE = {
+    "no lanes of traffic": (
+        opendrive(road(LINE, section(lane(-1, kind="sidewalk")))),
+        "expected driving lanes, got none",
+    ),
+    "a road of a metre": (opendrive(road(plan(("<line/>", 1.0)))), "a way of 10 m and more ahead of the host"),
+    "a ring of a hair": (ring("<line/>", 1e-5), "a way of 10 m and more"),
+    "a ring of a metre": (ring("<line/>", 1.0), "a way of 10 m and more"),
+}
+
+
+@pytest.mark.parametrize("name", NO_PLACE)
+def test_a_map_without_a_place_for_a_host_is_refused(name: str) -> None:
+    data, wanted = NO_PLACE[name]
+    start = time.process_time()
+    with pytest.raises(InputError, match=wanted):
+        MapPlace(read_opendrive(data, "x.xodr", "map x.xodr")).draw(np.random.default_rng(1))
+    assert time.process_time() - start < 1.0
+
+
+def test_such_a_map_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    (tmp_path / "x.xodr").write_bytes(NO_PLACE["a road of a metre"][0])
+    args = ["generate", "--n", "2", "--out", f"{tmp_path / 'out'}", "--map", f"{tmp_path / 'x.xodr'}"]
+    result = CliRunner().invoke(main, args)
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_lanes_that_do_not_touch_are_not_linked() -> None:
+    first, second = road(LINE, THROUGH, link=link("", "2:start")), road(FAR, THROUGH, "2", link=link("1:end"))
+    found = read_opendrive(opendrive(first, second), "x.xodr", "map x.xodr")
+    assert not found.links
+    assert found.left_out == {"links of lanes that do not touch": 1}
+
+
+def test_ids_that_look_alike_stay_apart() -> None:
+    """Ids whose characters become equal, and one that is what another becomes, are roads of their own."""
+    ids = ["a b", "a_b", "a:b", "a_b_1", "x" * 90, "x" * 91]
+    found = read_opendrive(opendrive(*(road(LINE, TWO, name) for name in ids)), "x.xodr", "map x.xodr")
+    assert len(found.roads) == len(set(found.names.values())) == len(ids)
+    assert (found.names["a_b"], found.names["a_b_1"]) == ("a_b", "a_b_1")
+
+
+def test_a_value_of_many_pieces_is_read_in_proportion_to_them() -> None:
+    widths = "".join(f'<width sOffset="{i / 100}" a="{3 + i % 2}" b="0" c="0" d="0"/>' for i in range(4000))
+    start = time.process_time()
+    read_opendrive(opendrive(road(LINE, section(lane(-1, widths)))), "x.xodr", "map x.xodr")
+    assert time.process_time() - start < 2.0
+
+
+@pytest.mark.parametrize("width", ["0", "-3", "0.01"])
+def test_a_host_on_a_lane_without_width_does_not_end_the_program(width: str) -> None:
+    thin = f'<width sOffset="0" a="{width}" b="0" c="0" d="0"/>'
+    given = read_opendrive(opendrive(road(plan(("<line/>", 300.0)), section(lane(-1, thin)))), "x.xodr", "map x.xodr")
+    world = sample_world(Scenes(load_params("tiny", ("cars.n=1", "trees.n=0")), 1, "train", map=MapPlace(given)), 0)
+    assert ground_truth(world.scene).lanes
+
+
+def test_cars_and_rails_of_a_scene_on_roads_that_are_not_there_are_refused() -> None:
+    """A scene of somebody else's making may have a car in a lane without width, or beyond what is looked at."""
+    far = FOUR_WAY.roads[1].model_copy(
+        update={"id": "far", "plan": (PlanPiece(x_m=900.0, y_m=0.0, heading_rad=0.0, length_m=50.0),), "junction": None}
+    )
+    thin = FOUR_WAY.roads[1].model_copy(
+        update={
+            "id": "thin",
+            "sections": tuple(
+                section.model_copy(
+                    update={"lanes": tuple(at.model_copy(update={"widths": ()}) for at in section.lanes)}
+                )
+                for section in FOUR_WAY.roads[1].sections
+            ),
+        }
+    )
+    roads = FOUR_WAY.model_copy(update={"roads": (*FOUR_WAY.roads, far, thin)})
+    car = sample_scene(Scenes(load_params("tiny"), 1, "train"), 0).cars[0]
+    for name in ("far.0.1", "thin.0.1"):
+        scene = map_scene(roads, cars=(car.model_copy(update={"lane": name, "s_m": 10.0}),))
+        with pytest.raises(InputError, match=f"expected lanes of traffic near the host, with a width, got {name}"):
+            ground_truth(scene)

@@ -111,12 +111,12 @@ def test_the_world_begins_at_the_host_and_looks_along_its_lane() -> None:
 
 
 def test_a_route_follows_links_behind_and_ahead() -> None:
-    part, number, s_m = part_around(LONG, MapStation("7.1.-1", 2390.0), np.random.default_rng(1))
+    part, number, s_m, *_ = part_around(LONG, MapStation("7.1.-1", 2390.0), np.random.default_rng(1))
     assert (part.route, number) == (("7.0.-1", "8.0.-1"), 0)
     assert s_m + part.roads[0].given_from_m == pytest.approx(2390)
-    against, number, _ = part_around(LONG, MapStation("8.0.1", 290.0), np.random.default_rng(1))
+    against, number, *_ = part_around(LONG, MapStation("8.0.1", 290.0), np.random.default_rng(1))
     assert (against.route, number) == (("8.0.1", "7.0.1"), 0)
-    behind, number, _ = part_around(LONG, MapStation("8.0.-1", 10.0), np.random.default_rng(1))
+    behind, number, *_ = part_around(LONG, MapStation("8.0.-1", 10.0), np.random.default_rng(1))
     assert (behind.route, number) == (("7.0.-1", "8.0.-1"), 1)
 
 

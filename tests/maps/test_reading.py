@@ -198,7 +198,7 @@ def test_links_through_a_junction_and_who_yields() -> None:
     ]
     ends = [
         road(plan(LINE, start=(60.0, y, 0.0)), TWO, name, link=link(before=JUNCTION))
-        for name, y in (("2", 0.0), ("3", 9.0))
+        for name, y in (("2", 0.0), ("3", 4.0))
     ]
     junction = (
         '<junction id="9" name=""><connection id="0" incomingRoad="1" connectingRoad="11" contactPoint="start">'

@@ -131,7 +131,7 @@ def test_the_naive_way_is_timed_at_both_numbers_of_samples(monkeypatch):
     from synth3dlanes.blender.benchmark_renders import naive_seconds
 
     recipe = Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(2), "jpg")
-    assert naive_seconds(recipe.scene(0), recipe.settings, recipe.library, 1) > 0
+    assert naive_seconds(recipe.scene(0), recipe.library, 1) > 0
     monkeypatch.setattr(bench, "_one", lambda pool, function, recipe, index, samples: float(samples))
     assert bench.measure_naive(recipe, lambda _: None) == DefaultTiming(2.0, 128, 128.0)
 

@@ -1,5 +1,7 @@
 """The device asked for or an error, never another; each worker sees one GPU, and none that a scheduler has hidden."""
 
+import os
+import tempfile
 from dataclasses import replace
 
 import pytest
@@ -60,11 +62,12 @@ def test_workers_fill_cores_or_gpus():
     assert default_workers("optix", 2, 3) == 3
 
 
+@pytest.mark.fresh
 def test_workers_take_turns_with_the_gpus():
     shown = [{"CUDA_VISIBLE_DEVICES": "0"}, {"CUDA_VISIBLE_DEVICES": "1"}]
     with Pool(4, Limits(), masks=shown) as pool:
         for task in range(4):
-            pool.start(task, visible_devices)
+            pool.start(task, os.getenv, "CUDA_VISIBLE_DEVICES")
         values = []
         while pool.busy:
             values += [outcome.value for outcome in pool.wait(1.0)]
@@ -86,32 +89,16 @@ def test_what_became_of_a_task_is_an_error_by_name():
         assert (str(caught.value), caught.value.__notes__) == ("x: why", ["last words"])
 
 
-def visible_devices() -> str:
-    """In a worker, before anything else could be imported."""
-    import os
-
-    return os.environ["CUDA_VISIBLE_DEVICES"]
-
-
+@pytest.mark.fresh
 def test_two_pools_on_a_machine_take_different_cores(monkeypatch, tmp_path):
-    import os
-    import tempfile
-
     # Other runs on this machine have their leases elsewhere.
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with Pool(1, Limits()) as one, Pool(1, Limits()) as other:
         cores = []
         for pool in (one, other):
-            pool.start("core", my_cores)
+            pool.start("cores", os.sched_getaffinity, 0)
             cores += [outcome.value for outcome in pool.wait(30.0)]
-    assert len({*map(tuple, cores)}) == min(2, len(os.sched_getaffinity(0)))
-
-
-def my_cores() -> list[int]:
-    """In a worker."""
-    import os
-
-    return sorted(os.sched_getaffinity(0))
+    assert len({*map(frozenset, cores)}) == min(2, len(os.sched_getaffinity(0)))
 
 
 @pytest.mark.render

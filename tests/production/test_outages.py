@@ -111,7 +111,7 @@ def test_what_an_outage_leaves_here_is_put_by_the_next_run(
 
     start = time.monotonic()
     report = generate(plan(url), tell)
-    assert time.monotonic() - start < 30
+    assert time.monotonic() - start < 120, "far less than the patience of half an hour"
     assert report.exit_code == (130 if stopped else 1)
     assert report.done == 4
     line = next(one for one in told if "put by the next run" in one) if stopped else report.problem

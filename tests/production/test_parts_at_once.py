@@ -20,7 +20,7 @@ import sys
 from synth3dlanes.production import plan, run
 from tests import fake_samples
 url, part, parts = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-a_plan = plan.Plan(url, 6, fake_samples.recipe(), 1, (part, parts), shard_size=1, maker=fake_samples.make)
+a_plan = plan.Plan(url, 3, fake_samples.recipe(), 1, (part, parts), shard_size=1, maker=fake_samples.make)
 print("ready", flush=True)
 sys.stdin.readline()
 report = run.generate(a_plan, lambda _: None)
@@ -68,7 +68,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from synth3dlanes.production.run import generate
 
     out = tmp_path_factory.mktemp("whole")
-    plan = Plan(out, 6, fake_samples.recipe(), 1, shard_size=1, maker=fake_samples.make)
+    plan = Plan(out, 3, fake_samples.recipe(), 1, shard_size=1, maker=fake_samples.make)
     assert generate(plan, lambda _: None).exit_code == 0
     return out
 

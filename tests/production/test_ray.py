@@ -30,8 +30,8 @@ from dataclasses import asdict
 from pathlib import Path
 from synth3dlanes.production import cluster, plan, run
 from tests import fake_samples
-cluster.LOST_AFTER_S, cluster.LOOK_EVERY_S = 5.0, 1.0
-out, n, workers, address = sys.argv[1:]
+out, n, workers, address, lost_after_s = sys.argv[1:]
+cluster.LOST_AFTER_S, cluster.LOOK_EVERY_S, cluster.HEALTH_S = float(lost_after_s), 1.0, 120.0
 a_plan = plan.Plan(out, int(n), fake_samples.recipe(), int(workers), shard_size=10, maker=fake_samples.make_slowly)
 def tell(event):
     print(event.kind, event.message, file=sys.stderr, flush=True)
@@ -40,8 +40,8 @@ print(json.dumps(asdict(report) | {"exit_code": report.exit_code}))
 """
 
 
-def begin_telling(out: Path, address: str, workers: int = 1) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", RUN, str(out), str(MORE), str(workers), address]
+def begin_telling(out: Path, address: str, workers: int = 1, lost_after_s: int = 60) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", RUN, str(out), str(MORE), str(workers), address, str(lost_after_s)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, cwd=soak.ROOT, env=soak.ENVIRONMENT, text=True, **pipes)
 
@@ -70,7 +70,7 @@ def processes(cluster: soak.Cluster, word: str) -> list[psutil.Process]:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[soak.Cluster]:
-    with soak.cluster(6395, n_nodes=1) as found:
+    with soak.cluster(n_nodes=1) as found:
         yield found
 
 
@@ -220,11 +220,11 @@ def test_a_cluster_that_is_lost_ends_the_run_in_a_line_and_another_goes_on(
     cluster: soak.Cluster, tmp_path: Path
 ) -> None:
     """The last one here: it takes the cluster from the others."""
-    run = begin_telling(tmp_path, cluster.address)
+    run = begin_telling(tmp_path, cluster.address, lost_after_s=10)
     wait_for(run, "sample ")
     (store,) = processes(cluster, "gcs_server")
     store.kill()
-    stdout, stderr = run.communicate(timeout=90)
+    stdout, stderr = run.communicate(timeout=240)
     report = json.loads(stdout)
     assert run.returncode == 0, stderr
     assert report["exit_code"] == 1

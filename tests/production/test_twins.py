@@ -12,14 +12,15 @@ from synth3dlanes.production.recipe import scene_json
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.scene import Scene, from_json
-from tests import fake_samples, warm
+from tests import fake_samples
 
 
-@pytest.fixture
-def source(tmp_path: Path) -> str:
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A split of three scenes without real images."""
-    generate(Plan(tmp_path / "d", 3, fake_samples.recipe(), workers=1, maker=fake_samples.make), lambda event: None)
-    return f"{tmp_path}/d/train"
+    out = tmp_path_factory.mktemp("twins") / "d"
+    generate(Plan(out, 3, fake_samples.recipe(), workers=1, maker=fake_samples.make), lambda event: None)
+    return f"{out}/train"
 
 
 def without(scene: Scene, group: str) -> str:
@@ -66,7 +67,6 @@ def test_what_cannot_be_varied(source: str, vary: str, expected: str) -> None:
 
 @pytest.mark.render
 def test_rendered_twins(tmp_path: Path) -> None:
-    warm.use(is_warm=True)
     plan = Plan(tmp_path / "d", 1, fake_samples.recipe(), workers=1)
     assert generate(plan, lambda event: None).exit_code == 0
     original = Reader(f"{tmp_path}/d/train").raw(0)

@@ -87,7 +87,7 @@ def edit(root: Path, index: int, change: Callable[[dict], object], split: str = 
     seal(root, apply, split)
 
 
-@pytest.mark.parametrize("preset", presets())
+@pytest.mark.parametrize("preset", presets("appendix_i", "streets"))
 def test_scenes_are_those_drawn_again(preset: str) -> None:
     recipe = replace(RECIPE, scenes=replace(RECIPE.scenes, params=load_params(preset)))
     origin = Origin.model_validate(json.loads(json.dumps(recipe.description())))
@@ -294,9 +294,14 @@ def test_a_set_made_of_older_shards_does_not_say_more_than_they_do(dataset: Path
     assert problems(tmp_path / "merged") == problems(tmp_path / "cut") == []
 
 
+@pytest.fixture(scope="module")
+def with_images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return draw(tmp_path_factory.mktemp("images") / "data", n=2, size=(72, 96))
+
+
 @pytest.mark.parametrize("column", ["lane_width_m", "max_grade", "n_cars", "flip_lateral", "junction", "sha256"])
-def test_an_edited_column_of_the_index_is_named(tmp_path: Path, column: str) -> None:
-    dataset = draw(tmp_path, n=2, size=(72, 96))
+def test_an_edited_column_of_the_index_is_named(with_images: Path, tmp_path: Path, column: str) -> None:
+    dataset = Path(shutil.copytree(with_images, tmp_path / "data"))
     path = dataset / "train/00000.parquet"
     table = pq.read_table(path)
     field, values = table.schema.field(column), table[column].to_pylist()

@@ -3,43 +3,64 @@
 const data = JSON.parse(document.getElementById("review-data").textContent);
 const told = document.getElementById("told"), list = document.getElementById("frames");
 const shown = [...document.querySelectorAll(".reviewed")];
-const verdicts = new Map();
-let at = 0, isSaved = true;
+// Metres between places by which a lane is known again.
+const NEAR_M = 3;
+// Verdicts by the frames and lanes of this page; those of a file on others are kept, and saved again.
+const frames = new Map(), lanes = new Map();
+let others = { frames: [], lanes: [] }, at = 0, isSaved = true;
 
-const buttons = data.names.map((name, i) => {
+const buttons = data.frames.map(({ name }, i) => {
   const button = document.createElement("button");
   button.textContent = name;
   button.addEventListener("click", () => { at = i; show(); });
   list.append(button);
   return button;
 });
+const laneButtons = [...document.querySelectorAll("[data-lane]")];
+const NEXT = { undefined: "rejected", rejected: "accepted", accepted: undefined };
+for (const button of laneButtons) button.addEventListener("click", () => {
+  const lane = data.lanes.find(({ id }) => id === button.dataset.lane), verdict = NEXT[lanes.get(lane)];
+  if (verdict) lanes.set(lane, verdict); else lanes.delete(lane);
+  isSaved = false;
+  show();
+});
+
+function mark(button, name, verdict) {
+  button.dataset.verdict = verdict || "";
+  button.setAttribute("aria-label", `${name} ${verdict || "no verdict"}`);
+}
 
 function show() {
   shown.forEach((frame, i) => frame.classList.toggle("off", i !== at));
   buttons.forEach((button, i) => {
-    const verdict = verdicts.get(data.names[i]) || "";
-    button.dataset.verdict = verdict;
+    mark(button, data.frames[i].name, frames.get(data.frames[i]));
     button.setAttribute("aria-current", i === at);
-    button.setAttribute("aria-label", `${data.names[i]} ${verdict || "no verdict"}`);
   });
-  const count = (wanted) => data.names.filter((name) => verdicts.get(name) === wanted).length;
-  const verdict = verdicts.get(data.names[at]) || "no verdict";
-  told.textContent = `${data.names[at] ?? "no frame"}: ${verdict}; ${count("accepted")} accepted, ${count("rejected")} rejected of ${data.names.length}${isSaved ? "" : "; not saved"}`;
+  for (const button of laneButtons) mark(button, button.dataset.lane, lanes.get(data.lanes.find(({ id }) => id === button.dataset.lane)));
+  const count = (verdicts, wanted) => [...verdicts.values()].filter((verdict) => verdict === wanted).length;
+  const now = data.frames[at], verdict = frames.get(now) || "no verdict";
+  const words = [`${now?.name ?? "no frame"}: ${verdict}`, `${count(frames, "accepted")} accepted, ${count(frames, "rejected")} rejected of ${data.frames.length}`];
+  if (data.lanes.length) words.push(`${count(lanes, "rejected")} of ${data.lanes.length} lanes rejected`);
+  const kept = others.frames.length + others.lanes.length;
+  if (kept) words.push(`${kept} verdict${kept > 1 ? "s" : ""} on what is not on this page`);
+  if (!isSaved) words.push("not saved");
+  told.textContent = words.join("; ");
 }
 
-function go(step) { at = Math.min(data.names.length - 1, Math.max(0, at + step)); show(); }
+function go(step) { at = Math.min(data.frames.length - 1, Math.max(0, at + step)); show(); }
 function judge(verdict) {
-  if (!data.names.length) return;
-  if (verdict) verdicts.set(data.names[at], verdict); else verdicts.delete(data.names[at]);
+  if (!data.frames.length) return;
+  if (verdict) frames.set(data.frames[at], verdict); else frames.delete(data.frames[at]);
   isSaved = false;
   if (verdict) go(1); else show();
 }
 
 function save() {
-  const frames = Object.fromEntries(data.names.filter((name) => verdicts.has(name)).map((name) => [name, verdicts.get(name)]));
-  const text = JSON.stringify({ format: data.format, version: data.version, source: data.source, frames }, null, 1) + "\n";
+  const said = (all, verdicts) => all.filter((one) => verdicts.has(one)).map((one) => ({ ...one, verdict: verdicts.get(one) }));
+  const { format, version, source, drive } = data;
+  const found = { format, version, source, drive, frames: [...said(data.frames, frames), ...others.frames], lanes: [...said(data.lanes, lanes), ...others.lanes] };
   const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+  link.href = URL.createObjectURL(new Blob([JSON.stringify(found, null, 1) + "\n"], { type: "application/json" }));
   link.download = "review.json";
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
@@ -47,14 +68,30 @@ function save() {
   show();
 }
 
+// A frame is known by its time, or by its name where it has none; a lane by its places, whatever its id is now.
+const isSameFrame = (a, b) => (a.time_s ?? null) === (b.time_s ?? null) && (a.time_s != null || a.name === b.name);
+function isSameLane(a, b) {
+  const near = a.xy.filter(([x, y]) => b.xy.some(([u, v]) => Math.hypot(u - x, v - y) < NEAR_M / 2));
+  return near.length > 0 && near.length >= Math.min(a.xy.length, b.xy.length) / 2;
+}
+
+function take(found) {
+  if (found.format !== data.format || !Array.isArray(found.frames) || !Array.isArray(found.lanes)) throw new Error(`expected ${data.format}`);
+  if (found.drive !== data.drive) throw new Error(`expected verdicts on ${data.drive || "pictures of no drive"}, got some on ${found.drive || "others"}`);
+  others = { frames: [], lanes: [] };
+  for (const [all, verdicts, isSame, rest] of [[data.frames, frames, isSameFrame, others.frames], [data.lanes, lanes, isSameLane, others.lanes]]) {
+    verdicts.clear();
+    for (const said of rest === others.frames ? found.frames : found.lanes) {
+      const one = ["accepted", "rejected"].includes(said.verdict) && all.find((own) => isSame(own, said));
+      if (one) verdicts.set(one, said.verdict); else rest.push(said);
+    }
+  }
+  show();
+}
+
 async function load(file) {
   try {
-    const found = JSON.parse(await file.text());
-    if (found.format !== data.format || typeof found.frames !== "object") throw new Error(`expected ${data.format}`);
-    const names = Object.keys(found.frames).filter((name) => data.names.includes(name));
-    if (!names.length && Object.keys(found.frames).length) throw new Error("expected verdicts on frames of this page, got others");
-    for (const name of names) if (["accepted", "rejected"].includes(found.frames[name])) verdicts.set(name, found.frames[name]);
-    show();
+    take(JSON.parse(await file.text()));
   } catch (error) {
     told.textContent = `${file.name}: ${error.message}`;
   }
@@ -69,4 +106,4 @@ addEventListener("keydown", (event) => {
 for (const [id, does] of Object.entries({ before: () => go(-1), next: () => go(1), accept: KEYS.a, reject: KEYS.r, clear: KEYS.c, save })) document.getElementById(id).addEventListener("click", does);
 document.getElementById("file").addEventListener("change", (event) => { load(event.target.files[0]); event.target.value = ""; });
 addEventListener("beforeunload", (event) => { if (!isSaved) event.preventDefault(); });
-show();
+if (data.before) take(data.before); else show();

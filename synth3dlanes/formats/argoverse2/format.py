@@ -15,4 +15,5 @@ FORMAT = SampleFormat(
     document=document,
     takes_sweeps=True,
     counted="lane segments",
+    needs_scenes=True,
 )

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Points3
 from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type, piece_id
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
+from synth3dlanes.geometry.motion import host_driven
 from synth3dlanes.labels import LaneGraph
 from synth3dlanes.world import World
 
@@ -30,7 +31,7 @@ Sides = Float[np.ndarray, "_ k 3"]
 def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str, str | bytes], int]:
     """The files of the map of a world, and how many lane segments are in it."""
     place, shot = world.view.world_from_host[:3, 3], world.scene.shot
-    reach_m = REACH_M + shot.speed_m_s * shot.duration_s
+    reach_m = REACH_M + host_driven(shot, shot.duration_s)
     strips = [np.stack(edges, axis=1) for edges in world.ground.pavement_strips(place[:2], reach_m)]
     lanes = list(lane_segments(world, graph.segments, place, reach_m))
     rows = list(_lanes(lanes, graph, world))

@@ -19,6 +19,7 @@ from synth3dlanes.formats.writing import PARTS
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import Lane, Segment
 from synth3dlanes.object_labels import CORNERS
+from synth3dlanes.polylines import resampled
 
 # The pieces of each segment, in order.
 PiecesOf = dict[str, list[LogLane]]
@@ -84,8 +85,7 @@ def _camera(log: Log, name: str, city_from_ego: Float[np.ndarray, "4 4"], truth:
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.column_stack([k[0, 2] + k[0, 0] * x / z, k[1, 2] + k[1, 1] * y / z])
     apart = np.where(z > 0, np.linalg.norm(found - (uv - 0.5), axis=1), np.inf)
-    gap = Gap(f"camera {name}", "px", *_spread(apart))
-    return _judged([gap], LIMIT_PX)
+    return Comparison.within([Gap.of(f"camera {name}", "px", apart)], {"px": LIMIT_PX})
 
 
 def _boxes(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"], truth: SourceSample) -> Comparison:
@@ -105,7 +105,7 @@ def _boxes(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"],
         ours = {item: transform(world_from_cam, one.corners_cam) for item, one in left.items()}
         nearest = min(ours, key=lambda item: float(np.linalg.norm(ours[item].mean(axis=0) - middle)))
         item = left.pop(nearest)
-        gaps.append(Gap(f"object {item.id}", "m", *_spread(np.linalg.norm(found - ours[item.id], axis=1))))
+        gaps.append(Gap.of(f"object {item.id}", "m", np.linalg.norm(found - ours[item.id], axis=1)))
         tracks[str(table["track_uuid"][row])] = f"object {item.id} of {log.files}"
         if table["category"][row] != CATEGORIES[item.category]:
             problems.append(f"object {item.id}: expected {CATEGORIES[item.category]}, got {table['category'][row]}")
@@ -113,7 +113,7 @@ def _boxes(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"],
             expected, got = item.lidar_points or 0, table["num_interior_pts"][row]
             problems.append(f"object {item.id}: expected {expected} points of the lidar on it, got {got}")
     problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
-    return _judged(gaps, BOX_M).because(problems) + Comparison(0, (), (), tracks)
+    return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(0, (), (), tracks)
 
 
 def _sweep(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"], truth: SourceSample) -> Comparison:
@@ -125,16 +125,13 @@ def _sweep(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"],
     if not len(ours):
         return Comparison(0, (), ())
     apart = np.linalg.norm(transform(city_from_ego, found) - transform(camera.world_from_cam, ours), axis=1)
-    compared = _judged([Gap("points of the lidar", "m", *_spread(apart))], POINT_M)
+    compared = Comparison.within([Gap.of("points of the lidar", "m", apart)], {"m": POINT_M})
     lidar = truth.labels.lidar
     assert lidar is not None, "a sweep has a lidar"
     place = (city_from_ego @ log.sensors["up_lidar"])[:3, 3] if "up_lidar" in log.sensors else np.full(3, np.nan)
     off_m = float(np.linalg.norm(place - (camera.world_from_cam @ lidar.cam_from_lidar)[:3, 3]))
-    return (
-        compared
-        if off_m <= POINT_M
-        else compared.because([f"expected the lidar at its place, got it {off_m:.3g} m off"])
-    )
+    problems = [] if off_m <= POINT_M else [f"expected the lidar at its place, got it {off_m:.3g} m off"]
+    return compared.because(problems)
 
 
 def _map(found: LogMap, truth: SourceSample) -> Comparison:
@@ -159,13 +156,8 @@ def _middle(lane: LogLane) -> Float[np.ndarray, "n 3"]:
     """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
     left, right = lane.left, lane.right
     if len(left) != len(right):
-        left, right = (_resampled(line, 100) for line in (left, right))
+        left, right = (resampled(line, 100) for line in (left, right))
     return (left + right) / 2
-
-
-def _resampled(line: Float[np.ndarray, "n 3"], n: int) -> Float[np.ndarray, "m 3"]:
-    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    return np.column_stack([np.interp(np.linspace(0, at[-1], n), at, column) for column in line.T])
 
 
 def _side_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
@@ -247,7 +239,7 @@ def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     for name, pieces in lanes.items():
         is_oncoming = _is_oncoming(by_id[name])
         for side in ("left", "right"):
-            fine = _resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
+            fine = resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
             near = {paint.id: distances(fine, points) < ON_LINE_M for paint, points in ours if len(points) > 1}
             close = [paint for paint, _ in ours if near.get(paint.id, np.zeros(1)).sum() >= LEAST_POINTS]
             expected = _mark_type(close[0], is_oncoming) if len(close) == 1 else ""
@@ -292,13 +284,3 @@ def _ground_problems(found: LogMap, truth: SourceSample) -> Iterator[str]:
         # Where a ramp leaves a road, the higher one is the ground.
         if not np.median(over_m) <= GROUND_M:
             yield f"lane {lane.id}: expected the ground at its height, got it {np.median(over_m):.3g} m away"
-
-
-def _judged(gaps: list[Gap], limit: float) -> Comparison:
-    problems = [f"{gap.lane}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in gaps
-                if not gap.worst <= limit]  # fmt: skip
-    return Comparison(len(gaps), tuple(gaps), tuple(problems))
-
-
-def _spread(values: Float[np.ndarray, " _"]) -> tuple[float, float]:
-    return float(values.max()), float(np.median(values))

@@ -42,7 +42,7 @@ class _Spans(RootModel[dict[str, _Span]]):
 
 
 @dataclass(frozen=True, eq=False)
-class FThetaView:
+class CosmosView:
     """A camera of a clip: its place in the rig's frame, and its f-theta lens."""
 
     rig_from_flu: Matrix4
@@ -72,14 +72,14 @@ class Box:
 
 
 @dataclass(frozen=True, eq=False)
-class ClipFolder:
+class CosmosClip:
     """A clip below the folder of an export; its files are read when they are asked for."""
 
     out: Path
     files: ClipFiles
 
     @cached_property
-    def views(self) -> dict[str, FThetaView]:
+    def views(self) -> dict[str, CosmosView]:
         """The cameras by their names."""
         (row,), where = self.rows("calibration_estimate"), str(self.out / self.files.table("calibration_estimate"))
         document = json_object(row["rig_json"], where)
@@ -153,7 +153,7 @@ class ClipFolder:
         return rows
 
 
-def _view(sensor: Any, where: str) -> FThetaView:
+def _view(sensor: Any, where: str) -> CosmosView:
     lens, place = sensor["properties"], sensor["nominalSensor2Rig_FLU"]
     if (lens["Model"], lens["polynomial-type"]) != ("ftheta", "angle-to-pixeldistance"):
         raise FormatError(f"{where}: expected f-theta cameras from angle to distance, got others")
@@ -165,7 +165,7 @@ def _view(sensor: Any, where: str) -> FThetaView:
         raise FormatError(f"{where}: expected finite numbers of a camera, got others")
     *polynomial, cx, cy, stretch = numbers
     size_px = int(lens["width"]), int(lens["height"])
-    return FThetaView(pose, size_px, np.array([cx, cy]), stretch, np.array(polynomial))
+    return CosmosView(pose, size_px, np.array([cx, cy]), stretch, np.array(polynomial))
 
 
 def _box(row: dict[str, Any], name: str, size: str) -> Box:

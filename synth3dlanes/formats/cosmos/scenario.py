@@ -10,6 +10,8 @@ from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.geometry.lane_curves import LaneCurve
+from synth3dlanes.geometry.motion import host_driven
+from synth3dlanes.geometry.network import LINES_STEP_M
 from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
 from synth3dlanes.labels import Labels, Marking, PaintColor, Pair
 from synth3dlanes.schema import SymbolKind
@@ -64,7 +66,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
     """The scenario of a world, of which `labels` are those of the first picture; the traffic elements are those of all
     `pictures` of the clip."""
     place, shot = world.view.world_from_host[:3, 3], world.scene.shot
-    reach_m = REACH_M + shot.speed_m_s * shot.duration_s
+    reach_m = REACH_M + host_driven(shot, shot.duration_s)
     return Scenario(
         tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
         tuple(_lines(world, place, reach_m)),
@@ -76,7 +78,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
 
 def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[PaintedLine]:
     network, markings = world.network, world.scene.markings
-    near = np.sort(network.stations(float(place[1]) + np.arange(-reach_m, reach_m + STEP_M / 2, STEP_M)))
+    near = network.stations_near(place[:2], reach_m)
     for line in network.delimiters:
         points = _points(line, near)
         if line.is_measured:
@@ -90,7 +92,7 @@ def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Itera
 
 def _points(line: LaneCurve, near: Float[np.ndarray, " n"]) -> Points3:
     if line.is_measured:
-        s = np.linspace(line.start_m, line.end_m, 2 + int((line.end_m - line.start_m) / STEP_M))
+        s = np.linspace(line.start_m, line.end_m, 2 + int((line.end_m - line.start_m) / LINES_STEP_M))
     else:
         s = near[(near >= line.start_m) & (near <= line.end_m)]
     return line.points_world(s)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.arrays import Matrix4, Points3
+from synth3dlanes.arrays import Matrix4
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances, stations
 from synth3dlanes.formats.cosmos.convention import CATEGORIES, FRONT_VIEW, ClipFiles, line_style
-from synth3dlanes.formats.cosmos.read import Box, ClipFolder, FThetaView
+from synth3dlanes.formats.cosmos.read import Box, CosmosClip, CosmosView
 from synth3dlanes.formats.cosmos.verify_videos import video_problems
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.writing import PARTS
@@ -41,12 +41,12 @@ def _clips(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
     for folder in sorted(path for path in (out / part / "clipgt").glob("*") if path.is_dir())[:most]:
         files = ClipFiles(part, folder.name)
         name = files.table("egomotion_estimate")
-        yield ReadFrame(name, str(out / part / "clipgt" / folder.name), None, ClipFolder(out, files))
+        yield ReadFrame(name, str(out / part / "clipgt" / folder.name), None, CosmosClip(out, files))
 
 
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Every picture of a clip; with the first ones what stands still, and the videos."""
-    clip: ClipFolder = frame.content
+    clip: CosmosClip = frame.content
     found = Comparison(0, (), ())
     for name, view in clip.views.items():
         pictures = _pictures(name, truth)
@@ -69,7 +69,7 @@ def _pictures(view: str, truth: SourceSample) -> list[SourceSample]:
     return [SourceSample(reader, place) for place in reader.clip(int(reader.scene_of[truth.place]), number)]
 
 
-def _view(clip: ClipFolder, name: str, view: FThetaView, pictures: list[SourceSample]) -> Comparison:
+def _view(clip: CosmosClip, name: str, view: CosmosView, pictures: list[SourceSample]) -> Comparison:
     micros = [round(1e6 * picture.scene.shot.time_s) for picture in pictures]
     problems = list[str]()
     for what, got in (("times", clip.times), ("poses", list(clip.poses))):
@@ -89,7 +89,7 @@ def _view(clip: ClipFolder, name: str, view: FThetaView, pictures: list[SourceSa
     return compared.because(video_problems(clip, name, pictures))
 
 
-def _lens(name: str, view: FThetaView, picture: SourceSample) -> Comparison:
+def _lens(name: str, view: CosmosView, picture: SourceSample) -> Comparison:
     camera = picture.labels.camera
     if view.size_px != (camera.width_px, camera.height_px):
         text = f"{name}: expected a size of {camera.width_px}x{camera.height_px}, got {view.size_px}"
@@ -102,7 +102,7 @@ def _lens(name: str, view: FThetaView, picture: SourceSample) -> Comparison:
     return _judged([(f"camera {name}", np.linalg.norm(found - uv[known], axis=1), "px", LIMIT_PX)])
 
 
-def _lines(clip: ClipFolder, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
     """Painted lines by the ids of the delimiters, in space, with their paint and direction."""
     lines = {row["map_id"]: (row, points) for row, points in clip.lines("lane_line", "line_rail")}
     gaps, problems = [], list[str]()
@@ -134,7 +134,7 @@ def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> C
     return _compared("car", boxes, ours, cam_from_clip)
 
 
-def _elements(clip: ClipFolder, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+def _elements(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
     """Corners of traffic lights and signs by their ids; those of other pictures of the clip are left out."""
     found = Comparison(0, (), ())
     for table in ("traffic_light", "traffic_sign"):
@@ -163,7 +163,7 @@ def _compared(
     return _judged(gaps).because(problems)
 
 
-def _lanes(clip: ClipFolder, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
     """The middle between the rails of each lane, by the segment of the lane graph that it is."""
     world_from_clip, found = picture.labels.camera.world_from_cam @ cam_from_clip, []
     left, right = clip.lines("lane", "left_rail"), clip.lines("lane", "right_rail")
@@ -175,7 +175,7 @@ def _lanes(clip: ClipFolder, cam_from_clip: Matrix4, picture: SourceSample) -> C
     return compare_map(found, picture, RULE)
 
 
-def _symbol_problems(clip: ClipFolder, cam_from_clip: Matrix4, picture: SourceSample) -> Iterator[str]:
+def _symbol_problems(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Iterator[str]:
     """Findings where crosswalks, arrows and lines across the road are not those of the labels."""
     for table in ("crosswalk", "wait_line", "road_marking"):
         ours = [symbol for symbol in picture.labels.symbols if TABLE_OF.get(symbol.kind, "road_marking") == table]

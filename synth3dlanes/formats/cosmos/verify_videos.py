@@ -11,7 +11,7 @@ from synth3dlanes.arrays import RgbImage
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos.controls import car_color
 from synth3dlanes.formats.cosmos.convention import CLASS_COLORS, FOLDERS
-from synth3dlanes.formats.cosmos.read import ClipFolder
+from synth3dlanes.formats.cosmos.read import CosmosClip
 from synth3dlanes.labels import Labels
 from synth3dlanes.settings import SEMANTIC_IDS
 
@@ -26,7 +26,7 @@ LEAST_LIT, DARK, LINE_POINTS, FARTHEST_M, MORE_LIGHT = 0.9, 60, 8, 60.0, 1.05
 
 
 def video_problems(
-    clip: ClipFolder, view: str, pictures: list[SourceSample], kinds: Iterable[str] = FOLDERS
+    clip: CosmosClip, view: str, pictures: list[SourceSample], kinds: Iterable[str] = FOLDERS
 ) -> Iterator[str]:
     """Findings in the videos of a view."""
     rate_hz = pictures[0].scene.shot.fps

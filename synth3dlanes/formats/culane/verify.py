@@ -79,7 +79,7 @@ def _mask_gaps(mask: Shaped[np.ndarray, "h w"], by_place: dict[int, OurLine]) ->
         drawn = np.argwhere(mask == number)[:, ::-1] + 0.5
         if len(drawn):
             apart = distances(drawn[:: max(1, len(drawn) // 500)], line.points)
-            yield Gap(line.id, "px", float(apart.max()), float(np.median(apart)))
+            yield Gap.of(line.id, "px", apart)
 
 
 def _mask_problems(where: str, mask: Shaped[np.ndarray, "h w"], by_place: dict[int, OurLine]) -> Iterator[str]:

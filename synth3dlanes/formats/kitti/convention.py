@@ -5,7 +5,6 @@ its lower side, and a turn about the y axis, 0 where its front looks along x.
 """
 
 from dataclasses import dataclass
-from pathlib import PurePath
 
 import numpy as np
 from jaxtyping import Float
@@ -33,11 +32,6 @@ N_FIELDS = 15
 def path_of(what: str, name: str) -> str:
     """The place of a frame's file in an export."""
     return f"{TRAINING}/{FOLDERS[what]}/{name}.{ENDINGS[what]}"
-
-
-def name_of(path: str) -> str:
-    """The name of the frame that a file is of."""
-    return PurePath(path).stem
 
 
 @dataclass(frozen=True, eq=False)

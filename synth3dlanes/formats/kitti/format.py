@@ -14,4 +14,5 @@ FORMAT = SampleFormat(
     lists=tuple(f"ImageSets/{part}.txt" for part in ("train", "val", "trainval", "test")),
     takes_sweeps=True,
     counted="objects",
+    needs_scenes=True,
 )

@@ -86,15 +86,13 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
             problems.append(f"object {number}: expected one of the labels, got {found.type} far from any of that kind")
             continue
         del left[item.id]
-        gaps.append(Gap(f"object {item.id}", "px", *_spread(np.abs(found.box_px - _box(item, sides)))))
+        gaps.append(Gap.of(f"object {item.id}", "px", np.abs(found.box_px - _box(item, sides))))
         if found.type != DONT_CARE:
             gaps += _gaps(found, item, calib, truth)
             problems += _problems(found, item)
     problems += (f"expected {item.category} {item.id}, got it in no line" for item in left.values())
     gaps += _of_points(points, calib, truth, problems)
-    bad = [gap for gap in gaps if not gap.worst <= (LIMIT_M if gap.unit == "m" else LIMIT_PX)]
-    problems += (f"{gap.lane}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in bad)
-    return Comparison(len(gaps), tuple(gaps), tuple(problems))
+    return Comparison.within(gaps, {"m": LIMIT_M, "px": LIMIT_PX}).because(problems)
 
 
 def _nearest(found: KittiObject, items: list[ObjectLabel], sides: Float[np.ndarray, "4"]) -> ObjectLabel | None:
@@ -144,14 +142,12 @@ def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], t
         [CORNERS[:, 1] * length_m / 2, (CORNERS[:, 2] + 1) * -height_m / 2, -CORNERS[:, 0] * width_m / 2]
     )
     theirs = own @ turned.T + found.location_cv
-    yield Gap(f"object {item.id}", "m", *_spread(np.linalg.norm(theirs - ours, axis=1)))
+    yield Gap.of(f"object {item.id}", "m", np.linalg.norm(theirs - ours, axis=1))
     foot = calib["R0_rect"] @ found.location_cv
     u, v, w = calib["P2"] @ [*foot, 1.0]
     expected = truth.labels.camera.project(np.array([foot_cv[0], foot_cv[2], -foot_cv[1]])) - 0.5
     if np.isfinite(expected).all() and foot_cv[2] > 1.0:
-        yield Gap(
-            f"foot of object {item.id}", "px", *_spread(np.abs([u / w, v / w] - expected) * min(1.0, foot_cv[2] / 10))
-        )
+        yield Gap.of(f"foot of object {item.id}", "px", np.abs([u / w, v / w] - expected) * min(1.0, foot_cv[2] / 10))
 
 
 def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
@@ -177,8 +173,4 @@ def _of_points(
     elif len(ours):
         pose = np.vstack([calib["Tr_velo_to_cam"], [0, 0, 0, 1]])
         apart_m = np.linalg.norm(transform(pose, theirs[:, :3]) - ours[:, [0, 2, 1]] * [1, -1, 1], axis=1)
-        yield Gap("points of the lidar", "m", *_spread(apart_m))
-
-
-def _spread(values: Float[np.ndarray, " _"]) -> tuple[float, float]:
-    return float(values.max()), float(np.median(values))
+        yield Gap.of("points of the lidar", "m", apart_m)

@@ -14,4 +14,5 @@ FORMAT = SampleFormat(
     tolerances={RULE.unit: RULE.limit},
     document=document,
     passes=PASSES,
+    needs_scenes=True,
 )

@@ -14,6 +14,7 @@ from synth3dlanes.formats.masks.write import LEAST_POINTS
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
 from synth3dlanes.formats.things import compare_masks
 from synth3dlanes.labels import CameraLabel, Lane
+from synth3dlanes.polylines import lengths_along
 from synth3dlanes.schema import Excerpt, parse
 from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID
 
@@ -88,7 +89,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 
 def _in_image(lane: Lane, camera: CameraLabel) -> OurLine:
     """The line as the camera sees it, a point every few centimetres."""
-    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lane.xyz_cam, axis=0), axis=1))])
+    lengths = lengths_along(lane.xyz_cam)
     fine = np.union1d(lengths, np.arange(0, lengths[-1], STEP_M))
     points = np.column_stack([np.interp(fine, lengths, column) for column in lane.xyz_cam.T])
     uv = camera.project(points[points[:, 1] > NEAREST_M / 4])

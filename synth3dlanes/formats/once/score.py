@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw
 from scipy.optimize import linear_sum_assignment
 
 from synth3dlanes.arrays import Polyline3
+from synth3dlanes.polylines import resampled
 
 RASTER_M = 10.0
 RASTER_PX_PER_M = 10
@@ -61,9 +62,7 @@ def _overlap(a: Image.Image, b: Image.Image) -> float:
 
 
 def _distance_m(true_cv: Polyline3, predicted_cv: Polyline3) -> float:
-    stations_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true_cv, axis=0), axis=1))])
-    wanted_m = np.linspace(0.0, stations_m[-1], N_POINTS)
-    points_cv = np.column_stack([np.interp(wanted_m, stations_m, column) for column in true_cv.T])
+    points_cv = resampled(true_cv, N_POINTS)
     starts_cv, steps_cv = predicted_cv[:-1], np.diff(predicted_cv, axis=0)
     lengths2_m2 = np.maximum(np.sum(steps_cv**2, axis=1), 1e-12)
     along = np.clip(np.sum((points_cv[:, None] - starts_cv) * steps_cv, axis=2) / lengths2_m2, 0, 1)

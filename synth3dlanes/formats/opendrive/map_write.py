@@ -10,6 +10,7 @@ import numpy as np
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.formats.opendrive.convention import MAJOR, MINOR, NO_NUMBER, USER_DATA
+from synth3dlanes.formats.opendrive.map_signals import add_signals
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.geometry.roads import Road
@@ -82,6 +83,7 @@ def opendrive_of_map(world: World, name: str) -> str:
         own = [touch for touch in touches if road.junction is not None or not _enters_junction(touch, found)]
         _add_lanes(add(element, "lanes"), road, own, roll)
         _add_paint(element, road, roads)
+    add_signals({element.get("id", ""): element for element in root.iterfind("road")}, world, network)
     _add_junctions(root, roads, found, touches, direct)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

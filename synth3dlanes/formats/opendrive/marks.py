@@ -113,7 +113,7 @@ def _of(
     if pair:
         kind = MIRRORED[pair] if road.is_oncoming else pair
     cycle_m, dash_m = markings.dash_cycle_m, markings.dash_fraction * markings.dash_cycle_m
-    length_m, ascends = _lengths(world, line, road.network_s[at]), road.network_s[at[-1]] > road.network_s[at[0]]
+    length_m, ascends = _lengths(line, road.network_s[at]), road.network_s[at[-1]] > road.network_s[at[0]]
     # Dashes begin at multiples of their cycle along the line from station 0; seen from behind, they end there.
     first_m = length_m[0] + (-length_m[0] - (0 if ascends else dash_m)) % cycle_m
     # Marks begin with a dash, and are so short that the line is nowhere much longer or shorter than the road.
@@ -127,7 +127,7 @@ def _of(
         yield Mark(float(from_m), kind, *look, *map(float, sizes)), float(next_m)
 
 
-def _lengths(world: World, line: LaneCurve, network_s: Scalars) -> Scalars:
+def _lengths(line: LaneCurve, network_s: Scalars) -> Scalars:
     """Lengths along a line, in the order of these stations, from station 0."""
     to_start = np.clip(
         np.linspace(0, network_s[0], 2 + int(abs(network_s[0]) / LENGTH_STEP_M)), line.start_m, line.end_m

@@ -16,6 +16,7 @@ from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import NetworkLane, Offset, Road
 from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.polylines import lengths_along
 
 # Stations that a file reaches, at least, and the distance of the places that are fitted.
 REACH_M = 250.0
@@ -209,7 +210,7 @@ def _road(network: Network, layout: _Layout) -> OdrRoad:
     low_m, high_m = layout.span_m
     s = np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / STEP_M)) + 1)[:: 1 if ascends else -1]
     xy = layout.road.xy(s, layout.line(s))
-    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
+    lengths = lengths_along(xy)
     # To the left of the reference line, seen in its direction.
     leftward = -network.rightward * (-1 if layout.is_oncoming else 1)
     widths = [np.broadcast_to(w(s) if callable(w := strip.width_m) else w, s.shape) for strip in layout.strips]

@@ -76,7 +76,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
             problems.append(f"line {i}: expected {len(seen)} uv, one for each visible point, got {len(line.uv_img)}")
         elif len(seen):
             apart = np.linalg.norm(seen - line.uv_img, axis=1)
-            gaps.append(Gap(name, "px", float(apart.max()), float(np.median(apart))))
+            gaps.append(Gap.of(name, "px", apart))
             if not apart.max() <= TOLERANCE_PX:
                 problems.append(f"line {i} ({name}): expected uv where xyz is seen, got it {apart.max():.3g} px away")
         problems += (f"line {i}: {text}" for text in _paint_problems(line, by_id[name], lines[i]))

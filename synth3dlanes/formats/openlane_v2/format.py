@@ -13,4 +13,5 @@ FORMAT = SampleFormat(
     tolerances={RULE.unit: RULE.limit},
     document=document,
     counted="lane segments",
+    needs_scenes=True,
 )

@@ -34,8 +34,8 @@ from synth3dlanes.formats.openlane_v2.convention import (
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.ground import runs
 from synth3dlanes.labels import CameraLabel
+from synth3dlanes.polylines import resampled, stretches
 from synth3dlanes.world import World, resolve
 
 DECIMALS = 4
@@ -110,7 +110,8 @@ def annotate(frame: SampleFrame) -> FrameAnnotation | None:
     traffic_elements = [_element_document(item) for item in elements]
     centerlines = {
         "lane_centerline": [
-            {"id": lane.segment.index, "points": _resampled(lane.middle_ego, CENTERLINE_POINTS)} for lane in lanes
+            {"id": lane.segment.index, "points": _rounded(resampled(lane.middle_ego, CENTERLINE_POINTS))}
+            for lane in lanes
         ],
         "traffic_element": traffic_elements,
         "topology_lclc": topology,
@@ -197,11 +198,7 @@ def _in_area(points_ego: Float[np.ndarray, "n 3"], behind_m: float) -> Bool[np.n
 
 def _longest(inside: Bool[np.ndarray, " n"]) -> tuple[int, int]:
     """First and last (exclusive) of the longest run; (0, 0) without any."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]]))).reshape(-1, 2)
-    if not len(ends):
-        return 0, 0
-    first, last = ends[np.argmax(ends[:, 1] - ends[:, 0])].tolist()
-    return first, last
+    return max(stretches(inside), key=lambda ends: ends[1] - ends[0], default=(0, 0))
 
 
 def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) -> list[list[int]]:
@@ -229,7 +226,7 @@ def _element_document(item: ElementLabel) -> dict[str, Any]:
 def _segment_document(lane: _Lane) -> dict[str, Any]:
     document = {
         "id": lane.segment.index,
-        "centerline": _resampled(lane.middle_ego, POINTS),
+        "centerline": _rounded(resampled(lane.middle_ego, POINTS)),
         "is_intersection_or_connector": lane.segment.is_connector,
     }
     for name, points_ego, side in (
@@ -242,7 +239,7 @@ def _segment_document(lane: _Lane) -> dict[str, Any]:
 
 def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Boundary) -> dict[str, Any]:
     return {
-        name: _resampled(points_ego, POINTS),
+        name: _rounded(resampled(points_ego, POINTS)),
         f"{name}_type": LINE_TYPES[side.marking],
         f"{name}_color": side.color,
         f"{name}_double": side.double,
@@ -262,21 +259,15 @@ def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: 
                 index += 1
     for edge_world in world.ground.pavement_edges(world_from_ego[:2, 3], REACH_M):
         edge_ego = transform(ego_from_world, edge_world)
-        for run in runs(edge_ego, _in_area(edge_ego, behind_m)):
+        for first, end in stretches(_in_area(edge_ego, behind_m)):
+            run = edge_ego[first:end]
             if _length_m(run) >= LEAST_LENGTH_M:
-                yield {"id": index, "category": ROAD_BOUNDARY, "points": _resampled(run, POINTS)}
+                yield {"id": index, "category": ROAD_BOUNDARY, "points": _rounded(resampled(run, POINTS))}
                 index += 1
 
 
 def _length_m(points: Float[np.ndarray, "n 3"]) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
-def _resampled(points: Float[np.ndarray, "n 3"], n: int) -> list[list[float]]:
-    """`n` points at equal distances along a line."""
-    at_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    wanted_m = np.linspace(0.0, at_m[-1], n)
-    return _rounded(np.column_stack([np.interp(wanted_m, at_m, column) for column in points.T]))
 
 
 def _rounded(points: Float[np.ndarray, "n 3"]) -> list[list[float]]:

@@ -16,4 +16,5 @@ FORMAT = SampleFormat(
     document=document,
     passes=PASSES,
     counted="objects",
+    needs_scenes=True,
 )

@@ -4,16 +4,18 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from synth3dlanes.assets.car_colors import sold_color
 from synth3dlanes.assets.catalogue import Assets
+from synth3dlanes.geometry.placement import footprint, overlaps_any
 from synth3dlanes.host import Shot
+from synth3dlanes.sampling.cars import car_look
 from synth3dlanes.sampling.draws import DECIMALS, Draw
-from synth3dlanes.sampling.town.lanes import LaneLines, Route
+from synth3dlanes.sampling.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.sampling.town.layout import TownMap, lay_out
 from synth3dlanes.sampling.town.plan import poses
 from synth3dlanes.sampling.town.streets import LANES, PARKING_M
-from synth3dlanes.sampling.town.traffic import CarBody, HostPlan, MovingCar, TownDrive, plan_host, simulate
+from synth3dlanes.sampling.town.traffic import CarBody, HostPlan, MovingCar, TownDrive, body_places, plan_host, simulate
 from synth3dlanes.scene import Car, Markings, Terrain
 from synth3dlanes.town import ROUNDABOUTS, Town
 
@@ -24,6 +26,8 @@ N_BENDS = 4
 PARKED_M, MOVING_M = 90.0, 160.0
 # Draws of a model until one is short enough.
 TRIES = 30
+# Bodies whose middles are farther apart do not touch.
+NEAR_M = 16.0
 LONG_M = 6.5
 
 
@@ -98,7 +102,8 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
         if np.linalg.norm(ends - host, axis=1).min() > MOVING_M:
             continue
         k, s_m = route.place_at(moving.track[0][1])
-        values = _look(looks, moving.body, assets) | {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS)}
+        values = car_look(looks, assets, moving.body.model, moving.body.scale)
+        values |= {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS)}
         if len(moving.track) > 1:
             track = _driven(route, moving, terrain)
             values |= {"speed_m_s": _speed(track), "track": track, "route": route.lanes[k + 1 :]}
@@ -106,10 +111,12 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
     return tuple(cars)
 
 
-def parked_cars(drawn: DrawnTown, share: float, looks: Draw, assets: Assets) -> tuple[Car, ...]:
-    """Cars in the parking lanes near the host, which stand beside the outermost lanes."""
+def parked_cars(drawn: DrawnTown, found: TownDrive, share: float, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+    """Cars in the parking lanes near the host, which stand beside the outermost lanes, where nobody who drives would
+    touch them: in bends the ends of long vehicles swing out of their lanes."""
     cars, rng = list[Car](), looks.rng
     host = Route(drawn.host.lanes, LaneLines(drawn.map)).at(np.array([drawn.host.at_m]))[0]
+    lines, driven = LaneLines(drawn.map), driven_places(drawn, found)
     for street in drawn.map.streets:
         for i, piece in enumerate(street.pieces):
             for side in ("left", "right"):
@@ -128,8 +135,40 @@ def parked_cars(drawn: DrawnTown, share: float, looks: Draw, assets: Assets) -> 
                         moved_m = float(rng.uniform(-0.4, 0.4))
                         offset_m = (street.profile.lane_m + PARKING_M) / 2 + float(rng.uniform(-0.05, 0.12))
                         place = {"lane": names[lane], "s_m": round(s_m + moved_m, DECIMALS)}
-                        cars.append(Car(**_look(looks, body, assets), **place, offset_m=round(offset_m, DECIMALS)))
+                        look = car_look(looks, assets, body.model, body.scale)
+                        car = Car(**look, **place, offset_m=round(offset_m, DECIMALS))
+                        if not _is_touched(_standing(lines[car.lane], car, body), driven):
+                            cars.append(car)
     return tuple(cars)
+
+
+def driven_places(drawn: DrawnTown, found: TownDrive) -> list[Float[np.ndarray, "n 4 2"]]:
+    """The corners of the host and of every car that drives at the instants of its track, with the room it needs."""
+    lines = LaneLines(drawn.map)
+    places = []
+    for car in (found.host, *found.cars):
+        offset_m = drawn.host.offset_m if car is found.host else 0.0
+        lengths_m = np.array([length_m for _, length_m in car.track])
+        places.append(body_places(Route(car.lanes, lines), lengths_m, car.body, offset_m))
+    return places
+
+
+def _standing(line: LaneLine, car: Car, body: CarBody) -> Float[np.ndarray, "4 2"]:
+    """The corners of a parked car."""
+    order = np.argsort(line.stations)
+    at = [
+        np.interp(car.s_m, line.stations[order], values[order]) for values in (*line.points.T, np.unwrap(line.headings))
+    ]
+    heading = np.array([np.cos(at[2]), np.sin(at[2])])
+    middle = np.array(at[:2]) + car.offset_m * np.array([heading[1], -heading[0]])
+    return footprint(middle, heading, body.length_m, body.width_m)
+
+
+def _is_touched(place: Float[np.ndarray, "4 2"], driven: Sequence[Float[np.ndarray, "n 4 2"]]) -> bool:
+    """Whether any of those who drive touches a body."""
+    middle = place.mean(axis=0)
+    near = (at[np.linalg.norm(at.mean(axis=1) - middle, axis=1) < NEAR_M] for at in driven)
+    return any(len(at) and overlaps_any(place, at) for at in near)
 
 
 def _short(looks: Draw, assets: Assets) -> CarBody | None:
@@ -139,16 +178,6 @@ def _short(looks: Draw, assets: Assets) -> CarBody | None:
         if own.length_m < SHORT_M and own.width_m < PARKING_M:
             return CarBody(model, scale, own.length_m * scale, own.width_m * scale)
     return None
-
-
-def _look(looks: Draw, body: CarBody, assets: Assets) -> dict[str, object]:
-    """Model and colours of a car."""
-    (color,) = zip(*looks.rows(("color",), 3), strict=True)
-    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
-    u_paint, u_shade = looks.rng.random(2)
-    if palette == "sold":
-        color, saturation = sold_color(assets.car_models[body.model - 1], u_paint, u_shade), 1.0
-    return {"model": body.model, "scale": body.scale, "color": color, "gloss": gloss, "saturation": saturation}
 
 
 def _driven(route: Route, moving: MovingCar, terrain: Terrain) -> tuple[tuple[float, float], ...]:

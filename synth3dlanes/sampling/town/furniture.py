@@ -12,7 +12,7 @@ from synth3dlanes.geometry.placement import overlaps_any
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.roadside import Building, Post, Roadside
 from synth3dlanes.sampling.draws import DECIMALS, Draw
-from synth3dlanes.sampling.roadside import FRONTS, ROOFS, SIZES_M
+from synth3dlanes.sampling.roadside import FRONTS, ROOFS, SIZES_M, floor_plan, shaded
 from synth3dlanes.sampling.town.junctions import Arm
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.lights import Lights, group_of
@@ -21,7 +21,6 @@ from synth3dlanes.sampling.town.plan import PlanPose, poses
 from synth3dlanes.sampling.town.rules import JunctionRules
 from synth3dlanes.sampling.town.streets import LaneAt, Street
 from synth3dlanes.scene import Tree
-from synth3dlanes.schema import Color
 from synth3dlanes.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
 
 Rng = np.random.Generator
@@ -208,7 +207,7 @@ def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> lis
                     s_m += length_m + float(rng.uniform(*GAPS_M))
                     continue
                 building = _building(street, side, s_m, form, rng)
-                outline = _outline(building)
+                outline = floor_plan(building)
                 corners = outline[[0, 6, 48, 42]]
                 if _has_room(ground, outline, height_m) and not (taken and overlaps_any(corners, np.array(taken))):
                     found.append(building)
@@ -250,24 +249,16 @@ def _building(
         width_m=round(width_m, DECIMALS),
         length_m=round(length_m, DECIMALS),
         height_m=round(height_m, DECIMALS),
-        color=_color(rng, FRONTS),
-        roof=_color(rng, ROOFS),
+        color=shaded(rng, FRONTS),
+        roof=shaded(rng, ROOFS),
     )
-
-
-def _outline(building: Building) -> np.ndarray:
-    """World points over a building's floor plan, row by row; the corners are the first and last of the outer rows."""
-    share = np.linspace(-0.5, 0.5, 7)
-    x, y = np.meshgrid(share * building.width_m, share * building.length_m)
-    cos, sin = np.cos(building.yaw_rad), np.sin(building.yaw_rad)
-    return np.stack([building.x_m + cos * x - sin * y, building.y_m + sin * x + cos * y], -1).reshape(-1, 2)
 
 
 def street_trees(town_map: TownMap, ground: Ground, roadside: Roadside, draw: Draw, looks: Draw) -> tuple[Tree, ...]:
     """Trees in rows behind the walkways, where no building stands."""
     share, rng = draw("street_trees"), draw.rng
     found: list[Tree] = []
-    fronts = [_outline(building) for building in roadside.buildings]
+    fronts = [floor_plan(building) for building in roadside.buildings]
     models = [1, 3, 6]
     for street in town_map.streets if share else ():
         for side, sign in (("left", 1), ("right", -1)):
@@ -285,9 +276,3 @@ def street_trees(town_map: TownMap, ground: Ground, roadside: Roadside, draw: Dr
                     place = {"x_m": round(at.x, DECIMALS), "y_m": round(at.y, DECIMALS)}
                     found.append(Tree(model=model, **place, yaw_rad=yaw_rad, scale=scale))
     return tuple(found)
-
-
-def _color(rng: Rng, among: tuple[Color, ...]) -> Color:
-    color, shade = among[int(rng.random() * len(among))], 0.85 + 0.3 * rng.random()
-    red, green, blue = (round(min(shade * channel, 1.0), 4) for channel in color)
-    return red, green, blue

@@ -10,7 +10,7 @@ import numpy as np
 
 from synth3dlanes.road_map import GroundPoint, MapIsland, MapLane, MapMark, MapRoad, MapSection, PlanPiece, Polynomial
 from synth3dlanes.sampling.town.plan import PlanPose, chain, connection, sampled, wrapped
-from synth3dlanes.sampling.town.streets import KERB_M, Cross, LaneAt, Street
+from synth3dlanes.sampling.town.streets import KERB_M, Cross, LaneAt, Street, smooth
 
 Turn = Literal["left", "straight", "right"]
 # A way that turns by more than this is a turn; between arms farther apart than that the kerb has no corner.
@@ -73,8 +73,8 @@ class Connector:
     def road(self, junction: str) -> MapRoad:
         """The connector as a road of a map: its lane's middle is the plan."""
         first, last = self.widths_m
-        half = _even(first / 2, last / 2, self.length_m)
-        lane = MapLane(number=-1, kind="driving", widths=(_even(first, last, self.length_m),))
+        half = smooth(0.0, self.length_m, first / 2, last / 2)
+        lane = MapLane(number=-1, kind="driving", widths=(smooth(0.0, self.length_m, first, last),))
         zero = MapLane(number=0, kind="none", marks=self.marks)
         section = MapSection(s_m=0.0, lanes=(zero, lane))
         return MapRoad(id=self.id, plan=self.plan, sections=(section,), lane_offsets=(half,), junction=junction)
@@ -92,7 +92,7 @@ class Corner(NamedTuple):
         lanes = (
             MapLane(number=0, kind="none"),
             MapLane(number=-1, kind="kerb", widths=(Polynomial(s_m=0.0, a=KERB_M),)),
-            MapLane(number=-2, kind="walkway", widths=(_even(*self.walkways_m, length_m),)),
+            MapLane(number=-2, kind="walkway", widths=(smooth(0.0, length_m, *self.walkways_m),)),
         )
         return MapRoad(id=id, plan=self.plan, sections=(MapSection(s_m=0.0, lanes=lanes),), junction=junction)
 
@@ -232,9 +232,3 @@ def _meeting(alpha: float, left: float, right: float) -> tuple[float, float]:
     """How far along both axes the edges of two arms meet."""
     sin, cos = np.sin(alpha), np.cos(alpha)
     return float((right + left * cos) / sin), float((left + right * cos) / sin)
-
-
-def _even(start: float, end: float, length_m: float) -> Polynomial:
-    """A value that changes without a corner along a road."""
-    by = end - start
-    return Polynomial(s_m=0.0, a=round(start, 9), c=round(3 * by / length_m**2, 12), d=round(-2 * by / length_m**3, 12))

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.terrain import height_at
+from synth3dlanes.polylines import lengths_along
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.plan import poses
 from synth3dlanes.sampling.town.streets import LANES, Street
@@ -88,7 +89,7 @@ def strip_line(street: Street, section: int, number: int) -> LaneLine:
 
 
 def _measured(points: Points2, headings: Scalars, stations: Scalars) -> LaneLine:
-    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    lengths = lengths_along(points)
     return LaneLine(lengths, stations, points, headings)
 
 

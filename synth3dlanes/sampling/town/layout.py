@@ -111,7 +111,7 @@ class _Growth:
         mains = [i for i, arm in enumerate(planned) if arm.is_main]
         if town.junction == "staggered":
             planned[mains[1]] = planned[mains[1]]._replace(pocket=NO_POCKET)
-        first = self._place(PlanPose(0.0, 0.0, 0.0), planned, control, None)
+        first = self._place(PlanPose(0.0, 0.0, 0.0), planned, None)
         linked = {}
         if town.junction == "staggered":
             linked[mains[1]] = "stagger"
@@ -157,7 +157,7 @@ class _Growth:
             found.append(Planned(angle, self.main if is_main else self.side, NO_POCKET if plain else pocket, is_main))
         return found
 
-    def _place(self, at: PlanPose, planned: Sequence[Planned], control: Control, came: Street | None) -> "_Placed":
+    def _place(self, at: PlanPose, planned: Sequence[Planned], came: Street | None) -> "_Placed":
         """Reserve a junction's place in the list, and the setbacks of its arms. `at` is its middle, or, with a street
         that came there, the end of that one."""
         crosses = [arm.profile.cross(arm.pocket, near=True) for arm in planned]
@@ -207,7 +207,7 @@ class _Growth:
         if link != "stagger" and not self.town.junction.startswith("roundabout"):
             control = "signals" if control == "signals" and self.rng.random() < 0.5 else "priority"
         beyond = self._beyond(arm, kind, planned if link == "stagger" else None)
-        child = self._place(end_of(plan), beyond, control, street)
+        child = self._place(end_of(plan), beyond, street)
         for j in range(1, len(beyond)):
             self._extend(child, j, beyond, "")
         self.junctions[child.number] = self._built(child, beyond, control)

@@ -72,10 +72,10 @@ def _arrows(rules: JunctionRules, arm: Arm, lane: LaneAt, back_m: float) -> Iter
 
 
 def _crosswalk(arm: Arm) -> tuple[GroundPoint, ...]:
-    """Its outline: along the street first, so that its bars are along it."""
+    """Its outline: across the street first, so that its bars are along it."""
     first, last = CROSSWALK_M
     left, right = arm.cross.edge("left") - 0.1, arm.cross.edge("right") + 0.1
-    corners = [(first, right), (last, right), (last, left), (first, left)]
+    corners = [(first, left), (first, right), (last, right), (last, left)]
     return tuple(_point(arm.pose.moved(ahead, side)) for ahead, side in corners)
 
 

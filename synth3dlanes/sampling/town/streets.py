@@ -201,7 +201,7 @@ class Street:
             MapSection(s_m=round(stations[i], 6), lanes=tuple(self._lanes(i))) for i in range(len(self.pieces))
         )
         offsets = tuple(
-            _smooth(round(stations[i], 6), piece.length_m, piece.start.shift_m, piece.end.shift_m)
+            smooth(round(stations[i], 6), piece.length_m, piece.start.shift_m, piece.end.shift_m)
             for i, piece in enumerate(self.pieces)
         )
         has_offsets = any(piece.start.shift_m or piece.end.shift_m for piece in self.pieces)
@@ -218,7 +218,7 @@ class Street:
                         number=sign * (i + 1),
                         kind=KINDS[key],
                         widths=(
-                            _smooth(
+                            smooth(
                                 0.0,
                                 piece.length_m,
                                 self.width(section, side, key, False),
@@ -278,7 +278,7 @@ def _pieces(profile: StreetForm, length_m: float, start: Pocket, end: Pocket | N
     return [*pieces, StreetPiece(length_m - used_m, along, along, False), *tail]
 
 
-def _smooth(s_m: float, length_m: float, start: float, end: float) -> Polynomial:
+def smooth(s_m: float, length_m: float, start: float, end: float) -> Polynomial:
     """A value that changes without a corner from one end of a section to the other."""
     by = end - start
     return Polynomial(

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint
+from synth3dlanes.arrays import Scalars
+from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
 from synth3dlanes.sampling.town.drive import STEP_S, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.sampling.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.sampling.town.layout import TownMap
@@ -57,10 +59,11 @@ class TownDrive(NamedTuple):
 
 
 class HostPlan(NamedTuple):
-    """The host's route, and where on it the scene begins."""
+    """The host's route, where on it the scene begins, and how far it keeps to the right of the middle of its lane."""
 
     lanes: tuple[str, ...]
     at_m: float
+    offset_m: float = 0.0
 
 
 def plan_host(town_map: TownMap, lines: LaneLines, rng: Rng) -> HostPlan:
@@ -128,7 +131,7 @@ class _Simulation:
         self.host.is_host = True
         self.host.speed = 0.7 * self.host.limits[self.host.lane]
         self.traffic.drivers.append(self.host)
-        self.at_m = host.at_m
+        self.at_m, self.host_offset_m = host.at_m, host.offset_m
         self._fill()
 
     def run(self, duration_s: float) -> TownDrive | None:
@@ -263,8 +266,14 @@ class _Simulation:
 
     def _bodies_at(self, driver: Driver, lengths_m: np.ndarray) -> np.ndarray:
         body = self.bodies.get(id(driver), CarBody(0, 1.0, *HOST_SIZE_M))
-        size = body.length_m + 2 * APART_M, body.width_m + 2 * APART_M
-        return footprint(*driver.route.at(lengths_m), *size)
+        return body_places(driver.route, lengths_m, body, self.host_offset_m if driver.is_host else 0.0)
+
+
+def body_places(route: Route, lengths_m: Scalars, body: CarBody, offset_m: float = 0.0) -> Float[np.ndarray, "n 4 2"]:
+    """The corners of a car at lengths along its route, `offset_m` to the right of it, with the room that it needs."""
+    xy, heading = route.at(lengths_m)
+    right = np.stack([heading[:, 1], -heading[:, 0]], -1)
+    return footprint(xy + offset_m * right, heading, body.length_m + 2 * APART_M, body.width_m + 2 * APART_M)
 
 
 def _touching(places: Sequence[np.ndarray]) -> list[bool]:
@@ -277,19 +286,8 @@ def _touching(places: Sequence[np.ndarray]) -> list[bool]:
             continue
         others = np.stack(stays)
         near = np.linalg.norm(mine.mean(axis=-2) - others.mean(axis=-2), axis=-1).min(axis=-1) < 20
-        found.append(bool(near.any()) and _overlap(mine, others[near]))
+        found.append(bool(near.any()) and overlaps_any(mine, others[near]))
     return found
-
-
-def _overlap(mine: np.ndarray, others: np.ndarray) -> bool:
-    """Whether a rectangle overlaps any of the others at any time."""
-    separated = np.zeros(others.shape[:2], dtype=bool)
-    for corners in (np.broadcast_to(mine, others.shape), others):
-        for first, second in ((0, 1), (1, 2)):
-            axis = (corners[..., second, :] - corners[..., first, :])[..., None, :]
-            ours, theirs = (mine * axis).sum(axis=-1), (others * axis).sum(axis=-1)
-            separated |= (ours.max(axis=-1) < theirs.min(axis=-1)) | (theirs.max(axis=-1) < ours.min(axis=-1))
-    return not bool(separated.all())
 
 
 def _before(town_map: TownMap, lane: str) -> list[str]:

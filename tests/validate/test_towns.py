@@ -1,0 +1,65 @@
+"""Faults planted in a picture of a town: what junctions have, too, is checked against the pixels."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from synth3dlanes.dataset.format import LABELS
+from synth3dlanes.params import load_params
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.run import generate
+from synth3dlanes.sample import Scenes
+from tests.validate import planted
+from tests.validate.faults import FAULTS, Fault, of_json
+from tests.validate.subtle import OF_STREETS, SUBTLE
+
+pytestmark = [pytest.mark.render, pytest.mark.thorough, pytest.mark.timeout(900)]
+
+# A crossing with signals 15 m ahead, by day.
+PLACE = ["town.junction=crossing", "town.control=signals", "town.host_place=before", "town.host_m=15", "town.n_more=0"]
+CLEAR = ["weather.kind=clear", "weather.daytime=day", "markings.grayscale=0.9", "markings.wear=0", "markings.missing=0"]
+SMALL = ["camera.width_px=320", "camera.height_px=240", "camera.horizontal_fov_deg=60", "trees.n=5"]
+KINDS = (
+    *("normals negated", "instance ids off by one", "image 3 px to the right", "image BGR", "depth 1 cm too long"),
+    *("height map 3 cm up", "car_visible_fraction + 0.08", "object_visible moved by a point"),
+)
+TURNED = {"red": "green", "red_amber": "green", "amber": "red", "green": "red"}
+
+
+def moved_connectors(document: dict[str, Any]) -> None:
+    """The ways through the junction 10 cm aside."""
+    for lane in document["lanes"]:
+        if lane["connector"]:
+            lane["xyz_cam"] = [[x + 0.1, y, z] for x, y, z in lane["xyz_cam"]]
+
+
+def turned_signals(document: dict[str, Any]) -> None:
+    """Every signal with another state."""
+    for item in document["traffic_elements"]:
+        if item["state"] is not None:
+            item["state"] = TURNED[item["state"]]
+
+
+def of_other_lanes(document: dict[str, Any]) -> None:
+    """Every signal for the lanes of another one."""
+    items = [item for item in document["traffic_elements"] if item["state"] is not None]
+    for item, lanes in zip(items, [each["lanes"] for each in items[1:] + items[:1]], strict=True):
+        item["lanes"] = lanes
+
+
+OF_TOWNS = (
+    Fault("connectors 10 cm aside", of_json(LABELS, moved_connectors), "points as the scene has them|xyz_cam"),
+    Fault("signals with other states", of_json(LABELS, turned_signals), "state"),
+    Fault("signals for other lanes", of_json(LABELS, of_other_lanes), "lanes"),
+)
+
+
+def test_faults_of_towns_are_found(tmp_path: Path) -> None:
+    recipe = Recipe(Scenes(load_params("town", [*PLACE, *CLEAR, *SMALL]), 7), planted.SETTINGS, planted.IMAGE)
+    assert generate(Plan(tmp_path / "clean", 1, recipe, 1), lambda event: None).exit_code == 0
+    chosen = [fault for fault in (*FAULTS, *SUBTLE, *OF_STREETS) if fault.name in KINDS]
+    assert len(chosen) == len(KINDS)
+    results = planted.table(tmp_path / "clean", [*chosen, *OF_TOWNS], tmp_path)
+    assert [result.row() for result in results if not result.is_found] == []
