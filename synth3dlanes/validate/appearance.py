@@ -20,7 +20,7 @@ LOWEST_SUN_RAD, MIN_VISIBILITY_M = 1.1, 1_500.0
 # Terrain within so many metres, and least numbers of pixels of terrain, road and paint.
 TERRAIN_M, MIN_PIXELS, MIN_PAINT = 60.0, 200, 150
 # Less light than this share of that in the sun is the sky's.
-SHADE = 0.25
+SHADE = 0.35
 # The built-in terrains have less blue than the road, in 86 images at least 0.056; red over green is -0.065 to 0.008 on
 # green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass.
 MAX_BLUE = -0.02

@@ -223,6 +223,8 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: P
         # On a map a kerb may hide what is close behind it.
         kerb = (passes["semantic"][rows, columns] == SEMANTIC_IDS["shoulder"]) & (depth < own_depth - KERB_NEARER_M)
         shown &= ~kerb.any(axis=0) & (y_m < KERBS_M)
+    elif (passes["semantic"] == SEMANTIC_IDS["kerb"]).any():
+        shown &= y_m < KERBS_M
     asked = lane.in_image & (own_depth.min(axis=0) > MIN_NEXT * y_m)
     # Pixels of several bodies, or of several parts of one, may have a slit between them that shows the point.
     is_one = depth.max(axis=0) < ONE_SURFACE * depth.min(axis=0)
