@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -145,10 +144,11 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
     )
     for place in ("inspect.draw_inspect", "stats_views.draw_statistics"):
         monkeypatch.setattr(f"synth3dlanes.figures.{place}", lambda *_: Figure((1, 1)))
-    whole = plan.Plan
+    make = plan.Plan.__init__
 
     def go(command: Command, arguments: str, data: Path, out: Path) -> Result:
-        monkeypatch.setattr(plan, "Plan", partial(whole, maker=command.maker, shard_size=4))
+        given = {"maker": command.maker, "shard_size": 4}
+        monkeypatch.setattr(plan.Plan, "__init__", lambda self, *args, **named: make(self, *args, **given, **named))
         words = arguments.replace("DATA", str(data)).replace("OUT", str(out)).split()
         return CliRunner().invoke(main, words)
 
