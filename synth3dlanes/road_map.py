@@ -5,6 +5,7 @@ World frame, metres and radians. Pure data in the terms of OpenDRIVE: a road is 
 `geometry/map_roads.py` makes the network of it.
 """
 
+import math
 from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Literal
@@ -15,6 +16,8 @@ from synth3dlanes.schema import DocumentPart, Name, Number, SymbolKind
 
 # The most roads of the part of a map that a scene keeps, and lanes on one side of a road.
 MAX_ROADS, MAX_LANES = 2000, 20
+# Pieces of a plan, and roads of linked lanes, end this near to each other.
+MAX_GAP_M = 50.0
 Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
 GroundPoint = tuple[Number, Number]
@@ -122,6 +125,15 @@ class MapRoad(DocumentPart):
         """Length of the reference line."""
         return sum(piece.length_m for piece in self.plan)
 
+    @model_validator(mode="after")
+    def _has_no_gaps(self) -> "MapRoad":
+        """Check that each piece can reach the next one."""
+        for one, other in pairwise(self.plan):
+            gap_m = math.dist((one.x_m, one.y_m), (other.x_m, other.y_m)) - one.length_m
+            if gap_m > MAX_GAP_M:
+                raise ValueError(f"plan: expected pieces that follow each other, got a gap of {gap_m:.0f} m")
+        return self
+
 
 class MapJunction(DocumentPart):
     """A junction: the outline of its pavement from above (empty: that of its roads together), and pairs of its lanes,
@@ -212,6 +224,11 @@ class RoadMap(DocumentPart):
         for name in self.route:
             if name not in self.driving_lanes:
                 raise ValueError(f"route: expected driving lanes, got {name}")
+        places = {road.id: (road.plan[0].x_m, road.plan[0].y_m, road.length_m) for road in self.roads}
+        for a, b in {(a.rsplit(".", 2)[0], b.rsplit(".", 2)[0]) for a, b in links}:
+            (*at_a, length_a), (*at_b, length_b) = places[a], places[b]
+            if math.dist(at_a, at_b) > length_a + length_b + MAX_GAP_M:
+                raise ValueError(f"links: expected roads that touch, got {a} and {b}")
         known = {at.id for at in self.junctions}
         for road in self.roads:
             if road.junction is not None and road.junction not in known:

@@ -200,3 +200,15 @@ def test_cars_and_rails_of_a_scene_on_roads_that_are_not_there_are_refused() -> 
         scene = map_scene(roads, cars=(car.model_copy(update={"lane": name, "s_m": 10.0}),))
         with pytest.raises(InputError, match=f"expected lanes of traffic near the host, with a width, got {name}"):
             ground_truth(scene)
+
+
+@pytest.mark.parametrize("where", ["plan", "links"])
+def test_roads_of_a_scene_that_cannot_reach_each_other_are_refused(where: str) -> None:
+    road = FOUR_WAY.roads[0]
+    piece = road.plan[0]
+    far = piece.model_copy(update={"x_m": 1e5})
+    plan = (piece, far) if where == "plan" else (far,)
+    document = FOUR_WAY.model_dump()
+    document["roads"][0]["plan"] = [piece.model_dump() for piece in plan]
+    with pytest.raises(ValueError, match=f"{where}: expected"):
+        type(FOUR_WAY).model_validate(document)
