@@ -1,5 +1,7 @@
 """Where the host and the cars of a clip are at an instant: each keeps its lane and its speed, or has a track."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
@@ -10,6 +12,16 @@ from synth3dlanes.host import Camera, Shot
 from synth3dlanes.scene import Car
 
 STEP_M = 0.25
+# The host's speed in single pictures.
+SPEED_M_S = 25.0
+
+
+class HostExposure(NamedTuple):
+    """The host's speed during the exposure of a picture, the exposure's duration, and how far the host drives in it."""
+
+    speed_m_s: float
+    duration_s: float
+    driven_m: float
 
 
 def host_at(network: Network, camera: Camera, driven_m: float) -> Camera:
@@ -46,6 +58,16 @@ def car_at(network: Network, car: Car, time_s: float) -> Car:
 def host_driven(shot: Shot, time_s: float) -> float:
     """How far the host has driven at a time of its clip."""
     return _on_track(shot.track, time_s)[0] if shot.track else shot.speed_m_s * time_s
+
+
+def host_exposure(shot: Shot, motion_blur_m: float) -> HostExposure:
+    """An exposure in which the host drives `motion_blur_m`: at its speed in a clip, at SPEED_M_S in a single picture.
+    On a track, where it may wait, it lasts as long as at SPEED_M_S."""
+    if len(shot.track) > 1:
+        speed_m_s, duration_s = host_speed(shot, shot.time_s), motion_blur_m / SPEED_M_S
+        return HostExposure(speed_m_s, duration_s, speed_m_s * duration_s)
+    speed_m_s = shot.speed_m_s or SPEED_M_S
+    return HostExposure(speed_m_s, motion_blur_m / speed_m_s, motion_blur_m)
 
 
 def host_speed(shot: Shot, time_s: float) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from synth3dlanes.geometry.camera import rays_of_pixels
+from synth3dlanes.geometry.motion import host_exposure
 from synth3dlanes.host import Camera
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.falling import add_falling, add_spray
@@ -40,10 +41,11 @@ def develop(
     amplified = gain(linear * np.float32(light.film), is_seen, scene.light.metering)
     film = light.film * amplified
     linear = linear * np.float32(film)
-    if sensor.motion_blur_m > 0:
+    driven_m = host_exposure(scene.shot, sensor.motion_blur_m).driven_m
+    if driven_m > 0:
         ahead_cam = view.world_from_cam[:3, :3].T @ view.world_from_road[:3, 1]
         depth_m = np.where(np.isin(layers.semantic, MOVING_ALONG), np.float32(np.inf), layers.depth_m)
-        linear = motion_blur(linear, depth_m, view.camera, sensor.motion_blur_m * ahead_cam)
+        linear = motion_blur(linear, depth_m, view.camera, driven_m * ahead_cam)
     linear = add_falling(linear, layers.depth_m, scene, view, airlight, film)
     if len(street_lamps) and scene.light.sun_zenith_rad > np.pi / 2:
         linear = add_lamp_heads(linear, layers.depth_m, street_lamps, view, film)

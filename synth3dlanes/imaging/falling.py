@@ -13,13 +13,13 @@ from PIL import ImageDraw
 
 from synth3dlanes.arrays import LinearImage
 from synth3dlanes.frames import invert, transform
+from synth3dlanes.geometry.motion import host_exposure
 from synth3dlanes.imaging.lens import points_away
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View
 
-# The host's speed in single pictures. It tells the exposure's duration from the metres driven; without motion blur it
-# is SHORTEST_S.
-SPEED_M_PER_S, SHORTEST_S = 25.0, 0.008
+# The exposure's duration without motion blur; with it, it follows from the metres driven.
+SHORTEST_S = 0.008
 # Headlights light what falls before the camera: radiance at 1 m per unit of its reflectance.
 LIT_BY_HEADLIGHTS = 4e-3
 # Spray: metres behind the car, height, half widths, and the share of light it takes at most.
@@ -74,12 +74,11 @@ def _streaks(
     uv = (u[:, :2] * 1.2 - 0.1) * [camera.width_px, camera.height_px]
     y_m = np.cbrt(NEAREST_M**3 + (kind.farthest_m**3 - NEAREST_M**3) * u[:, 2])
     size_px = (kind.size_m[0] + (kind.size_m[1] - kind.size_m[0]) * u[:, 3] ** 2) * camera.fx_px / y_m
-    speed_m_s = scene.shot.speed_m_s or SPEED_M_PER_S
-    driven_m = scene.sensor.motion_blur_m or speed_m_s * SHORTEST_S
+    speed_m_s, duration_s, _ = host_exposure(scene.shot, scene.sensor.motion_blur_m)
     # All pictures of a world have one wind.
     is_one_of_many = scene.shot.n_frames * scene.shot.n_cameras > 1
-    wind = (scene.stream("wind") if is_one_of_many else rng).normal(0, 0.15 * kind.m_per_s, 2) / speed_m_s
-    way_road = driven_m * np.array([wind[0], wind[1] - 1, -kind.m_per_s / speed_m_s])
+    wind = (scene.stream("wind") if is_one_of_many else rng).normal(0, 0.15 * kind.m_per_s, 2)
+    way_road = (duration_s or SHORTEST_S) * np.array([wind[0], wind[1] - speed_m_s, -kind.m_per_s])
     way_cam = invert(view.road_from_cam)[:3, :3] @ way_road
     points_cam = points_away(camera, uv, y_m)
     ends = [view.project(points_cam + sign * way_cam / 2) for sign in (-1, 1)]

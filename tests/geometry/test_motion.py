@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.motion import car_at, host_at
+from synth3dlanes.geometry.motion import car_at, host_at, host_exposure
+from synth3dlanes.host import Shot
 from synth3dlanes.scene import Car
 from synth3dlanes.world import resolve
 from tests.scenes import changed
@@ -49,3 +50,13 @@ def test_the_host_keeps_its_lane_through_a_merge():
     assert moved.y_m > 20
     # An exit lane joins on the left, so the numbers of the lanes beside it go up by one.
     assert (scene.camera.lane, moved.lane) == (2, 3)
+
+
+def test_a_host_that_waits_is_sharp_and_one_that_drives_is_blurred_by_its_way():
+    track = ((0.0, 0.0), (1.0, 10.0), (2.0, 20.0), (3.0, 20.0), (4.0, 20.0))
+    shots = [Shot(frame=frame, n_frames=9, fps=2.0, track=track) for frame in (2, 7)]
+    driving, waiting = (host_exposure(shot, 0.5) for shot in shots)
+    assert waiting.driven_m == 0
+    assert waiting.duration_s == driving.duration_s == host_exposure(Shot(), 0.5).duration_s
+    assert np.isclose(driving.driven_m, 10.0 * driving.duration_s)
+    assert host_exposure(Shot(n_frames=2, speed_m_s=10.0), 0.5) == (10.0, 0.05, 0.5)
