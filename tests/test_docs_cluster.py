@@ -59,6 +59,7 @@ def assert_whole(out: Path, run_script) -> None:
     assert (again["made"], again["done"], again["asked"]) == (0, N, N)
 
 
+@pytest.mark.thorough
 def test_the_slurm_array_makes_a_whole_data_set(tmp_path, run_script):
     script = (CLUSTER / "lanes.sbatch").read_text()
     assert re.search(r"^#SBATCH --array=1-(\d+)$", script, re.MULTILINE)
@@ -68,6 +69,7 @@ def test_the_slurm_array_makes_a_whole_data_set(tmp_path, run_script):
     assert_whole(tmp_path / "lanes", run_script)
 
 
+@pytest.mark.thorough
 def test_the_kubernetes_job_makes_a_whole_data_set(tmp_path, run_script):
     job = yaml.safe_load((CLUSTER / "job.yaml").read_text())["spec"]
     (container,) = job["template"]["spec"]["containers"]

@@ -66,6 +66,7 @@ def test_folders_of_other_users_stay(temporary: Path) -> None:
         assert of_dead.exists()
 
 
+@pytest.mark.thorough
 def test_a_killed_run_leaves_nothing_to_the_next(temporary: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """What its workers keep in the temporary folder is in the run's own."""
     out = tmp_path_factory.mktemp("out")

@@ -86,6 +86,7 @@ def test_lattices_of_known_networks(timm, name, offsets):
     assert tuple(features.shape[1] for features in maps) == pathway.channels
 
 
+@pytest.mark.thorough
 def test_a_file_gives_timms_vgg16_the_features_of_our_own(timm, tmp_path):
     """Two implementations, of the network and of reading its weights."""
     torch.manual_seed(0)

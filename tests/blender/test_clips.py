@@ -44,6 +44,7 @@ def forget():
     renderer.studio().ground = None
 
 
+@pytest.mark.thorough
 def test_bytes_do_not_depend_on_what_was_made_before():
     in_order = [make_sample(RECIPE, index).members for index in range(6)]
     for index in (4, 2, 1):

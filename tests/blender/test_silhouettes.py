@@ -86,6 +86,7 @@ def test_near_and_long_vehicles(camera, monkeypatch):
     assert any(whole > 2000 for *_, whole in cars)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("index", "number", "px"), first(1, [(11, 13, 3_472), (5, 1, 45_335)]))
 def test_vehicles_beside_the_host(index, number, px, monkeypatch):
     """A semitrailer on 26 % of the picture, and the front of a truck; nothing hides either."""

@@ -12,6 +12,7 @@ Run = Callable[..., Result]
 pytestmark = pytest.mark.render
 
 
+@pytest.mark.thorough
 def test_a_folder_of_own_assets_from_check_to_picture(run: Run, in_tmp_path: Path) -> None:
     table = run("assets", "mine", "--example")
     assert table.exit_code == 0, table.output

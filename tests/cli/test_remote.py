@@ -95,6 +95,7 @@ def test_train_reads_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -
     assert Path("model/best.pt").exists()
 
 
+@pytest.mark.thorough
 def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
     shutil.copytree(folder, "here")
     url = "s3://lanes/validated"
@@ -115,6 +116,7 @@ def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileS
     assert "s3://lanes/nowhere: expected a data set or one of its splits, got no folder\n" in result.stderr
 
 
+@pytest.mark.thorough
 def test_split_and_merge_write_to_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
     shares = ("--into", "train=2,val=1")
     assert run("split", f"{folder}/train", *shares, "--out", "parts").exit_code == 0

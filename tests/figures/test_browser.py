@@ -128,6 +128,7 @@ def test_a_slider_and_a_button_go_through_a_clip(open_page, flat_scene, gray_ima
     assert sum(shown()) == 1
 
 
+@pytest.mark.thorough
 def test_the_mouse_turns_moves_and_zooms_space(open_page, exit_scene):
     page = open_page(scene_page(ShownScene(exit_scene, ground_truth(exit_scene), None)))
     canvas = page.locator("#space")

@@ -116,6 +116,7 @@ def test_the_space_holds_the_road_of_the_scene(flat_scene):
     assert faces.max() == len(vertices) - 1
 
 
+@pytest.mark.thorough
 def test_every_car_and_tree_of_the_space_stands_on_ground_that_is_shown():
     params = load_params("appendix_i", ["trees.n=40"])
     n_near, n_far = 0, 0

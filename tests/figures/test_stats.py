@@ -65,6 +65,7 @@ def test_every_preset_draws_what_it_declares(name):
     assert {"air.visibility_m", *(of_town if params.is_town else of_road)} <= varied
 
 
+@pytest.mark.thorough
 def test_three_per_cent_of_the_roads_with_other_lanes_are_found():
     """Topology and bends change lanes and medians: the rest must be as declared."""
     params = load_params("streets", ["cars.n=0", *FEW["streets"]])

@@ -159,6 +159,7 @@ def test_a_single_frame_of_a_clip_has_its_map_too(clips, tmp_path):
     assert sorted(path.parent.name for path in job.out.glob("test/*/sensors/cameras/*/*.jpg")) == sorted(TWO)
 
 
+@pytest.mark.thorough
 def test_shared_files_are_written_some_at_a_time(clips, exported, tmp_path, monkeypatch):
     monkeypatch.setattr(export, "MOST_OPEN", 1)
     job = Export(str(clips), tmp_path / "few", "argoverse2")

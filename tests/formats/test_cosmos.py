@@ -273,11 +273,13 @@ VIDEO_FAULTS: dict[str, Callable[[list[np.ndarray]], list[np.ndarray]]] = {
 }
 
 
-@pytest.mark.parametrize("kind", FOLDERS)
-@pytest.mark.parametrize("fault", first(2, VIDEO_FAULTS))
-def test_a_fault_in_a_video_is_found(copy: Path, clips: Path, kind: str, fault: str) -> None:
-    if (kind, fault) in {("depth", "mirrored"), ("depth", "shifted"), ("edge", "black")}:
-        pytest.skip("the drawn wall is level, and a picture without edges is none to judge")
+# The drawn wall is level, and a picture without edges is none to judge.
+UNSEEN = {("mirrored", "depth"), ("shifted", "depth"), ("black", "edge")}
+VIDEO_CASES = [(fault, kind) for fault in VIDEO_FAULTS for kind in FOLDERS if (fault, kind) not in UNSEEN]
+
+
+@pytest.mark.parametrize(("fault", "kind"), first(8, VIDEO_CASES))
+def test_a_fault_in_a_video_is_found(copy: Path, clips: Path, fault: str, kind: str) -> None:
     path = next(copy.glob(f"test/{FOLDERS[kind]}/ftheta_{FRONT}/*.mp4"))
     video_fault(path, VIDEO_FAULTS[fault])
     found = found_in_videos(copy, clips, kind)

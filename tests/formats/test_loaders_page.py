@@ -85,6 +85,7 @@ def test_scenes_and_labels_of_all_recipes_have_one_schema():
     assert {path.rpartition(".")[2] for path in found} >= {"weather", "roadside", "shot", "lidar", "lens", "camera"}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("shots", [Shots(), Shots(cameras=RIG)], ids=["streets", "rig"])
 def test_tars_of_streets_become_arrow_tables(tmp_path, shots):
     # The page says that what the first five samples lack is refused: signs and signals are seldom in all of them.

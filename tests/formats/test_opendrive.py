@@ -308,6 +308,7 @@ def test_objects_stand_and_lie_where_the_worlds_do():
     assert sum(lengths) == pytest.approx(120, abs=6)
 
 
+@pytest.mark.thorough
 def test_an_export_has_a_map_of_each_scene_and_its_check_finds_what_is_broken(dataset, tmp_path):
     out = tmp_path / "out"
     job = Export(str(dataset), out, "opendrive")

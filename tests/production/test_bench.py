@@ -83,6 +83,7 @@ def test_a_comparison_is_free_of_the_machines_speed():
         assert ours == pytest.approx(theirs), name
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_the_bench_adds_up_and_compares(tmp_path):
     command = ["bench", "--n", "3", "--params", "tiny", "--workers", "1", "--device", "cpu", "--samples", "1", "--json"]

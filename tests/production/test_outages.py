@@ -94,6 +94,7 @@ def test_an_outage_is_waited_for_and_nothing_is_lost(gate: store_server.Gate, wh
     assert kept(url) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stopped", [False, True], ids=["gone for ever", "Ctrl-C"])
 def test_what_an_outage_leaves_here_is_put_by_the_next_run(
     gate: store_server.Gate, whole: dict[str, bytes], monkeypatch: pytest.MonkeyPatch, stopped: bool
@@ -137,6 +138,7 @@ def test_a_run_whose_store_is_out_from_the_start_ends_at_once(gate: store_server
         generate(plan("s3://lanes/out"), print)
 
 
+@pytest.mark.thorough
 def test_a_killed_run_loses_no_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SPOOL, str(tmp_path / "spool"))
     url = (tmp_path / "store").as_uri()

@@ -79,6 +79,7 @@ def test_parts_that_start_together_in_a_new_store(store: s3fs.S3FileSystem, whol
     check(store, "lanes/parts", whole)
 
 
+@pytest.mark.thorough
 def test_two_equal_runs_at_once(store: s3fs.S3FileSystem, whole: Path) -> None:
     at_once("s3://lanes/equal", [(1, 1), (1, 1)])
     check(store, "lanes/equal", whole)

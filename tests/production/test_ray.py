@@ -216,6 +216,7 @@ def test_an_address_without_a_cluster_is_named_within_half_a_minute(monkeypatch:
     reject("127.0.0.1:9", OutageError, "Connection refused")
 
 
+@pytest.mark.thorough
 def test_a_cluster_that_is_lost_ends_the_run_in_a_line_and_another_goes_on(
     cluster: soak.Cluster, tmp_path: Path
 ) -> None:

@@ -36,6 +36,7 @@ def whole(tmp_path_factory) -> dict[str, bytes]:
     return soak.undisturbed(tmp_path_factory.mktemp("whole"), N)
 
 
+@pytest.mark.thorough
 def test_kills_on_this_machine(tmp_path, whole):
     assert soak.soak(tmp_path / "out", N, KILLS, seed=1) == KILLS
     soak.check(tmp_path / "out", N, whole)
