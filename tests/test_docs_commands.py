@@ -76,7 +76,7 @@ def small(words: list[str]) -> list[str]:
         words += [word for name, value in changes.items() if name not in given for word in ("--set", f"{name}={value}")]
     if words[1] in ("generate", "twins"):
         words += ["--workers", "1"]
-    if words[1] in ("generate", "render"):
+    if words[1] in ("generate", "render") and "--quality" not in words:
         words += ["--samples", "1"]
     if words[1] == "train":
         words += ["--epochs", "1", "--batch", "1"]
