@@ -17,6 +17,7 @@ from .ahead import ahead
 from .custom import LaneDetector
 from .data import CameraImage, FocalLengths, Intrinsics, Samples, fit, pixels_on
 from .lanes import AnchorLayout, Prediction, decode
+from .malloc import return_freed_memory
 from .model import LaneNet, Output
 from .poses import Pose
 
@@ -103,7 +104,10 @@ class Detector:
         """Each image with its lanes. A thread reads and resizes the next images meanwhile."""
 
         def fitted(one: CameraImage) -> Fitted:
-            return (one, *fit(one.image, one.intrinsics, self.size_px, self.trained))
+            found = fit(one.image, one.intrinsics, self.size_px, self.trained)
+            if one.image.nbytes > MOST_BYTES:
+                return_freed_memory()
+            return (one, *found)
 
         for several in _batched(ahead(map(fitted, images), 2), batch):
             of_batch, small, intrinsics = zip(*several, strict=True)

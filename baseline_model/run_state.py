@@ -1,8 +1,6 @@
 """The state of a training run: processes, model, optimiser, `last.pt`."""
 
-import ctypes
 import os
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from . import checkpoint as checkpoints
 from .config import TrainConfig
 from .inference import choose_device
 from .loading import Process
+from .malloc import keep_freed_memory
 from .model import LaneNet
 from .optim import RunningAverage, Schedule, optimizer_for
 from .pretrained import load_pretrained
@@ -26,9 +25,6 @@ CHANGEABLE = frozenset(
     ("device", "epochs", "batch", "validate_every_epochs", "precision", "compile", "workers", "keep_decoded")
 )
 """Settings that may differ when a run is resumed; a longer `epochs` extends a finished one."""
-
-M_MMAP_MAX, M_TRIM_THRESHOLD = -4, -1
-"""Constants from malloc.h."""
 
 
 @dataclass(eq=False)
@@ -61,17 +57,8 @@ def start_process(config: TrainConfig) -> Process:
         torch.backends.cudnn.benchmark = True
         torch.set_float32_matmul_precision("high")
     else:
-        _keep_freed_memory()
+        keep_freed_memory()
     return Process(rank, world, device, int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
-
-
-def _keep_freed_memory() -> None:
-    """Let malloc reuse the memory of large tensors. By default each is mapped and unmapped at every step, and page
-    faults take a quarter of the CPU time. glibc only; others have no `mallopt`."""
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if mallopt is not None:
-        for option, value in ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, 2**31 - 1)):
-            mallopt(option, value)
 
 
 def save(trainee: TrainingRun, out_dir: Path, about: dict[str, Any]) -> None:
