@@ -32,8 +32,8 @@ MAX_YELLOW = 0.12
 # How many times brighter than the pavement around it paint is that stands out, at least 1.12 in 90 lines; and the reach
 # of that pavement.
 BRIGHTER, AROUND_PX = 1.05, 4
-# Erased paint is as bright as the pavement; paint of less than this share is in a shadow.
-IN_SHADE = 0.8
+# Pavement whose lighter parts have so many times the light of its darker ones lies partly in a shadow.
+MOST_UNEVEN = 3
 # A road of more light than this, of 1 for white, leaves paint no room to be brighter.
 MAX_LIGHT = 0.6
 # Share of a picture, without sky, that may be black: at most 0.0007 in 120.
@@ -132,10 +132,9 @@ def _pavement_beside(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np
 
 
 def brighter(paint: Float[np.ndarray, "n 3"], beside: Float[np.ndarray, "m 3"]) -> float:
-    """How many times brighter paint is than the pavement beside it. Much darker paint lies along the edge of a shadow:
-    there the darkest and the brightest are compared. Infinite in glare, which whitens both."""
-    of_paint, of_road = (np.quantile(pixels.mean(axis=1), (0.2, 0.5, 0.8)) for pixels in (paint, beside))
-    if of_road[1] >= MAX_LIGHT:
+    """How many times brighter paint is than the pavement beside it; infinite in glare, which whitens both, and where
+    the edge of a shadow may run along the line."""
+    dark, of_road, light = np.quantile(beside.mean(axis=1), (0.2, 0.5, 0.8))
+    if of_road >= MAX_LIGHT or light > MOST_UNEVEN * dark:
         return np.inf
-    times = of_paint / np.maximum(of_road, 1e-6)
-    return float(times[1] if times[1] > IN_SHADE else times.max())
+    return float(np.median(paint.mean(axis=1)) / max(float(of_road), 1e-6))
