@@ -133,7 +133,8 @@ def shining(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
         return
     left, top, right, bottom = item.seen_box_px.tolist()
     faces_us = float(item.normal_cam @ item.center_cam) < -0.7 * float(np.linalg.norm(item.center_cam))
-    if bottom - top < MIN_ROWS or (item.visible_fraction or 0.0) < MIN_SEEN or not faces_us:
+    is_cut = item.box_px is None or item.unclipped_box_px is None or (item.box_px != item.unclipped_box_px).any()
+    if bottom - top < MIN_ROWS or (item.visible_fraction or 0.0) < MIN_SEEN or not faces_us or is_cut:
         return
     own = evidence.passes["instance"][top:bottom, left:right] == item.id
     pixels = np.where(own[..., None], evidence.image[top:bottom, left:right], 0).astype(float)
