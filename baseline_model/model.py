@@ -126,7 +126,8 @@ class LaneNet(nn.Module):
         """`image` is RGB in 0..1, `intrinsics` fx, fy, cx, cy in pixels. `warp_pose` replaces the predicted pose in
         the warp (training); `top_from_road` moves the top-view grid on its plane (augmentation)."""
         maps = self.image(image, self._rays(image, intrinsics)) if self.image is not None else []
-        pose = self.pose(maps[3]) if self.pose is not None else self.fixed_pose.expand(len(image), 2)
+        # In an export, `len` would be a constant.
+        pose = self.pose(maps[3]) if self.pose is not None else self.fixed_pose.expand(image.shape[0], 2)
         driving = pose if self.config.grid_gradient else pose.detach()
         if warp_pose is not None and self.pose is not None:
             driving = warp_pose

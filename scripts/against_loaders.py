@@ -62,7 +62,7 @@ def tars(url: str) -> Iterable[Any]:
     return DataLoader(samples, batch_size=None, num_workers=WORKERS, collate_fn=as_it_is)
 
 
-def mosaic(url: str, folder: str) -> Iterable[Any]:
+def mosaic(folder: str) -> Iterable[Any]:
     """At random, from shards of Mosaic's own format."""
     from streaming import StreamingDataset  # type: ignore[import-not-found]
 
@@ -100,7 +100,7 @@ def per_second(loader: Iterable[Any]) -> float:
 def main(url: str, rounds: int) -> None:
     """Print samples per second, and each loader's over ours in the same round."""
     with tempfile.TemporaryDirectory() as folder:
-        write_mosaic(url, folder)
+        write_mosaic(folder)
         makers: dict[str, Callable[[], Iterable[Any]]] = {
             "ours": lambda: ours(url),
             "webdataset": lambda: tars(url),

@@ -32,11 +32,11 @@ def rows() -> list[dict[str, Any]]:
 
 
 def table() -> str:
-    """These rows; what was not measured is empty."""
+    """These rows."""
     lines = [HEAD]
     for row in rows():
         cells = [row["model"], row["by"], row["numbers"]]
-        cells += ["" if row[key] is None else f"{row[key]:.0f} {unit}" for key, unit in UNITS.items()]
+        cells += [f"{row[key]:.0f} {unit}" for key, unit in UNITS.items()]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -81,7 +81,8 @@ def one(by: str, model: str, what: str, file: str) -> dict[str, float]:
         measured.append((time.process_time() - cpu, time.perf_counter() - wall))
     cpu_s, wall_s = np.min(measured, axis=0)
     peak_kib = int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
-    return {"cpu_ms": 1000 * cpu_s, "wall_ms": 1000 * wall_s, "memory_mib": peak_kib / 1024}
+    found = {"cpu_ms": 1000 * cpu_s, "wall_ms": 1000 * wall_s, "memory_mib": peak_kib / 1024}
+    return {key: round(number, 1) for key, number in found.items()}
 
 
 def _network(model: str) -> Any:

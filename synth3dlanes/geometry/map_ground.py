@@ -304,8 +304,7 @@ class MapGround(Ground):
 
     @cached_property
     def _passages(self) -> list[Passage]:
-        roads = [self.network.road(at.id) for at in self.network.roads] if self._has_heights else []
-        return passages(roads, self.strip)
+        return passages(self.network.roads if self._has_heights else (), self.strip)
 
     @cached_property
     def _has_heights(self) -> bool:

@@ -24,7 +24,7 @@ from synth3dlanes_baseline.inference import choose_device, layout_of, prediction
 from synth3dlanes_baseline.lanes import read_predictions, write_predictions
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.onnx_decode import decode
-from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, metadata_of
+from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, exported, metadata_of
 from synth3dlanes_baseline.onnx_int8 import quantised
 from synth3dlanes_baseline.overlay import _lines, save_pictures
 from synth3dlanes_baseline.pictures import assumed_intrinsics
@@ -227,6 +227,15 @@ def test_onnx_gives_equal_outputs(tmp_path):
     again = session.run(list(OUTPUTS), {"image": image.numpy(), "intrinsics": intrinsics.numpy()})
     off = [np.abs(a - b).mean() / np.abs(b).mean() for a, b in zip(again, values, strict=True)]
     assert 0 < max(off) < 0.1
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("row", ["image_view", "fixed_position"])
+def test_an_onnx_file_takes_any_number_of_images(row):
+    proto = exported(LaneNet(train_config("tiny", ablation=row).model).eval())
+    for value in (*proto.graph.input, *proto.graph.output):
+        assert value.type.tensor_type.shape.dim[0].dim_param == "batch", value.name
 
 
 @pytest.mark.parametrize("row", ["full", "improved"])

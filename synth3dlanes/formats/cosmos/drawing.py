@@ -33,6 +33,7 @@ from synth3dlanes.formats.cosmos.scenario import PaintedLine, Scenario
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import CORNERS
+from synth3dlanes.polylines import lengths_along
 from synth3dlanes.settings import SEMANTIC_IDS
 
 FINER = 2
@@ -102,7 +103,7 @@ def _stripes(line: PaintedLine) -> Iterator[Points3]:
 
 
 def _dashes(points: Points3) -> Iterator[Points3]:
-    at_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at_m = lengths_along(points)
     for start_m in np.arange(0.0, at_m[-1], DASH_M + GAP_M):
         inner = at_m[(at_m > start_m) & (at_m < start_m + DASH_M)]
         wanted = np.concatenate([[start_m], inner, [min(start_m + DASH_M, at_m[-1])]])

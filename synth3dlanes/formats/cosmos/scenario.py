@@ -19,8 +19,6 @@ from synth3dlanes.world import World
 
 REACH_M = 150.0
 """How far lanes reach beyond all places of the host in the clip, and as far the other way."""
-STEP_M = 0.5
-"""How far apart points of lines are."""
 
 
 @dataclass(frozen=True, eq=False)

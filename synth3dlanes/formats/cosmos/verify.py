@@ -99,7 +99,8 @@ def _lens(name: str, view: CosmosView, picture: SourceSample) -> Comparison:
     points = camera.points(uv, shares[:, 2])
     known = np.isfinite(points).all(axis=1)
     found = view.project(transform(CAM_OF_FLU.T, points[known]))
-    return _judged([(f"camera {name}", np.linalg.norm(found - uv[known], axis=1), "px", LIMIT_PX)])
+    apart = Gap.of(f"camera {name}", "px", np.linalg.norm(found - uv[known], axis=1))
+    return Comparison.within([apart], {"px": LIMIT_PX})
 
 
 def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
@@ -116,7 +117,7 @@ def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
             problems.append(f"line {lane.id}: expected it in lane_line, got none nearer than {apart:.3g} m")
             continue
         ours = transform(cam_from_clip, points)
-        gaps.append((lane.id, distances(lane.xyz_cam, ours), "m", RULE.limit))
+        gaps.append(Gap.of(lane.id, "m", distances(lane.xyz_cam, ours)))
         at = stations(lane.xyz_cam, ours)
         back = float(np.max(np.maximum.accumulate(at) - at, initial=0.0))
         if not back <= BACK_M:
@@ -125,7 +126,7 @@ def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
         got = {*zip(row["styles"], row["colors"], strict=False)}
         if got != {expected} or len(row["styles"]) != len(points):
             problems.append(f"line {lane.id}: expected {' '.join(expected)} at each point, got {sorted(got)[:3]}")
-    return _judged(gaps).because(problems)
+    return Comparison.within(gaps, {"m": RULE.limit}).because(problems)
 
 
 def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
@@ -157,10 +158,10 @@ def _compared(
         if box.name in ours:
             corners, category = ours[box.name]
             found = transform(cam_from_clip @ box.clip_from_box, FLU_CORNERS * box.size_m / 2)
-            gaps.append((f"{word} {box.name}", np.linalg.norm(found - corners, axis=1), "m", BOX_M))
+            gaps.append(Gap.of(f"{word} {box.name}", "m", np.linalg.norm(found - corners, axis=1)))
             if category and box.category != category:
                 problems.append(f"{word} {box.name}: expected {category}, got {box.category}")
-    return _judged(gaps).because(problems)
+    return Comparison.within(gaps, {"m": BOX_M}).because(problems)
 
 
 def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
@@ -194,14 +195,6 @@ def _symbol_gap(symbol: SymbolLabel, points: np.ndarray) -> float:
     there = float(distances(points, outline).max())
     closed = np.concatenate([points, points[:1]])
     return there if len(points) == 2 else max(there, float(distances(symbol.xyz_cam, closed).max()))
-
-
-def _judged(gaps: list[tuple[str, np.ndarray, str, float]]) -> Comparison:
-    """Distances by what they are of, their unit and limit."""
-    made = [Gap(name, unit, float(apart.max()), float(np.median(apart))) for name, apart, unit, _ in gaps]
-    problems = [f"{gap.lane}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off"
-                for gap, (*_, limit) in zip(made, gaps, strict=True) if not gap.worst <= limit]  # fmt: skip
-    return Comparison(len(made), tuple(made), tuple(problems))
 
 
 def _shown(times: list[int]) -> str:

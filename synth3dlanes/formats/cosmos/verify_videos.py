@@ -29,7 +29,7 @@ def video_problems(
     clip: CosmosClip, view: str, pictures: list[SourceSample], kinds: Iterable[str] = FOLDERS
 ) -> Iterator[str]:
     """Findings in the videos of a view."""
-    rate_hz = pictures[0].scene.shot.fps
+    rate_hz, span = pictures[0].scene.shot.fps, clip.span(view)
     for kind in kinds:
         path, n = clip.files.video(kind, view), 0
         for frame in clip.frames(kind, view, rate_hz):
@@ -41,7 +41,7 @@ def video_problems(
             if frame.shape != (height + height % 2, width + width % 2, 3):
                 yield f"{path}: frame {n - 1}: expected {width}x{height} pixels, got {frame.shape[1]}x{frame.shape[0]}"
                 break
-            problem = CHECKS[kind](frame[:height, :width], picture, clip.span(view))
+            problem = CHECKS[kind](frame[:height, :width], picture, span)
             if problem:
                 yield f"{path}: frame {n - 1}: {problem}"
         if n != len(pictures):

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -37,6 +37,7 @@ from synth3dlanes.formats.writing import FrameAnnotation, world_from_host
 from synth3dlanes.frames import invert, quaternion, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.scene import Scene
+from synth3dlanes.traffic_elements import SignKind
 from synth3dlanes.video import mp4
 from synth3dlanes.world import resolve
 
@@ -55,7 +56,6 @@ README = """Cosmos: control videos of clips, and their world scenarios as ClipGT
 - `map_id` is the id of the line, segment or element in the labels, `trackline_id` that of the object.
 """
 
-
 CRF = 12
 """Finer than a film's: the greys of depth and the edges are data."""
 NAME = re.compile("[A-Za-z0-9_-]{1,80}")
@@ -70,9 +70,9 @@ ARROW_CATEGORIES = {
     "arrow_straight_right": "ROI_POLYGON_DIRECTION_PAINT_FORWARD_RIGHT",
 }
 SIGN_CATEGORIES = {"stop": "TRAFFIC_SIGN_REGULATORY_R1_STOP", "give_way": "TRAFFIC_SIGN_REGULATORY_R1_YIELD"}
-SIGN_CATEGORIES |= dict.fromkeys(
-    ("speed_30", "speed_50", "speed_70", "speed_100", "speed_limit"), "TRAFFIC_SIGN_REGULATORY_R2_SPEED_LIMIT"
-)
+SIGN_CATEGORIES |= {
+    kind: "TRAFFIC_SIGN_REGULATORY_R2_SPEED_LIMIT" for kind in get_args(SignKind) if kind.startswith("speed_")
+}
 
 
 def annotate(frame: SampleFrame) -> FrameAnnotation:
