@@ -9,6 +9,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+# Threads of numpy and torch that wait for each other on busy cores made a step of training ten times slower than one
+# thread alone. The libraries look when they are loaded; programs that tests start inherit it.
+os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+
 import numpy as np
 import pytest
 from filelock import FileLock
