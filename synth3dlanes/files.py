@@ -5,7 +5,9 @@ raises LinkError, and what it points to is not changed.
 """
 
 import errno
+import fcntl
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -30,6 +32,10 @@ KINDS = {
 FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 # Without O_NONBLOCK, opening a pipe would block.
 FILE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+PIECE_BYTES = 1 << 20
+# As `_temporary` names them.
+UNFINISHED = re.compile(r"\..+\.[0-9a-f]{16}\.tmp", re.DOTALL)
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True)
@@ -105,6 +111,11 @@ class Folder:
             try:
                 with _created(beside, temporary) as stream:
                     yield Draft(stream, self.root.joinpath(*above, temporary), (beside, temporary), (folder, name))
+            except OSError as error:
+                # What a full disk raises does not say where it is; a name in an open folder does not either.
+                if error.filename == temporary or (error.filename is None and error.errno in FULL):
+                    error.filename = str(self.root / path)
+                raise
             finally:
                 _removed(beside, temporary)
 
@@ -184,11 +195,18 @@ class Folder:
             shutil.rmtree(name, dir_fd=folder)
 
     def remove_unfinished(self, path: str | PurePath) -> None:
-        """Remove the unfinished files that killed writers of `path` left beside it. No process may be writing it."""
+        """Remove the unfinished files that killed writers of `path` left beside it. Those of living writers stay."""
         with suppress(FileNotFoundError), self._parent(path) as (folder, name):
             for found in os.listdir(folder):
                 if found.startswith(f".{name}.") and found.endswith(".tmp"):
-                    os.unlink(found, dir_fd=folder)
+                    _removed_if_left(folder, found)
+
+    def remove_all_unfinished(self) -> None:
+        """Remove the unfinished files that killed writers of any file left in the folder itself."""
+        with suppress(FileNotFoundError), self._folder(()) as folder:
+            for found in os.listdir(folder):
+                if UNFINISHED.fullmatch(found):
+                    _removed_if_left(folder, found)
 
     def sync(self, path: str | PurePath = "") -> None:
         """Write the names in the folder at `path` to the disk."""
@@ -260,6 +278,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     in its place raises LinkError."""
     folder = Folder(path.parent)
     folder.make()
+    folder.remove_unfinished(path.name)
     with folder.replacing(path.name) as stream:
         yield stream
 
@@ -287,7 +306,10 @@ def read_bounded(path: Path, most: int) -> bytes:
     bytes."""
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
-        data = stream.read(most + 1) if size <= most else b""
+        # Python makes room for as many bytes as it is asked for; a file may have more than it tells.
+        data = stream.read(size + 1) if size <= most else b""
+        while size < len(data) <= most and (more := stream.read(min(most + 1 - len(data), PIECE_BYTES))):
+            data += more
     if max(size, len(data)) > most:
         raise FormatError(f"{path}: expected at most {most:,} bytes, got {max(size, len(data)):,}")
     return data
@@ -311,7 +333,30 @@ def _temporary(name: str) -> str:
 
 
 def _created(folder: int, name: str) -> BinaryIO:
-    return open(os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder), "w+b")
+    """A new file, locked as long as it is open: it has a living writer."""
+    file = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder)
+    with suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return open(file, "w+b")
+
+
+def _removed_if_left(folder: int, name: str) -> None:
+    """Remove an unfinished file, unless a living writer has locked it."""
+    file = None
+    with suppress(OSError):
+        file = os.open(name, os.O_RDONLY | FILE_FLAGS, dir_fd=folder)
+    try:
+        if file is not None:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return
+    except OSError as error:
+        if error.errno != errno.ENOLCK:
+            raise
+    finally:
+        if file is not None:
+            os.close(file)
+    _removed(folder, name)
 
 
 def _removed(folder: int, name: str) -> None:
