@@ -14,9 +14,9 @@ import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedRandom, BufferedReader, FileIO
 from pathlib import Path, PurePath
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from synth3dlanes.errors import FormatError, InputError, LinkError
 
@@ -35,7 +35,6 @@ FILE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 PIECE_BYTES = 1 << 20
 # As `_temporary` names them.
 UNFINISHED = re.compile(r"\..+\.[0-9a-f]{16}\.tmp", re.DOTALL)
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True)
@@ -109,13 +108,8 @@ class Folder:
             self._expect_file(folder, name, path)
             temporary = _temporary(name)
             try:
-                with _created(beside, temporary) as stream:
+                with _created(beside, temporary, self.root / path) as stream:
                     yield Draft(stream, self.root.joinpath(*above, temporary), (beside, temporary), (folder, name))
-            except OSError as error:
-                # What a full disk raises does not say where it is; a name in an open folder does not either.
-                if error.filename == temporary or (error.filename is None and error.errno in FULL):
-                    error.filename = str(self.root / path)
-                raise
             finally:
                 _removed(beside, temporary)
 
@@ -150,17 +144,17 @@ class Folder:
         with self._parent(path) as (folder, name):
             self._expect_file(folder, name, path)
             _removed(folder, name)
-            return _created(folder, name)
+            return _created(folder, name, self.root / path)
 
     def append(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, made if missing, unbuffered, opened for writing at its end. Raises LinkError for a file
         with a second hard link, which may be outside."""
-        return open(self._opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab", buffering=0)
+        return _File(self._opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab", self.root / path)
 
     def update(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, unbuffered, opened for reading and writing in place. Raises LinkError for a file with a
         second hard link, which may be outside."""
-        return open(self._opened(path, os.O_RDWR), "r+b", buffering=0)
+        return _File(self._opened(path, os.O_RDWR), "r+b", self.root / path)
 
     def link(self, path: str | PurePath, target: str) -> None:
         """Make a link to `target` at `path`. Raises LinkError if anything else is there."""
@@ -227,7 +221,7 @@ class Folder:
         try:
             for depth, part in enumerate(parts, start=1):
                 if make:
-                    with suppress(FileExistsError):
+                    with suppress(FileExistsError), _named(self.root.joinpath(*parts[:depth])):
                         os.mkdir(part, dir_fd=folder)
                 try:
                     below = os.open(part, FOLDER_FLAGS, dir_fd=folder)
@@ -332,12 +326,36 @@ def _temporary(name: str) -> str:
     return f".{name}.{secrets.token_hex(8)}.tmp"
 
 
-def _created(folder: int, name: str) -> BinaryIO:
-    """A new file, locked as long as it is open: it has a living writer."""
-    file = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder)
+def _created(folder: int, name: str, path: Path) -> BinaryIO:
+    """A new file, which is or becomes that at `path`, locked as long as it is open: it has a living writer."""
+    with _named(path):
+        file = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder)
     with suppress(OSError):
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    return open(file, "w+b")
+    return BufferedRandom(_File(file, "w+b", path))
+
+
+class _File(FileIO):
+    """A file by its descriptor. What a full disk raises names its path."""
+
+    def __init__(self, descriptor: int, mode: str, path: Path) -> None:
+        super().__init__(descriptor, mode)
+        self._path = path
+
+    def write(self, data: Any) -> int:
+        """Write as a file does."""
+        with _named(self._path):
+            return super().write(data)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Let errors of a file that was reached by a descriptor name its path."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = str(path)
+        raise
 
 
 def _removed_if_left(folder: int, name: str) -> None:

@@ -2,6 +2,8 @@
 
 import errno
 import os
+import resource
+import signal
 import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
@@ -134,16 +136,31 @@ def test_what_a_living_writer_has_begun_stays(tmp_path: Path) -> None:
     assert (tmp_path / "it").read_bytes() == b"new"
 
 
-def test_a_full_disk_is_told_with_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(OSError, match="No space left") as caught, Folder(tmp_path).replacing("it"):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    assert caught.value.filename == str(tmp_path / "it")
-    refused = PermissionError(errno.EACCES, "Permission denied", ".it.4711.tmp")
-    monkeypatch.setattr("synth3dlanes.files._temporary", lambda name: ".it.4711.tmp")
-    monkeypatch.setattr("synth3dlanes.files._created", lambda *_: (_ for _ in ()).throw(refused))
-    with pytest.raises(PermissionError) as caught, Folder(tmp_path).replacing("it"):
-        pass
-    assert caught.value.filename == str(tmp_path / "it")
+def test_a_full_disk_is_told_with_the_file(tmp_path: Path) -> None:
+    """Whichever way the file is written, at the latest when it is closed."""
+    folder = Folder(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        for opened in (folder.replacing, folder.renew, folder.append):
+            for size in (101, 100_000):
+                with pytest.raises(OSError, match="File too large") as caught, opened("it") as stream:
+                    stream.writelines([bytes(size)] * 2)
+                assert caught.value.filename == str(tmp_path / "it")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_name_in_an_open_folder_is_told_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str, *_: object, dir_fd: int | None = None, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", name)
+
+    monkeypatch.setattr(os, "mkdir", refuse)
+    with pytest.raises(PermissionError) as caught:
+        Folder(tmp_path).make("a")
+    assert caught.value.filename == str(tmp_path / "a")
 
 
 def test_a_taken_file_is_the_same_or_a_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
