@@ -182,8 +182,9 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("maker", "limits", "reasons"),
     first(
-        1,
+        2,
         [
+            (fake_samples.make_what_no_reader_takes, Limits(), {3: "camera.height_px: expected"}),
             (fake_samples.crash_on_bad, Limits(), {3: "worker ended with 1"}),
             (
                 fake_samples.hang_on_bad_and_spin_on_the_next,
