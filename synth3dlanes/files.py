@@ -156,6 +156,11 @@ class Folder:
         second hard link, which may be outside."""
         return _File(self._opened(path, os.O_RDWR), "r+b", self.root / path)
 
+    def expect_file(self, path: str | PurePath) -> None:
+        """Raise as writing a file at `path` does, where there is anything but a file."""
+        with self._parent(path) as (folder, name):
+            self._expect_file(folder, name, path)
+
     def link(self, path: str | PurePath, target: str) -> None:
         """Make a link to `target` at `path`. Raises LinkError if anything else is there."""
         with self._parent(path) as (folder, name):

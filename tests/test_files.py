@@ -23,6 +23,7 @@ WRITERS: dict[str, Callable[[Folder, str], object]] = {
     "link": lambda folder, path: folder.link(path, "anywhere"),
     "make": lambda folder, path: folder.make(path),
     "remove_tree": lambda folder, path: folder.remove_tree(path),
+    "expect_file": lambda folder, path: folder.expect_file(path),
 }
 BELOW = WRITERS | {
     "remove": lambda folder, path: folder.remove(path),
