@@ -89,11 +89,16 @@ def _in(world_from_frame: Matrix4, points_world: Points3) -> Points3:
 def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Scalars:
     """Height of the highest face at each point, NaN if there is none."""
     height_m = np.full(len(xy), -np.inf)
+    by_y = np.argsort(xy[:, 1])
+    y = xy[by_y, 1]
     for mesh in surfaces:
         corners = mesh.vertices_world[mesh.faces]
         low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-        # First by y alone, which separates most of a road's faces.
-        i, face = np.nonzero((low[:, 1] <= xy[:, 1, None]) & (xy[:, 1, None] <= high[:, 1]))
+        # First by y alone, which separates most of a road's faces: each has a run of the points in their order.
+        start, end = np.searchsorted(y, low[:, 1]), np.searchsorted(y, high[:, 1], side="right")
+        n = end - start
+        face = np.repeat(np.arange(len(n)), n)
+        i = by_y[np.arange(len(face)) + (start - np.cumsum(n) + n)[face]]
         over = (low[face, 0] <= xy[i, 0]) & (xy[i, 0] <= high[face, 0])
         i, face = i[over], face[over]
         for triangle in ([0, 1, 2], [0, 2, 3]):

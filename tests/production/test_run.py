@@ -80,6 +80,19 @@ def test_running_again_does_nothing_and_a_larger_n_extends(tmp_path, whole):
     assert contents(tmp_path) == whole
 
 
+def test_a_run_waits_for_workers_only_while_they_have_tasks(tmp_path, monkeypatch):
+    """A pool without tasks sleeps, and the run would end so much later than its last shard."""
+    wait, n_busy = workers.Pool.wait, []
+
+    def note_and_wait(pool, seconds):
+        n_busy.append(pool.busy)
+        return wait(pool, seconds)
+
+    monkeypatch.setattr(workers.Pool, "wait", note_and_wait)
+    assert go(plan(tmp_path))[0].exit_code == 0
+    assert min(n_busy) > 0
+
+
 def test_an_empty_folder_that_a_killed_join_left_goes(tmp_path, whole):
     go(plan(tmp_path))
     (tmp_path / "train" / "00001.parts").mkdir()
