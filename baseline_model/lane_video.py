@@ -48,7 +48,5 @@ class LaneVideos:
             self._video.add(np.asarray(frame))
 
     def _opened(self, name: str) -> Mp4:
-        folder = Folder(self._out)
-        folder.remove_unfinished(name)
-        stream = self._files.enter_context(folder.replacing(name))
+        stream = self._files.enter_context(Folder(self._out).replacing(name))
         return self._files.enter_context(mp4(str(self._out / name), stream, self._rate_hz))

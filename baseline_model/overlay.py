@@ -27,6 +27,7 @@ ASIDE_M = 12.0
 """The view from above shows so much to each side."""
 LEAST_HEIGHT_M = 12.0
 """Of the view from the side, so that an even road looks even."""
+PICTURE_ENDINGS = (OVERLAY, FIGURE) = (".overlay.jpg", ".png")
 VISIBLE = 0.5
 NEAR_M = 0.5
 """Points closer to the camera's plane are not drawn in the image."""
@@ -89,9 +90,9 @@ def save_pictures(
     """
     lines = draw(image, img_from_cam, prediction, truth, threshold)
     folder = Folder(stem.parent)
-    with folder.replacing(f"{stem.name}.overlay.jpg") as stream:
+    with folder.replacing(f"{stem.name}{OVERLAY}") as stream:
         image.save(stream, "JPEG", quality=92, subsampling=0)
-    with folder.replacing(f"{stem.name}.png") as stream:
+    with folder.replacing(f"{stem.name}{FIGURE}") as stream:
         _figure(image, lines, prediction.key, threshold).save(stream, "PNG", compress_level=1)
 
 

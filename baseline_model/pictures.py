@@ -6,7 +6,7 @@ photograph takes.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
@@ -28,12 +28,14 @@ VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpe
 @dataclass(frozen=True, eq=False)
 class Pictures:
     """The images of a source, read one after the other; whether their camera is assumed; frames a second where they are
-    those of a video or of clips; and what raises InputError for lanes that no place in the image follows from."""
+    those of a video or of clips; what raises InputError for lanes that no place in the image follows from; and the
+    image files that the source is or holds."""
 
     images: Iterator[CameraImage]
     is_assumed: bool = False
     rate_hz: float | None = None
     check: Callable[[Prediction], None] = lambda _: None
+    files: Sequence[Path] = ()
 
 
 def open_pictures(source: str | Path, intrinsics: Intrinsics | None) -> Pictures:
@@ -44,7 +46,7 @@ def open_pictures(source: str | Path, intrinsics: Intrinsics | None) -> Pictures
     files = image_files(source)
     if not files:
         return _labelled(source, intrinsics)
-    return Pictures((_of_file(file, intrinsics) for file in files), is_assumed=intrinsics is None)
+    return Pictures((_of_file(file, intrinsics) for file in files), intrinsics is None, files=files)
 
 
 def are_photographs(source: str | Path) -> bool:

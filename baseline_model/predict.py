@@ -1,6 +1,6 @@
 """Detect lanes in a split, in image files, folders of images or videos; write predictions, pictures and videos."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from .data import CameraImage, Intrinsics, img_from_cam
 from .inference import Detector, choose_device
 from .lane_video import LaneVideos
 from .lanes import Prediction, write_predictions
-from .overlay import save_pictures
+from .overlay import PICTURE_ENDINGS, save_pictures
 from .pictures import ASSUMED_FOV_DEG, are_photographs, is_video, open_pictures
 from .smoothing import smoothed
 
@@ -96,8 +96,12 @@ def predict(
     if config.smooth_s is not None:
         found = smoothed(found, config.smooth_s)
     out = Path(out_dir)
-    Folder(out).make()
+    _expect_no_picture_in(out, pictures.files)
+    folder = Folder(out)
+    folder.make()
+    folder.remove_all_unfinished()
     summary = PredictionSummary(out / "predictions.jsonl", config.threshold, pictures.is_assumed)
+    drawn = set[str]()
     with LaneVideos(out, rate_hz or 1.0, config.n_overlays) as videos:
 
         def kept() -> Iterator[Prediction]:
@@ -108,7 +112,10 @@ def predict(
                     name = Path(source).stem if is_video(source) else image.key
                     videos.add(name, image, prediction, config.threshold)
                 elif summary.n_images < config.n_overlays:
-                    _save(out, image, prediction, config.threshold)
+                    # As p.jpg and p.png of one folder.
+                    name = _stem(image.key) if _stem(image.key) not in drawn else image.key.replace("/", "_")
+                    drawn.add(name)
+                    _save(out / name, image, prediction, config.threshold)
                 summary.add(prediction)
                 yield replace(prediction, time_s=image.time_s)
 
@@ -116,7 +123,21 @@ def predict(
     return summary
 
 
-def _save(out: Path, image: CameraImage, prediction: Prediction, threshold: float) -> None:
-    stem = out / image.key.replace("/", "_").rsplit(".", 1)[0]
+def _expect_no_picture_in(out: Path, files: Sequence[Path]) -> None:
+    """Raise InputError where the pictures of detections would replace images, which are in the same folder."""
+    if files and out.resolve() == files[0].parent.resolve():
+        pictures = {f"{_stem(file.name)}{ending}" for file in files for ending in PICTURE_ENDINGS}
+        lost = next((file for file in files if file.name in pictures), None)
+        if lost is not None:
+            raise InputError(
+                f"out {out}: expected a folder without {lost.name}, which a picture of lanes would replace"
+            )
+
+
+def _stem(key: str) -> str:
+    return key.replace("/", "_").rsplit(".", 1)[0]
+
+
+def _save(stem: Path, image: CameraImage, prediction: Prediction, threshold: float) -> None:
     matrix = img_from_cam(image.intrinsics)
     save_pictures(stem, Image.fromarray(image.image), matrix, prediction, image.truth, threshold)

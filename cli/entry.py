@@ -5,6 +5,7 @@ import os
 import resource
 import signal
 import sys
+from io import TextIOWrapper
 from typing import NoReturn
 
 NO_MEMORY = "not enough memory; close other programs, raise the limit (ulimit -v), or use fewer workers"
@@ -17,6 +18,10 @@ WORDS = ("can't start new thread", "DefaultCPUAllocator", "CUDA out of memory", 
 def run() -> None:
     """Import the commands and run the one that is asked for."""
     open_closed_streams()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            # Names of files may be of any bytes.
+            stream.reconfigure(errors="backslashreplace")
     bound = resource.getrlimit(resource.RLIMIT_AS)[0]
     if bound != resource.RLIM_INFINITY and bound < LEAST_BYTES:
         _leave(f"expected an address space of at least {LEAST_BYTES >> 10} KiB (ulimit -v), got {bound >> 10}", 1)

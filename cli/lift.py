@@ -30,7 +30,9 @@ class Precisions(click.ParamType):
 
 @click.command()
 @click.argument("drive", metavar="DRIVE")
-@click.option("--out", metavar="DIR", required=True, help="The data set to make: a folder.")
+@click.option(
+    "--out", metavar="DIR", required=True, help="The data set to make: a folder or a URL such as s3://lanes/v1."
+)
 @split_option
 @click.option("--camera", metavar="NAME", default="", help="Which camera of the drive. Default: its front camera.")
 @click.option("--lanes", metavar="FILE", default="", help="2D lanes of its images (docs/drives.md).")

@@ -92,6 +92,16 @@ class Commands(click.Group):
             place = f"{error.filename}: " if error.filename else ""
             raise BadInput(f"{place}{error.strerror or error}") from error
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; refuse empty arguments, which would stand for the working directory or for no file."""
+        for before, word in zip(["", *args], args, strict=False):
+            if not word or re.fullmatch("--[a-z0-9-]+=", word):
+                after = (word or before).removesuffix("=")
+                raise click.UsageError(f"expected no empty argument, got one after {after}: is a variable not set?")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands, each with the whole first sentence of its help."""
         with formatter.section("Commands"):

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from synth3dlanes.errors import InputError
+from synth3dlanes.files import Folder
 from synth3dlanes.settings import DEVICES, MAX_SEED, PASSES, QUALITY_SAMPLES, SPLIT_NAME
 
 from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
@@ -70,6 +72,10 @@ class OutputFile(click.ParamType):
             self.fail(f"{value}: expected a name that ends in {' or '.join(self.suffixes)}", param, ctx)
         if path.is_dir() or not path.absolute().parent.is_dir():
             self.fail(f"{value}: expected a file in a folder that exists", param, ctx)
+        try:
+            Folder(path.parent).expect_file(path.name)
+        except InputError as error:
+            self.fail(str(error), param, ctx)
         if not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
             self.fail(f"{value}: cannot be written", param, ctx)
         return path

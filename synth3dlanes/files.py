@@ -5,16 +5,18 @@ raises LinkError, and what it points to is not changed.
 """
 
 import errno
+import fcntl
 import os
+import re
 import secrets
 import shutil
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedRandom, BufferedReader, FileIO
 from pathlib import Path, PurePath
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from synth3dlanes.errors import FormatError, InputError, LinkError
 
@@ -30,6 +32,9 @@ KINDS = {
 FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 # Without O_NONBLOCK, opening a pipe would block.
 FILE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+PIECE_BYTES = 1 << 20
+# As `_temporary` names them.
+UNFINISHED = re.compile(r"\..+\.[0-9a-f]{16}\.tmp", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,7 @@ class Folder:
             self._expect_file(folder, name, path)
             temporary = _temporary(name)
             try:
-                with _created(beside, temporary) as stream:
+                with _created(beside, temporary, self.root / path) as stream:
                     yield Draft(stream, self.root.joinpath(*above, temporary), (beside, temporary), (folder, name))
             finally:
                 _removed(beside, temporary)
@@ -139,17 +144,22 @@ class Folder:
         with self._parent(path) as (folder, name):
             self._expect_file(folder, name, path)
             _removed(folder, name)
-            return _created(folder, name)
+            return _created(folder, name, self.root / path)
 
     def append(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, made if missing, unbuffered, opened for writing at its end. Raises LinkError for a file
         with a second hard link, which may be outside."""
-        return open(self._opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab", buffering=0)
+        return _File(self._opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab", self.root / path)
 
     def update(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, unbuffered, opened for reading and writing in place. Raises LinkError for a file with a
         second hard link, which may be outside."""
-        return open(self._opened(path, os.O_RDWR), "r+b", buffering=0)
+        return _File(self._opened(path, os.O_RDWR), "r+b", self.root / path)
+
+    def expect_file(self, path: str | PurePath) -> None:
+        """Raise as writing a file at `path` does, where there is anything but a file."""
+        with self._parent(path) as (folder, name):
+            self._expect_file(folder, name, path)
 
     def link(self, path: str | PurePath, target: str) -> None:
         """Make a link to `target` at `path`. Raises LinkError if anything else is there."""
@@ -184,11 +194,18 @@ class Folder:
             shutil.rmtree(name, dir_fd=folder)
 
     def remove_unfinished(self, path: str | PurePath) -> None:
-        """Remove the unfinished files that killed writers of `path` left beside it. No process may be writing it."""
+        """Remove the unfinished files that killed writers of `path` left beside it. Those of living writers stay."""
         with suppress(FileNotFoundError), self._parent(path) as (folder, name):
             for found in os.listdir(folder):
                 if found.startswith(f".{name}.") and found.endswith(".tmp"):
-                    os.unlink(found, dir_fd=folder)
+                    _removed_if_left(folder, found)
+
+    def remove_all_unfinished(self) -> None:
+        """Remove the unfinished files that killed writers of any file left in the folder itself."""
+        with suppress(FileNotFoundError), self._folder(()) as folder:
+            for found in os.listdir(folder):
+                if UNFINISHED.fullmatch(found):
+                    _removed_if_left(folder, found)
 
     def sync(self, path: str | PurePath = "") -> None:
         """Write the names in the folder at `path` to the disk."""
@@ -209,7 +226,7 @@ class Folder:
         try:
             for depth, part in enumerate(parts, start=1):
                 if make:
-                    with suppress(FileExistsError):
+                    with suppress(FileExistsError), _named(self.root.joinpath(*parts[:depth])):
                         os.mkdir(part, dir_fd=folder)
                 try:
                     below = os.open(part, FOLDER_FLAGS, dir_fd=folder)
@@ -260,6 +277,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     in its place raises LinkError."""
     folder = Folder(path.parent)
     folder.make()
+    folder.remove_unfinished(path.name)
     with folder.replacing(path.name) as stream:
         yield stream
 
@@ -287,7 +305,10 @@ def read_bounded(path: Path, most: int) -> bytes:
     bytes."""
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
-        data = stream.read(most + 1) if size <= most else b""
+        # Python makes room for as many bytes as it is asked for; a file may have more than it tells.
+        data = stream.read(size + 1) if size <= most else b""
+        while size < len(data) <= most and (more := stream.read(min(most + 1 - len(data), PIECE_BYTES))):
+            data += more
     if max(size, len(data)) > most:
         raise FormatError(f"{path}: expected at most {most:,} bytes, got {max(size, len(data)):,}")
     return data
@@ -310,8 +331,55 @@ def _temporary(name: str) -> str:
     return f".{name}.{secrets.token_hex(8)}.tmp"
 
 
-def _created(folder: int, name: str) -> BinaryIO:
-    return open(os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder), "w+b")
+def _created(folder: int, name: str, path: Path) -> BinaryIO:
+    """A new file, which is or becomes that at `path`, locked as long as it is open: it has a living writer."""
+    with _named(path):
+        file = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder)
+    with suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return BufferedRandom(_File(file, "w+b", path))
+
+
+class _File(FileIO):
+    """A file by its descriptor. What a full disk raises names its path."""
+
+    def __init__(self, descriptor: int, mode: str, path: Path) -> None:
+        super().__init__(descriptor, mode)
+        self._path = path
+
+    def write(self, data: Any) -> int:
+        """Write as a file does."""
+        with _named(self._path):
+            return super().write(data)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Let errors of a file that was reached by a descriptor name its path."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = str(path)
+        raise
+
+
+def _removed_if_left(folder: int, name: str) -> None:
+    """Remove an unfinished file, unless a living writer has locked it."""
+    file = None
+    with suppress(OSError):
+        file = os.open(name, os.O_RDONLY | FILE_FLAGS, dir_fd=folder)
+    try:
+        if file is not None:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return
+    except OSError as error:
+        if error.errno != errno.ENOLCK:
+            raise
+    finally:
+        if file is not None:
+            os.close(file)
+    _removed(folder, name)
 
 
 def _removed(folder: int, name: str) -> None:

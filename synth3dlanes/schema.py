@@ -1,5 +1,6 @@
 """JSON documents that people may have edited: read by one schema with bounds, and one line per problem."""
 
+import codecs
 import difflib
 import reprlib
 from collections.abc import Iterable
@@ -112,6 +113,8 @@ def parse(model: type[Document], data: str | bytes, where: str, what: str, most_
     """
     if len(data) > most_bytes:
         raise FormatError(f"{where}: expected {what} of at most {most_bytes >> 20} MiB, got {len(data) >> 20} MiB")
+    # Some editors begin UTF-8 with a byte order mark.
+    data = data.removeprefix("\ufeff") if isinstance(data, str) else data.removeprefix(codecs.BOM_UTF8)
     try:
         return model.model_validate_json(data, strict=True)
     except ValidationError as error:

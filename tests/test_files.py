@@ -1,6 +1,10 @@
 """Nothing is written, replaced or removed through a link below a named folder; only regular files are read."""
 
+import errno
 import os
+import resource
+import signal
+import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +23,7 @@ WRITERS: dict[str, Callable[[Folder, str], object]] = {
     "link": lambda folder, path: folder.link(path, "anywhere"),
     "make": lambda folder, path: folder.make(path),
     "remove_tree": lambda folder, path: folder.remove_tree(path),
+    "expect_file": lambda folder, path: folder.expect_file(path),
 }
 BELOW = WRITERS | {
     "remove": lambda folder, path: folder.remove(path),
@@ -111,13 +116,52 @@ def test_a_file_and_a_folder_are_told_apart(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_writer_left_is_found(tmp_path: Path) -> None:
-    draft = Folder(tmp_path).draft("it")
-    draft.__enter__()
     (tmp_path / ".it.other").touch()
+    (tmp_path / ".it.0123456789abcdef.tmp").touch()
     (tmp_path / ".it.4711.tmp").symlink_to(tmp_path / ".it.other")
-    assert len(os.listdir(tmp_path)) == 3
     Folder(tmp_path).remove_unfinished("it")
     assert os.listdir(tmp_path) == [".it.other"]
+    (tmp_path / ".other.0123456789abcdef.tmp").touch()
+    (tmp_path / ".theirs.tmp").touch()
+    Folder(tmp_path).remove_all_unfinished()
+    assert sorted(os.listdir(tmp_path)) == [".it.other", ".theirs.tmp"]
+
+
+def test_what_a_living_writer_has_begun_stays(tmp_path: Path) -> None:
+    folder = Folder(tmp_path)
+    with folder.replacing("it") as stream:
+        stream.write(b"new")
+        folder.remove_unfinished("it")
+        folder.remove_all_unfinished()
+        write(tmp_path / "it", b"other")
+    assert (tmp_path / "it").read_bytes() == b"new"
+
+
+def test_a_full_disk_is_told_with_the_file(tmp_path: Path) -> None:
+    """Whichever way the file is written, at the latest when it is closed."""
+    folder = Folder(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        for opened in (folder.replacing, folder.renew, folder.append):
+            for size in (101, 100_000):
+                with pytest.raises(OSError, match="File too large") as caught, opened("it") as stream:
+                    stream.writelines([bytes(size)] * 2)
+                assert caught.value.filename == str(tmp_path / "it")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_name_in_an_open_folder_is_told_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str, *_: object, dir_fd: int | None = None, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", name)
+
+    monkeypatch.setattr(os, "mkdir", refuse)
+    with pytest.raises(PermissionError) as caught:
+        Folder(tmp_path).make("a")
+    assert caught.value.filename == str(tmp_path / "a")
 
 
 def test_a_taken_file_is_the_same_or_a_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,3 +196,21 @@ def test_only_regular_files_within_the_bound_are_read(tmp_path: Path) -> None:
             read_bounded(tmp_path / name, 4)
     with pytest.raises(FormatError, match="a device"):
         read_bounded(Path("/dev/zero"), 4)
+
+
+def test_reading_takes_the_room_of_the_file_not_of_the_bound(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"12345")
+    tracemalloc.start()
+    try:
+        assert read_bounded(tmp_path / "file", 1 << 31) == b"12345"
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_file_that_does_not_tell_its_size_is_read_up_to_the_bound() -> None:
+    told, size = Path("/proc/self/status").read_bytes(), Path("/proc/self/status").stat().st_size
+    assert size == 0
+    assert read_bounded(Path("/proc/self/status"), 1 << 20)[:40] == told[:40]
+    with pytest.raises(FormatError, match="at most 100 bytes, got 101"):
+        read_bounded(Path("/proc/self/status"), 100)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 from jaxtyping import Shaped, UInt8
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from synth3dlanes import labels as labels_module
 from synth3dlanes.arrays import Passes
@@ -104,10 +104,14 @@ def encode_image(image: UInt8[np.ndarray, "h w 3"], image_format: str, jpeg_qual
 
 
 def decode_image(
-    data: bytes, where: str, size_px: tuple[int, int] | None = None, kinds: tuple[str, ...] = ("JPEG", "PNG")
+    data: bytes,
+    where: str,
+    size_px: tuple[int, int] | None = None,
+    kinds: tuple[str, ...] = ("JPEG", "PNG"),
+    is_turned: bool = False,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The pixels of an image file of one of these kinds. `size_px` is the expected (width, height); None allows any
-    size up to 8192 x 8192.
+    size up to 8192 x 8192. With `is_turned`, they are turned as the file says that it is to be shown (EXIF).
 
     Raises FormatError, whose message begins with `where`. The size is checked before pixels are decoded.
     """
@@ -115,7 +119,9 @@ def decode_image(
     try:
         image = Image.open(io.BytesIO(data), formats=kinds)
         _check_size(image.size, size_px, where)
-        return _pixels_of(image if image.mode == "RGB" else image.convert("RGB"))
+        if is_turned:
+            ImageOps.exif_transpose(image, in_place=True)
+        return _pixels_of(_as_rgb(image))
     except FormatError:
         raise
     except UnidentifiedImageError:
@@ -124,6 +130,15 @@ def decode_image(
         raise FormatError(f"{where}: expected at most {MAX_PX}x{MAX_PX} pixels, got more") from None
     except (OSError, SyntaxError, ValueError) as error:
         raise FormatError(f"{where}: {expected}, got {error}") from None
+
+
+def _as_rgb(image: Image.Image) -> Image.Image:
+    if image.mode == "RGB":
+        return image
+    if image.mode.startswith("I"):
+        # Of 16 bits. Pillow would cut the values at 255.
+        image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+    return image.convert("RGB")
 
 
 def _pixels_of(image: Image.Image) -> UInt8[np.ndarray, "h w 3"]:

@@ -78,7 +78,7 @@ def _shares(values: Shaped[np.ndarray, " n"], where: str) -> Scalars:
 def _read_bin(path: Path) -> dict[str, Shaped[np.ndarray, " n"]]:
     """KITTI: x, y, z and reflectance of each point in turn, as float32, little-endian."""
     data = read_bytes(path, MAX_CLOUD_BYTES)
-    if len(data) % 16:
+    if len(data) % 16 or not data:
         raise FormatError(f"{path}: expected four float32 for each point (16 bytes), got {len(data):,} bytes")
     return _columns(np.frombuffer(data, "<f4").reshape(-1, 4))
 

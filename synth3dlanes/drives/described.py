@@ -77,6 +77,8 @@ def read_described(path: Path) -> Drive:
     folder = path.parent
     lines = read_lines_of(folder / told.lanes) if told.lanes else None
     images = _files(folder, told.images, "images", lines)
+    if lines:
+        lines.expect_some(images.paths)
     scans = _files(folder, told.lidar, "scans") if told.lidar else TimedFiles()
     host_from_lidar, ours_from_file = np.eye(4), np.eye(4)
     if told.lidar:

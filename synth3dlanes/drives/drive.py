@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Matrix4, Points3, Polyline2, Scalars
+from synth3dlanes.drives.lazy import MadeFrames
 from synth3dlanes.labels import Direction, LaneKind, Marking, PaintColor
 from synth3dlanes.lens import PINHOLE, Lens
 
@@ -110,4 +111,9 @@ class Drive:
         """The frames that nobody rejected."""
         if not self.rejected_s:
             return self.frames
-        return [frame for frame in self.frames if self.label_time(frame) not in self.rejected_s]
+        numbers = self._kept_numbers
+        return MadeFrames(len(numbers), lambda number: self.frames[numbers[number]])
+
+    @cached_property
+    def _kept_numbers(self) -> list[int]:
+        return [i for i, frame in enumerate(self.frames) if self.label_time(frame) not in self.rejected_s]

@@ -4,6 +4,7 @@ A frame is a scan and the image nearest to it in time, at most 55 ms away, which
 drive has no scans, an image. Frames whose pose is not known are left out.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,6 +17,7 @@ from synth3dlanes.arrays import Matrix4, Points3, Polyline2, Scalars
 from synth3dlanes.drives.clouds import MAX_CLOUD_BYTES, read_cloud
 from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame, MarkedLane, Scan
 from synth3dlanes.drives.lazy import MadeFrames
+from synth3dlanes.drives.lines import ImageLines
 from synth3dlanes.drives.poses import PoseTrack
 from synth3dlanes.drives.tables import read_bytes
 from synth3dlanes.errors import FormatError
@@ -101,7 +103,7 @@ def gather(name: str, recording: Recording, camera: DriveCamera, marked: Sequenc
             image,
             partial(_scan, moved, of_lidar, scan) if scan >= 0 else None,
             recording.lanes_px(image) if recording.lanes_px is not None and image is not None else (),
-            partial(read_bytes, image, MAX_CLOUD_BYTES) if image is not None and image.exists() else None,
+            partial(read_bytes, image, MAX_CLOUD_BYTES) if image is not None and os.path.lexists(image) else None,
         )
 
     x, y, z = origin.tolist()
@@ -109,12 +111,13 @@ def gather(name: str, recording: Recording, camera: DriveCamera, marked: Sequenc
     return Drive(name, MadeFrames(len(chosen), make), camera, recording.host_from_lidar, lanes, (x, y, z), tuple(notes))
 
 
-def with_lines(drive: Drive, lanes_px: Callable[[Path], tuple[Polyline2, ...]]) -> Drive:
-    """The drive with other lanes in its images, found by the names of these."""
+def with_lines(drive: Drive, lines: ImageLines) -> Drive:
+    """The drive with other lanes in its images, found by the names of these. Raises FormatError where none has any."""
+    lines.expect_some(frame.image for frame in drive.frames if frame.image is not None)
 
     def make(number: int) -> DriveFrame:
         frame = drive.frames[number]
-        return replace(frame, lanes_px=lanes_px(frame.image) if frame.image is not None else ())
+        return replace(frame, lanes_px=lines.of(frame.image) if frame.image is not None else ())
 
     return replace(drive, frames=MadeFrames(len(drive.frames), make))
 

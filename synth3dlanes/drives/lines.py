@@ -1,7 +1,9 @@
 """2D lanes of a drive's images: tuSimple's and CULane's files, and our own JSON."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -32,17 +34,23 @@ class _Lines(DocumentPart):
 @dataclass(frozen=True, eq=False)
 class ImageLines:
     """The lines of a drive's images. `names` are the images that a file of lines lists, in its order; empty where each
-    image has a file of its own. `of` gives the lines of an image by its path."""
+    image has a file of its own. `of` gives the lines of an image by its path; `path` is where they come from."""
 
     names: tuple[str, ...]
     of: Callable[[Path], tuple[Polyline2, ...]]
+    path: Path
+
+    def expect_some(self, images: Iterable[Path]) -> None:
+        """Raise FormatError where none of these images has a line."""
+        if not any(self.of(image) for image in images):
+            raise FormatError(f"{self.path}: expected lanes in the images of this drive, got none in any of them")
 
 
 def read_lines_of(path: Path) -> ImageLines:
-    """The lines in a file of tuSimple (JSON lines), in our own file, or, of CULane, beside each image below a folder.
+    """The lines in a file of tuSimple (JSON lines), in our own file, or, of CULane, in a folder or beside each image.
     Raises FormatError, here or when an image's lines are asked for."""
     if path.is_dir():
-        return ImageLines((), _of_culane)
+        return ImageLines((), partial(_of_culane, path), path)
     if path.suffix in (".json", ".jsonl") and is_tusimple(path):
         return _listed(_tusimple(path), path)
     what = f"lanes of tuSimple or {LINES_FORMAT} version {LINES_VERSION}"
@@ -75,9 +83,12 @@ def _listed(lines: dict[str, tuple[Polyline2, ...]], path: Path) -> ImageLines:
             raise FormatError(f"{path}: expected one entry for {image}, got {len(fitting)}")
         return lines[fitting[0]] if fitting else ()
 
-    return ImageLines(tuple(lines), of)
+    return ImageLines(tuple(lines), of, path)
 
 
-def _of_culane(image: Path) -> tuple[Polyline2, ...]:
-    path = Path(lines_path(str(image.with_suffix(".jpg"))))
-    return tuple(line for line in parse_lines(read_text(path), str(path)) if len(line) > 1) if path.exists() else ()
+def _of_culane(folder: Path, image: Path) -> tuple[Polyline2, ...]:
+    name = lines_path(image.with_suffix(".jpg").name)
+    path = next(filter(os.path.lexists, (folder / name, image.parent / name)), None)
+    if path is None:
+        return ()
+    return tuple(line for line in parse_lines(read_text(path), str(path)) if len(line) > 1)

@@ -31,7 +31,7 @@ def open_drive(source: str, camera: str = "", lanes: str = "", marked: str = "",
     """
     drive = _opened(source, camera)
     if lanes:
-        drive = with_lines(drive, read_lines_of(Path(lanes)).of)
+        drive = with_lines(drive, read_lines_of(Path(lanes)))
     if marked:
         x, y, _ = drive.origin_m
         drive = replace(

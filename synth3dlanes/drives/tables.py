@@ -30,9 +30,9 @@ def read_lines(path: Path) -> Iterator[tuple[str, str]]:
     """The lines of a text file that are neither empty nor comments (#), each after the place where it is. Raises
     FormatError at the first where the file cannot be read."""
     try:
-        text = read_bytes(path, MAX_TEXT_BYTES).decode()
+        text = read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise FormatError(f"{path}: expected text, got other bytes") from None
+        raise FormatError(f"{path}: expected text in UTF-8, got other bytes") from None
     for number, line in enumerate(text.splitlines(), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             yield f"{path}:{number}", line.strip()

@@ -80,8 +80,9 @@ def labels_of(
 
 
 def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """The pixels of a JPEG, PNG, BMP or WebP file of at most 8192 x 8192; raise FormatError where it is none."""
-    return decode_image(read_file(path), str(path), kinds=PICTURES)
+    """The pixels of a JPEG, PNG, BMP or WebP file of at most 8192 x 8192, turned as the file says (EXIF), as OpenCV and
+    the benchmarks' own tools do; raise FormatError where it is none."""
+    return decode_image(read_file(path), str(path), kinds=PICTURES, is_turned=True)
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -10,9 +10,9 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
@@ -68,8 +68,8 @@ class MapGround(Ground):
         return self.network.way.xy_world(s)
 
     @cached_property
-    def _way_tree(self) -> cKDTree:
-        return cKDTree(self._way)
+    def _way_tree(self) -> "scipy.spatial.cKDTree":
+        return scipy.spatial.cKDTree(self._way)
 
     def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
         """How far points are from the host's way."""

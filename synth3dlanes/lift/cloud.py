@@ -27,6 +27,10 @@ class WorldPoints(NamedTuple):
     range_m: Scalars
     scan: Int[np.ndarray, " n"]
 
+    def thinned(self, every: int) -> "WorldPoints":
+        """One point of so many."""
+        return WorldPoints(*(values[::every].copy() for values in self)) if every > 1 else self
+
 
 def cloud_of(scan: Scan, host_from_lidar: Matrix4, path: Path, number: int) -> WorldPoints:
     """A scan's points near the path, in the world."""

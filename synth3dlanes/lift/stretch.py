@@ -41,17 +41,18 @@ def lift_stretch(drive: Drive, frames: Sequence[DriveFrame], precision: Precisio
 def scans_along(drive: Drive, frames: Sequence[DriveFrame], path: Path) -> WorldPoints:
     """The points of the frames' scans near their path, thinned. Raises InputError where there are none."""
     clouds: list[WorldPoints] = []
-    last = None
+    last, every = None, 1
     for number, frame in enumerate(frames):
         place = frame.world_from_host[:2, 3]
         if last is not None and ((place - last) ** 2).sum() < APART_M**2:
             continue
         scan = frame.scan()
         if scan is not None:
-            clouds.append(cloud_of(scan, drive.host_from_lidar, path, number))
+            clouds.append(cloud_of(scan, drive.host_from_lidar, path, number).thinned(every))
             last = place
+            # Scan by scan: the points of all of them may not fit into memory.
+            while sum(len(cloud.scan) for cloud in clouds) > MOST_POINTS:
+                clouds, every = [cloud.thinned(2) for cloud in clouds], 2 * every
     if not sum(len(cloud.scan) for cloud in clouds):
         raise InputError(f"{drive.name}: expected scans with points near the host's path, got none")
-    points = together(clouds)
-    every = -(-len(points.scan) // MOST_POINTS)
-    return WorldPoints(*(values[::every] for values in points))
+    return together(clouds)

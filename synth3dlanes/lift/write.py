@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -54,10 +55,11 @@ def lift_to(
     around: int = AROUND,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> LiftReport:
-    """Write a drive's frames with their lifted lanes as a split of a data set.
+    """Write a drive's frames with their lifted lanes as a split of a data set, in a folder or in a store at a URL.
 
     `progress` is called with (frames done, all frames). Frames that are already there are kept. Raises InputError as
-    `lifted_frames` does, and for an `out` that holds something else; FormatError for files of the drive.
+    `lifted_frames` does, and for an `out` that holds something else; FormatError for files of the drive; OutageError
+    for a store that does not answer, whose finished samples the next run on this machine puts.
     """
     frames = drive.kept()
     n = len(frames)
@@ -72,24 +74,21 @@ def lift_to(
     tally = _Tally({lane.id for lane in drive.rejected})
     destination = Destination(out)
     with destination.claim(recipe, split, n, numbers):
-        shard, missing = None, set[int]()
-        for index, lifted in enumerate(lifted_frames(drive, precision, around)):
-            if shard is None or index // SHARD_SIZE != shard.number:
-                _finish(shard, n)
-                shard = Shard(Path(split), index // SHARD_SIZE, SHARD_SIZE, names, text).within(Path(out))
+        lifted_of = enumerate(lifted_frames(drive, precision, around))
+        for number, frames_of in groupby(lifted_of, lambda numbered: numbered[0] // SHARD_SIZE):
+            with destination.working_copy(Shard(Path(split), number, SHARD_SIZE, names, text)) as shard:
                 missing = set(shard.missing(n))
-            if index in missing:
-                shard.write_part(index, _members(lifted, drive.camera, (image_format, split), shots, index))
-            tally.add(lifted)
-            progress(index + 1, n)
-        _finish(shard, n)
+                for index, lifted in frames_of:
+                    if index in missing:
+                        shard.write_part(index, _members(lifted, drive.camera, (image_format, split), shots, index))
+                    tally.add(lifted)
+                    progress(index + 1, n)
+                _finish(shard, n)
     return tally.report()
 
 
-def _finish(shard: Shard | None, n: int) -> None:
+def _finish(shard: Shard, n: int) -> None:
     """Join a shard's samples. Raises FormatError where some cannot be read again: joining leaves them out."""
-    if shard is None:
-        return
     if shard.needs_join(n):
         shard.join(n)
     lost = shard.missing(n)
@@ -196,7 +195,8 @@ class _Tally:
             self.ids.add(lane.id.partition(".")[0])
             if lane.std_m is not None:
                 near = lane.std_m[lane.visible & (lane.xyz_cam[:, 1] < NEAR_M)]
-                self.std += [np.median(near, axis=0)] * bool(len(near))
+                if len(near):
+                    self.std.append(np.median(near, axis=0))
 
     def report(self) -> LiftReport:
         """The result."""

@@ -12,7 +12,7 @@ the run waits.
 
 import time
 from collections import Counter, deque
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from itertools import islice
@@ -131,8 +131,12 @@ class _Run:
                 while self.todo and not tally.is_stopping and pool.idle and self._has_room():
                     slot = pool.idle[0]
                     self._start(pool, slot, *self._next(slot))
-                for outcome in pool.wait(POLL_S):
-                    self._handle(outcome)
+                # A pool without tasks sleeps for as long as it is asked to wait.
+                if self.joins and not pool.busy:
+                    wait(self.joins.values(), POLL_S, FIRST_COMPLETED)
+                else:
+                    for outcome in pool.wait(POLL_S):
+                        self._handle(outcome)
                 tally.acknowledge()
                 for number in [number for number, join in self.joins.items() if join.done()]:
                     self._joined(number, self.joins.pop(number))

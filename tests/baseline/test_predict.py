@@ -167,6 +167,18 @@ def test_image_files_without_intrinsics_are_taken_for_those_of_the_papers_camera
     assert "60 degrees" not in given.text()
 
 
+def test_no_picture_replaces_an_image_or_another_picture(checkpoint, split, tmp_path):
+    for name in ("road.jpg", "road.png"):
+        Image.fromarray(split[0].image).save(tmp_path / name)
+    before = (tmp_path / "road.png").read_bytes()
+    with pytest.raises(InputError, match=r"out .*: expected a folder without road\.png"):
+        detected(checkpoint, tmp_path, tmp_path)
+    assert (tmp_path / "road.png").read_bytes() == before
+    detected(checkpoint, tmp_path, tmp_path / "out")
+    drawn = {f"{stem}{ending}" for stem in ("road", "road.png") for ending in (".png", ".overlay.jpg")}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"predictions.jsonl", *drawn}
+
+
 def test_a_picture_without_confident_lanes_says_so(checkpoint, split, tmp_path):
     found = detected(checkpoint, "DIR/test", tmp_path, n_overlays=0, threshold=1.0)
     assert "no lane of confidence 1 in 5 images; the best has 0." in found.text()

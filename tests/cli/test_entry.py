@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -25,6 +26,13 @@ def test_without_an_output_a_command_still_works(closed: str) -> None:
     done = shell(f"{COMMAND} params show tiny {closed}; echo $?; {COMMAND} sample --params none.yaml {closed}; echo $?")
     said = "none.yaml: cannot read: No such file or directory\n" if closed == ">&-" else ""
     assert (done.stdout, done.stderr) == ("0\n2\n", said)
+
+
+def test_a_name_of_any_bytes_is_printed(tmp_path: Path) -> None:
+    line = f"cd {tmp_path}; {COMMAND} sample --params tiny > s.json; {COMMAND} inspect s.json --out $'\\xff.png'"
+    done = shell(line)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\\udcff.png" in done.stdout
 
 
 def test_too_little_memory_is_one_line() -> None:

@@ -18,7 +18,10 @@ from click.testing import Result
 from PIL import Image
 from synth3dlanes_cli.entry import NO_MEMORY
 
+from synth3dlanes.drives.checks import drive_findings
+from synth3dlanes.drives.open import open_drive
 from synth3dlanes.params import presets_folder
+from tests.drives import road as made
 from tests.hostile import LEAKED
 
 Run = Callable[..., Result]
@@ -77,7 +80,7 @@ KINDS: dict[str, Callable[[Path], object]] = {
 }
 
 # Commands by the input that is strange, {x}, with the files around it that are as they should be: a data set d, a scene
-# s.json, an image i.png.
+# s.json, an image i.png, a drive w.
 COMMANDS = {
     "x.yaml": [
         "sample --params {x}",
@@ -97,7 +100,13 @@ COMMANDS = {
         "evaluate {x} --predictions p.jsonl --intrinsics 400,400,240,180",
         "evaluate {x}",
         "train {x} --out e",
+        "drive check w --lanes {x}",
+        "lift w --out e --review {x}",
     ],
+    "x.geojson": ["drive mark w --out m.html --marked {x}"],
+    "w/poses.txt": ["drive check w", "lift w --out e"],
+    "w/lidar/0001.npy": ["drive mark w --out m.html", "lift w --out e --unchecked"],
+    "x.mp4": ["predict {x} --out e"],
     "d/dataset.json": [
         "info d",
         "stats d",
@@ -166,13 +175,24 @@ MAY_PASS = {
 CASES = [(name, command) for name, commands in COMMANDS.items() for command in commands]
 
 
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive with nothing wrong."""
+    road = made.road(4)
+    road.world = road.world[::8]
+    written = made.write_described(tmp_path_factory.mktemp("drive"), road)
+    assert not drive_findings(open_drive(str(written)))
+    return written
+
+
 @pytest.fixture
-def around(in_tmp_path: Path, folder: Path, run: Run) -> Path:
-    """The files that are as they should be; those of the data set are other names of the same files."""
-    for path in folder.rglob("*"):
-        (in_tmp_path / "d" / path.relative_to(folder)).parent.mkdir(parents=True, exist_ok=True)
-        if path.is_file():
-            os.link(path, in_tmp_path / "d" / path.relative_to(folder))
+def around(in_tmp_path: Path, folder: Path, drive: Path, run: Run) -> Path:
+    """The files that are as they should be; those of the data set and the drive are other names of the same files."""
+    for name, source in (("d", folder), ("w", drive)):
+        for path in source.rglob("*"):
+            (in_tmp_path / name / path.relative_to(source)).parent.mkdir(parents=True, exist_ok=True)
+            if path.is_file():
+                os.link(path, in_tmp_path / name / path.relative_to(source))
     (in_tmp_path / "s.json").write_text(run("sample", "--params", "tiny").stdout)
     Image.new("RGB", (96, 72)).save(in_tmp_path / "i.png")
     (in_tmp_path / "own.yaml").write_text("calibration: x.yaml\nheight_m: 1.5\npitch_deg: 3\n")

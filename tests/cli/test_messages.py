@@ -35,6 +35,13 @@ def test_a_wrong_name_is_answered_with_the_right_place(command: str, message: st
     assert message in result.stderr
 
 
+@pytest.mark.parametrize("words", [["info", ""], ["info", "d", "--json="], ["drive", "check", "d", "--lanes", ""]])
+def test_an_empty_argument_stands_for_no_folder(words: list[str], run: Run) -> None:
+    result = run(*words)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("synth3dlanes: expected no empty argument, got one after ")
+
+
 @pytest.mark.parametrize(
     ("command", "message"),
     [

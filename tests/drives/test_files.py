@@ -129,6 +129,37 @@ def test_a_drive_of_lanes_without_images(tmp_path, truth):
     assert len(drive.frames[1].lanes_px) == 3
 
 
+def test_an_image_that_a_link_has_lost_is_no_image_that_never_was(tmp_path, truth):
+    folder = made.write_described(tmp_path, truth)
+    (folder / "front/0001.png").unlink()
+    (folder / "front/0001.png").symlink_to("nowhere")
+    with pytest.raises(FormatError, match=r"0001\.png: cannot be read: No such file"):
+        open_drive(str(folder)).frames[1].load_image()
+
+
+def test_lanes_of_other_images_are_refused(tmp_path, truth):
+    folder = made.write_described(tmp_path, truth)
+    (tmp_path / "of_none").mkdir()
+    (tmp_path / "of_others.json").write_text((folder / "lanes.json").read_text().replace("front/", "rear/r"))
+    for name in ("of_none", "of_others.json"):
+        with pytest.raises(FormatError, match=f"{name}: expected lanes in the images of this drive, got none"):
+            open_drive(str(folder), lanes=str(tmp_path / name))
+    (tmp_path / "of_none/0001.lines.txt").write_text("300.5 700 420.25 500")
+    (line,) = open_drive(str(folder), lanes=str(tmp_path / "of_none")).frames[1].lanes_px
+    assert line.tolist() == [[300.5, 700], [420.25, 500]]
+
+
+def test_texts_may_begin_with_a_byte_order_mark_and_have_lines_of_windows(tmp_path, truth):
+    folder = made.write_described(tmp_path, truth)
+    before = open_drive(str(folder))
+    for name in ("drive.yaml", "camera.yaml", "poses.txt", "times.txt", "lanes.json", "lanes.geojson"):
+        text = (folder / name).read_bytes()
+        (folder / name).write_bytes(b"\xef\xbb\xbf" + text.replace(b"\n", b"\r\n"))
+    after = open_drive(str(folder))
+    assert [frame.time_s for frame in after.frames] == [frame.time_s for frame in before.frames]
+    assert len(after.frames[2].lanes_px) == len(before.frames[2].lanes_px) == 3
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [

@@ -96,6 +96,20 @@ def test_pictures_of_each_kind_are_read(pictures):
         assert np.abs(read_image(path).astype(int) - (200, 10, 10)).max() < 8, path.suffix
 
 
+def test_a_picture_of_16_bits_keeps_its_grays(tmp_path):
+    grays = np.arange(0, 65536, 256, dtype=np.uint16).reshape(16, 16)
+    Image.fromarray(grays).save(tmp_path / "a.png")
+    assert (read_image(tmp_path / "a.png") == (grays >> 8)[..., None]).all()
+
+
+def test_a_picture_is_turned_as_its_file_says(tmp_path):
+    exif, pixels = Image.Exif(), np.zeros((16, 24, 3), np.uint8)
+    exif[0x0112], pixels[:, :12] = 6, (200, 10, 10)
+    Image.fromarray(pixels).save(tmp_path / "a.png", exif=exif)
+    # 6: to be shown turned by 90 degrees clockwise, so that what is left is above.
+    assert (read_image(tmp_path / "a.png") == np.rot90(pixels, -1)).all()
+
+
 @given(st.data())
 @files
 def test_pictures(tmp_path_factory, pictures, data):

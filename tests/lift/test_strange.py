@@ -6,12 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fsspec.implementations.memory import MemoryFileSystem
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.drives.drive import Drive, DriveFrame, MarkedLane
 from synth3dlanes.drives.marks import marks_text
 from synth3dlanes.drives.open import open_drive
 from synth3dlanes.errors import InputError
+from synth3dlanes.lift import stretch
+from synth3dlanes.lift.path import path_of
 from synth3dlanes.lift.precision import NO_ERROR
 from synth3dlanes.lift.run import lifted_frames
 from synth3dlanes.lift.write import lift_to
@@ -96,6 +99,27 @@ def test_a_lift_that_is_killed_goes_on_to_the_same_bytes(tmp_path: Path) -> None
         lift_to(drive, tmp_path / out, precision=NO_ERROR)
     tars = [(tmp_path / out / "train/00000.tar").read_bytes() for out in ("killed", "whole")]
     assert tars[0] == tars[1]
+
+
+def test_a_store_gets_the_bytes_of_a_folder(tmp_path: Path) -> None:
+    drive, url = hill.drive(4), "memory://lifted"
+    lift_to(drive, tmp_path, precision=NO_ERROR)
+    lift_to(drive, url, precision=NO_ERROR)
+    store = MemoryFileSystem()
+    for name in ("dataset.json", "train/00000.tar", "train/00000.parquet"):
+        assert store.cat_file(f"/lifted/{name}") == (tmp_path / name).read_bytes()
+    store.rm("/lifted", recursive=True)
+
+
+def test_the_points_of_all_scans_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = hill.drive(6)
+    path = path_of([frame.world_from_host for frame in drive.frames])
+    whole = stretch.scans_along(drive, drive.frames, path)
+    most = len(whole.scan) // 3
+    monkeypatch.setattr(stretch, "MOST_POINTS", most)
+    fewer = stretch.scans_along(drive, drive.frames, path)
+    assert most / 2 < len(fewer.scan) <= most
+    assert np.bincount(fewer.scan).min() > most / len(drive.frames) / 3, "of all scans"
 
 
 def test_a_place_that_is_taken_is_left_alone(tmp_path: Path) -> None:
