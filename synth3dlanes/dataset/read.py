@@ -207,7 +207,7 @@ class Reader:
         return self.cameras[self.camera_of[self._position(i)]].name if self.cameras else ""
 
     def taken_by(self, names: Sequence[str] = ()) -> Int[np.ndarray, " n"]:
-        """The positions of the samples by these cameras; without names, by all cameras that look ahead.
+        """The positions of the samples by these cameras; without names, by all cameras turned ahead.
 
         Raises InputError where there is no such camera.
         """
@@ -218,7 +218,7 @@ class Reader:
             raise InputError(f"cameras: expected some of {expected}, got {', '.join(unknown)}")
         if not known:
             return np.arange(len(self))
-        chosen = [i for i, spec in enumerate(self.cameras) if (spec.name in names if names else spec.looks_ahead)]
+        chosen = [i for i, spec in enumerate(self.cameras) if (spec.name in names if names else spec.is_turned_ahead)]
         if not chosen:
             expected = f"a camera within {AHEAD_DEG:.0f} degrees of the driving direction"
             raise InputError(f"{self.url}: expected {expected}, got none")

@@ -96,10 +96,15 @@ class CameraSpec(Group):
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether it looks where the host drives at every yaw that it may have, and does not see what is beside it."""
+        """Whether it is turned ahead, and does not see what is beside the host."""
+        return self.is_turned_ahead and not self._sees_aside
+
+    @property
+    def is_turned_ahead(self) -> bool:
+        """Whether its viewing direction is where the host drives at every yaw that it may have."""
         yaw = self.yaw_deg
         yaws_deg = (yaw.low, yaw.high) if isinstance(yaw, Uniform) else yaw.values
-        return all(abs(yaw_deg) <= AHEAD_DEG for yaw_deg in yaws_deg) and not self._sees_aside
+        return all(abs(yaw_deg) <= AHEAD_DEG for yaw_deg in yaws_deg)
 
     @property
     def _sees_aside(self) -> bool:
