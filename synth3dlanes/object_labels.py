@@ -35,10 +35,11 @@ class ObjectLabel:
     that turns vectors of its frame into the camera's. `velocity_cam` is the velocity over the ground along the
     camera's axes, metres per second; None in single pictures, which have no time.
     `box_px` is the rectangle of what of the 3D box is inside the image, None where nothing is; `unclipped_box_px` that
-    of the whole 3D box, None where it reaches behind the camera or out of its lens's field; `truncation` the share of
-    the 3D box that is outside the image. `seen_box_px` is the rectangle of the pixels that show the object, None
-    without any and until rendered. `visible_fraction` is the share of its pixels in the image in which it is seen, 0
-    without any, None until rendered. `lidar_points` counts the points of the sweep on it, None without a lidar."""
+    of the whole 3D box, None where it reaches behind the camera, out of its lens's field or a million pixels away;
+    `truncation` the share of the 3D box that is outside the image. `seen_box_px` is the rectangle of the pixels that
+    show the object, None without any and until rendered. `visible_fraction` is the share of its pixels in the image in
+    which it is seen, 0 without any, None until rendered. `lidar_points` counts the points of the sweep on it, None
+    without a lidar."""
 
     id: Annotated[int, Field(ge=1)]
     category: VehicleClass

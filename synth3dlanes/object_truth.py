@@ -13,6 +13,7 @@ from synth3dlanes.frames import inside_image, invert, quaternion, transform
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene import Car
+from synth3dlanes.schema import MAX_NUMBER
 from synth3dlanes.settings import FIRST_CAR_ID
 from synth3dlanes.world import View
 
@@ -62,7 +63,8 @@ def rectangles(
     image's border too, None where a part of it has no place there."""
     edges = _edges(cam_from_box, size_m)
     uv = camera.project(edges)
-    whole = _around(uv.reshape(-1, 2)) if np.isfinite(uv).all() else None
+    # Next to the plane of the camera, and to the end of a lens's field, pixels are beyond all measure.
+    whole = _around(uv.reshape(-1, 2)) if (np.abs(uv) <= MAX_NUMBER).all() else None
     shown = inside_image(uv, camera.width_px, camera.height_px)
     if shown.all():
         return whole, whole

@@ -1,5 +1,6 @@
 """Fresh processes that share one task, such as checking or exporting samples."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -12,6 +13,8 @@ from typing import Any
 from synth3dlanes.errors import WorkerError
 
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Linear algebra in numpy and scipy has a thread for each core, in each process, which wait for each other.
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 class QuietPool(ProcessPoolExecutor):
@@ -50,7 +53,10 @@ def _held_back() -> Iterator[None]:
         handlers[signal.Signals(number)](number, None)
 
 
-def _die_of_ctrl_c() -> None:
+def _begin() -> None:
+    """What a process does before it imports anything large."""
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -60,7 +66,7 @@ def _die_of_ctrl_c() -> None:
 def process_pool(workers: int | None = None) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes, by default one per core. Tasks that have not begun when the pool closes are dropped.
     Raises WorkerError if one of the processes is killed."""
-    pool = QuietPool(workers, mp_context=get_context("spawn"), initializer=_die_of_ctrl_c)
+    pool = QuietPool(workers, mp_context=get_context("spawn"), initializer=_begin)
     try:
         yield pool
     except BrokenProcessPool:

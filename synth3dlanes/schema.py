@@ -23,7 +23,8 @@ AHEAD_DEG = 30.0
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
-Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+MAX_NUMBER = 1e6
+Number = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 Metres = Annotated[float, Field(ge=-1000, le=1000)]
 Unit = Annotated[float, Field(ge=0, le=1)]
 Color = tuple[Unit, Unit, Unit]

@@ -9,8 +9,10 @@ import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-# WebGL without a graphics card; root has no sandbox.
-ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+# WebGL without a graphics card, and nothing else by its stand-in, which takes twice the time; root has no sandbox.
+ARGUMENTS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+# What the browser, and not the page, says of pixels that are read back.
+OF_DRIVER = "GL Driver Message"
 
 
 @pytest.fixture(scope="module")
@@ -44,5 +46,5 @@ def open_page(browser: Browser, tmp_path: Path):
 
     yield open_
     context.close()
-    assert said == []
+    assert [text for text in said if OF_DRIVER not in text] == []
     assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {(tmp_path / "page.html").as_uri()}

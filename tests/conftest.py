@@ -1,5 +1,6 @@
 """What all tests share. Our packages are imported inside fixtures, or the shape checks would miss them."""
 
+import gc
 import importlib.util
 import os
 import shutil
@@ -8,6 +9,10 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+# Threads of numpy and torch that wait for each other on busy cores made a step of training ten times slower than one
+# thread alone. The libraries look when they are loaded; programs that tests start inherit it.
+os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
 
 import numpy as np
 import pytest
@@ -41,6 +46,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if item.get_closest_marker("render"):
                 item.add_marker(pytest.mark.skip(reason="there is no bpy for this Python"))
+
+
+def pytest_collection_finish() -> None:
+    # All modules are loaded by now: going through their objects for garbage took a fiftieth of the time.
+    gc.freeze()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

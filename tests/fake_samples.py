@@ -1,16 +1,18 @@
 """Sample makers without Blender, for tests of what happens around them; `python -m tests.fake_samples` is a run."""
 
 import errno
+import json
 import os
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from synth3dlanes import scene as scene_module
-from synth3dlanes.dataset.format import Picture, encode
+from synth3dlanes.dataset.format import LABELS, Picture, encode
 from synth3dlanes.ground_truth import label
 from synth3dlanes.host import Shot
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
@@ -105,6 +107,15 @@ def crash_on_bad(recipe: Recipe, index: int) -> PackedSample:
     if index == BAD:
         raise ValueError("this scene is bad")
     return make(recipe, index)
+
+
+def make_what_no_reader_takes(recipe: Recipe, index: int) -> PackedSample:
+    made = make(recipe, index)
+    if index != BAD:
+        return made
+    document = json.loads(made.members[LABELS])
+    document["camera"]["height_px"] = -1
+    return replace(made, members={**made.members, LABELS: json.dumps(document).encode()})
 
 
 def always_crash(recipe: Recipe, index: int) -> PackedSample:

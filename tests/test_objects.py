@@ -12,7 +12,7 @@ from synth3dlanes.assets.folder import CarNotes
 from synth3dlanes.frames import quaternion, road_from_cam, rotation, transform
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.lens import Lens
-from synth3dlanes.object_labels import as_seen, stacked
+from synth3dlanes.object_labels import CORNERS, as_seen, stacked
 from synth3dlanes.object_truth import rectangles, truncation
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene, sample_world
@@ -116,6 +116,20 @@ def test_a_box_around_the_whole_view_fills_the_image():
     np.testing.assert_allclose(inside, (0, 0, 480, 360))
     assert whole[0] < -1000
     assert truncation(camera, pose, size_m) > 0.9
+
+
+def test_a_box_that_reaches_to_the_end_of_a_lens_has_no_whole_rectangle():
+    """There pixels are beyond what labels may say: such samples were made again and again."""
+    scene = changed(FLAT, camera={"lens": Lens(model="opencv", coefficients=(-0.28, 0.07, 0, 0, 0, 0, 0, 0))})
+    camera = ground_truth(scene).camera
+    pose, size_m = np.eye(4), np.array([1.8, 4.5, 1.5])
+    pose[:3, 3] = [-3.0, 2.35, 0.0]
+    uv = camera.project(transform(pose, CORNERS * size_m / 2))
+    assert np.isfinite(uv).all()
+    assert np.abs(uv).max() > 1e6
+    inside, whole = rectangles(camera, pose, size_m)
+    assert whole is None
+    assert inside is not None
 
 
 def test_quaternions_are_those_of_rotations():

@@ -2,8 +2,10 @@
 
 import os
 import signal
+import sys
 from pathlib import Path
 
+import psutil
 import pytest
 from click.testing import CliRunner
 
@@ -21,6 +23,24 @@ def test_a_killed_process_is_a_worker_error(number: int) -> None:
         list(pool.map(die, [number]))
     assert "\n" not in str(caught.value)
     assert caught.value.__suppress_context__
+
+
+def threads_of_algebra() -> int:
+    """How many threads numpy starts in this process."""
+    before = psutil.Process().num_threads()
+    assert "numpy" not in sys.modules
+    import numpy as np
+
+    np.linalg.inv(np.ones((300, 300)) + np.eye(300))
+    return psutil.Process().num_threads() - before
+
+
+def test_a_process_computes_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is a process for each core."""
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    with process_pool(1) as pool:
+        assert pool.submit(threads_of_algebra).result() == 0
 
 
 def test_a_command_says_so_in_a_line_and_ends_with_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+import scipy
 from jaxtyping import Float, UInt8
 from PIL import Image
-from scipy.ndimage import map_coordinates
 
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.frames import turned
@@ -101,7 +101,7 @@ def remap(image: RgbImage, uv: Float[np.ndarray, "h2 w2 2"]) -> UInt8[np.ndarray
     columns, rows = np.moveaxis(np.nan_to_num(uv, nan=-1.0), -1, 0).astype(np.float32) - np.float32(0.5)
     found = np.stack(
         [
-            map_coordinates(channel, [rows, columns], np.float32, order=3, mode="nearest")
+            scipy.ndimage.map_coordinates(channel, [rows, columns], np.float32, order=3, mode="nearest")
             for channel in np.moveaxis(image, -1, 0).astype(np.float32)
         ],
         axis=-1,

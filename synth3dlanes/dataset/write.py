@@ -117,12 +117,12 @@ class Shard:
         is_left_over = any(index < n for index in parts) or (not parts and self._data_set.exists(self._at("parts")))
         return is_left_over or (self.path("tar").exists() and not self.path("parquet").exists())
 
-    def join(self, n: int) -> None:
+    def join(self, n: int) -> dict[int, str]:
         """Join the tar and the parts below `n`. A sample that cannot be read is left out and stays missing; in a
-        finished shard it raises FormatError."""
+        finished shard it raises FormatError. Returns why, by index."""
         places = self._places_in_tar()
         parts = {index: path for index, path in self.parts().items() if index < n and index not in places}
-        rows, is_finished = [], self.path("parquet").exists()
+        rows, unread, is_finished = [], dict[int, str](), self.path("parquet").exists()
         self.open()
         data_set, beside = self._data_set, self._unfinished
         with data_set.draft(self._at("tar"), beside) as tar, data_set.draft(self._at("parquet"), beside) as index:
@@ -135,6 +135,7 @@ class Shard:
                         raise FormatError(f"{error}; {REMEDY}") from None
                     if number in parts:
                         data_set.remove(self._at("parts") / parts[number].name)
+                    unread[number] = str(error)
                     continue
                 tar.stream.write(data)
                 rows.append(row)
@@ -149,6 +150,7 @@ class Shard:
                 index.appear()
                 data_set.sync(self.folder.name)
         self.clean()
+        return unread
 
     def clean(self) -> None:
         """Remove what a finished or killed join left. Parts that are not in the tar are kept."""

@@ -8,8 +8,8 @@ lidars, the car's motion within a turn undone; here they are in the upper lidar'
 from pathlib import Path
 
 import numpy as np
+import scipy
 from jaxtyping import Shaped
-from scipy.spatial.transform import Rotation
 
 from synth3dlanes.arrays import Matrix4
 from synth3dlanes.drives.axes import OURS_FROM, camera_matrix, in_ours
@@ -77,7 +77,7 @@ def _place(folder: Path, sensor: str) -> Matrix4:
     if not abs(np.linalg.norm(values[:4]) - 1) <= UNIT or not np.isfinite(values).all():
         raise FormatError(f"{path}: {sensor}: expected a unit quaternion and a place, got others")
     found = np.eye(4)
-    found[:3, :3], found[:3, 3] = Rotation.from_quat(values[:4]).as_matrix(), values[4:]
+    found[:3, :3], found[:3, 3] = scipy.spatial.transform.Rotation.from_quat(values[:4]).as_matrix(), values[4:]
     return found
 
 

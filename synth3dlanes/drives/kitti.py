@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from synth3dlanes.arrays import Matrix4, Scalars
 from synth3dlanes.drives.axes import OURS_FROM, camera_matrix, in_ours, matrix34, rigid
@@ -213,6 +213,7 @@ def _oxts_track(folder: Path) -> PoseTrack:
     north = scale * EARTH_M * np.log(np.tan(np.radians(90 + latitude) / 2))
     places = np.stack([east, north, up], axis=-1)
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3, :3] = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_matrix()
+    rotations = scipy.spatial.transform.Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1))
+    poses[:, :3, :3] = rotations.as_matrix()
     poses[:, :3, 3] = places - places[0]
     return track(folder, files.times_s, poses @ invert(OURS_FROM["flu"]))

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 from pydantic import Field
-from scipy.spatial.transform import Rotation, Slerp
 
 from synth3dlanes.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.drives.axes import OURS_FROM, AxesName, matrix34
@@ -37,7 +37,8 @@ class PoseTrack:
     def matrices(self) -> Float[np.ndarray, "n 4 4"]:
         """All poses as `world_from_...`."""
         found = np.tile(np.eye(4), (len(self.times_s), 1, 1))
-        found[:, :3, :3], found[:, :3, 3] = Rotation.from_quat(self.xyzw).as_matrix(), self.places
+        rotations = scipy.spatial.transform.Rotation.from_quat(self.xyzw)
+        found[:, :3, :3], found[:, :3, 3] = rotations.as_matrix(), self.places
         return found
 
     def knows(self, times_s: Scalars) -> np.ndarray:
@@ -56,19 +57,20 @@ class PoseTrack:
         found = np.tile(np.eye(4), (len(times), 1, 1))
         found[:, :3, 3] = np.stack([np.interp(times, self.times_s, axis) for axis in self.places.T], axis=-1)
         if len(self.times_s) == 1:
-            found[:, :3, :3] = Rotation.from_quat(self.xyzw[0]).as_matrix()
+            found[:, :3, :3] = scipy.spatial.transform.Rotation.from_quat(self.xyzw[0]).as_matrix()
         else:
             # Of the poses around alone: a drive may have millions.
             low, high = np.searchsorted(self.times_s, [times.min(initial=np.inf), times.max(initial=-np.inf)])
             chosen = slice(max(0, int(low) - 1), int(high) + 2)
-            turns = Slerp(self.times_s[chosen], Rotation.from_quat(self.xyzw[chosen]))
+            rotations = scipy.spatial.transform.Rotation.from_quat(self.xyzw[chosen])
+            turns = scipy.spatial.transform.Slerp(self.times_s[chosen], rotations)
             found[:, :3, :3] = turns(times).as_matrix()
         return found
 
     def of(self, body_from_other: Matrix4) -> "PoseTrack":
         """The track of another frame that is fixed to the same body."""
         matrices = self.matrices @ body_from_other
-        xyzw = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+        xyzw = scipy.spatial.transform.Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
         return PoseTrack(self.path, self.times_s, matrices[:, :3, 3], xyzw)
 
     def moved(self, origin: Float[np.ndarray, "3"]) -> "PoseTrack":
@@ -87,7 +89,7 @@ def track(path: Path, times_s: Scalars, matrices: Float[np.ndarray, "n 4 4"]) ->
     kept = np.concatenate([[True], steps > 0])
     if not len(times_s):
         raise FormatError(f"{path}: expected poses, got none")
-    rotations = Rotation.from_matrix(matrices[kept, :3, :3])
+    rotations = scipy.spatial.transform.Rotation.from_matrix(matrices[kept, :3, :3])
     return PoseTrack(path, times_s[kept], matrices[kept, :3, 3], rotations.as_quat())
 
 
@@ -155,7 +157,7 @@ def _of_quaternions(
         at = int(np.argmax(np.abs(lengths - 1)))
         raise FormatError(f"{path}: expected unit quaternions, got one of length {lengths[at]:.4g} (pose {at + 1})")
     matrices = np.tile(np.eye(4), (len(times_s), 1, 1))
-    matrices[:, :3, :3], matrices[:, :3, 3] = Rotation.from_quat(xyzw).as_matrix(), places
+    matrices[:, :3, :3], matrices[:, :3, 3] = scipy.spatial.transform.Rotation.from_quat(xyzw).as_matrix(), places
     ours = OURS_FROM[axes]
     world = ours if axes == "rdf" else np.eye(4)
     return track(path, times_s, world @ matrices @ invert(ours))

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.drives.axes import OURS_FROM
@@ -199,7 +199,7 @@ def _misfit(drive: Drive, pairs: Sequence[ScanPair], reading: Reading) -> float:
 def _apart(pair: ScanPair, a_from_b: Matrix4) -> float:
     # From above: beams meet a pole at other heights.
     plan_a, plan_b = pair.points_a[:, :2], transform(a_from_b, pair.points_b)[:, :2]
-    distance, _ = cKDTree(plan_a).query(plan_b, distance_upper_bound=CAP_M)
+    distance, _ = scipy.spatial.cKDTree(plan_a).query(plan_b, distance_upper_bound=CAP_M)
     return float(np.minimum(distance, CAP_M).mean())
 
 

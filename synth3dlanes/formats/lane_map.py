@@ -3,11 +3,13 @@
 Segments are those of the lane graph. World frame, metres; lines go as their traffic does.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Points3
 from synth3dlanes.geometry.lane_curves import LaneCurve
@@ -55,7 +57,7 @@ def lane_segments(
 ) -> Iterator[LaneSegment]:
     """The segments of the lane graph within about `reach_m` of a place of the host."""
     network = world.network
-    delimiters = network.delimiters_near(at_world[:2], reach_m)
+    delimiters = [_Painted(*near) for near in network.delimiters_near(at_world[:2], reach_m).items() if len(near[1])]
     for index, segment in enumerate(segments):
         lane = network.lanes[segment.id]
         lines = network.lane_lines(lane, at_world[:2], reach_m)
@@ -65,26 +67,33 @@ def lane_segments(
             yield LaneSegment(index, segment.id, middle, left, right, lane.junction is not None)
 
 
-def _painted(
-    world: World,
-    points_world: Points3,
-    delimiters: dict[LaneCurve, Float[np.ndarray, "_ 2"]],
-    lane: NetworkLane,
-) -> Boundary:
+@dataclass(frozen=True, eq=False)
+class _Painted:
+    """A painted line and its points from above."""
+
+    line: LaneCurve
+    xy: Float[np.ndarray, "_ 2"]
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Its points, to look for near ones."""
+        return cKDTree(self.xy)
+
+
+def _painted(world: World, points_world: Points3, delimiters: Sequence[_Painted], lane: NetworkLane) -> Boundary:
     best, best_share = None, LEAST_PAINTED
-    for line, xy in delimiters.items():
-        if len(xy):
-            gaps_m = np.linalg.norm(points_world[:, None, :2] - xy, axis=2).min(axis=1)
-            share = float(np.mean(gaps_m < ON_LINE_M))
-            if share > best_share:
-                best, best_share = line, share
+    for painted in delimiters:
+        gaps_m, _ = painted.tree.query(points_world[:, :2], distance_upper_bound=ON_LINE_M)
+        share = float(np.mean(gaps_m < ON_LINE_M))
+        if share > best_share:
+            best, best_share = painted, share
     if best is None:
         return Boundary(points_world, "none", None, None)
-    markings = world.scene.markings
-    pair = pair_of(best, markings)
-    if pair is not None and _is_against(best, delimiters[best], points_world, lane):
+    line, markings = best.line, world.scene.markings
+    pair = pair_of(line, markings)
+    if pair is not None and _is_against(line, best.xy, points_world, lane):
         pair = MIRRORED[pair]
-    return Boundary(points_world, best.marking, paint_color(best, markings), is_double(best, markings), pair)
+    return Boundary(points_world, line.marking, paint_color(line, markings), is_double(line, markings), pair)
 
 
 def _is_against(line: LaneCurve, xy: Float[np.ndarray, "_ 2"], points_world: Points3, lane: NetworkLane) -> bool:

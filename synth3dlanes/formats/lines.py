@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.interpolate import CubicSpline
 
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
 from synth3dlanes.frames import transform
@@ -161,7 +161,7 @@ def _refine(
     stations_m = np.interp(fine, np.arange(len(points_cv)), knots_m)
     # A point between two samples is on visible ground only if both of them are.
     below, above = np.floor(fine).astype(int), np.ceil(fine).astype(int)
-    return CubicSpline(knots_m, points_cv)(stations_m), on_ground[below] & on_ground[above]
+    return scipy.interpolate.CubicSpline(knots_m, points_cv)(stations_m), on_ground[below] & on_ground[above]
 
 
 def _same_visible(line: LaneAhead, other: LaneAhead) -> bool:

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.ndimage import distance_transform_edt
 
 from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample
 from synth3dlanes.formats.segments import STUFF
@@ -88,4 +88,4 @@ def _beyond(mask: PixelNumbers, other: PixelNumbers, shape: tuple[int, int]) -> 
         return np.full(1, float(np.hypot(*shape)))
     off = np.ones(shape, dtype=bool)
     off.ravel()[other] = False
-    return np.asarray(distance_transform_edt(off)).ravel()[np.setdiff1d(mask, other, assume_unique=True)]
+    return np.asarray(scipy.ndimage.distance_transform_edt(off)).ravel()[np.setdiff1d(mask, other, assume_unique=True)]

@@ -71,8 +71,10 @@ class _Tally:
         self.n_frames += 1
         self.n_lines += found.n_lines
         self.problems += [f"{where}: {problem}" for problem in found.problems]
+        off = {gap.lane for gap in found.gaps if not gap.worst <= tolerances[gap.unit]}
+        # A line may be compared in metres and in pixels.
+        self.n_matched += len({gap.lane for gap in found.gaps} - off)
         for gap in found.gaps:
-            self.n_matched += gap.worst <= tolerances[gap.unit]
             self.gaps.setdefault(gap.unit, []).append((gap.worst, gap.median))
         for track, lane in found.tracks.items():
             if self.tracks.setdefault(track, lane) != lane:

@@ -297,6 +297,10 @@ class Ground:
         clear[near] = _nearest(roads, int(near.sum()))
         return clear.reshape(xy_world.shape[:-1])
 
+    def is_clear(self, xy_world: Float[np.ndarray, "n 2"], room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are farther than so much from any pavement."""
+        return np.asarray(self.clearance(xy_world) > room_m)
+
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""
         return self.clearance(xy_world)

@@ -6,13 +6,13 @@ The pavement of roads that connect others in a junction is one area. Terrain mee
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
@@ -68,8 +68,8 @@ class MapGround(Ground):
         return self.network.way.xy_world(s)
 
     @cached_property
-    def _way_tree(self) -> cKDTree:
-        return cKDTree(self._way)
+    def _way_tree(self) -> "scipy.spatial.cKDTree":
+        return scipy.spatial.cKDTree(self._way)
 
     def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
         """How far points are from the host's way."""
@@ -89,9 +89,16 @@ class MapGround(Ground):
 
     def road_rows(self, road: SectionRoad) -> Scalars:
         """The stations of the rows of a road."""
-        rows = self.rows(road.end_m, lambda s: self.away_along(road, s))
-        starts = (section.start_m for section in road.sections)
-        return np.union1d(rows, [start for start in starts if 0 < start < road.end_m])
+        return self._road_rows[road.id]
+
+    @cached_property
+    def _road_rows(self) -> dict[str, Scalars]:
+        found = {}
+        for road in self.network.roads:
+            rows = self.rows(road.end_m, partial(self.away_along, road))
+            starts = (section.start_m for section in road.sections)
+            found[road.id] = np.union1d(rows, [start for start in starts if 0 < start < road.end_m])
+        return found
 
     def section_rows(self, road: SectionRoad, section: CrossSection) -> Scalars:
         """The stations of the rows of a section of a road."""
@@ -355,6 +362,10 @@ class MapGround(Ground):
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement, negative on it."""
         return signed_distance(self.pavement, xy_world)
+
+    def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are farther than so much from any pavement."""
+        return ~np.asarray(shapely.dwithin(self.pavement, shapely.points(xy_world), room_m))
 
     def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at most so far from a pavement, to half a per cent of that."""

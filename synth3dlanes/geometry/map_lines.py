@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Polyline2
 from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine, paired
@@ -48,9 +48,9 @@ class FiniteLine(ReferenceLine):
         return self._samples[0]
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def tree(self) -> "scipy.spatial.cKDTree":
         """Its places GUESS_STEP_M apart or closer, to look for near ones."""
-        return cKDTree(self._samples[1])
+        return scipy.spatial.cKDTree(self._samples[1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,8 @@ COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 SEAM_M, SEAM_FALL_M, FOOT_M = 0.08, 0.006, 0.05
 # The terrain's hole under the pavement is so much smaller.
 UNDER_M = 0.15
+# Smaller parts of a cell are left out.
+LEAST_PART_M2, ASIDE_M = 1e-9, 0.01
 # Pavement farther than this from the host's way is left out.
 REACH_M = 480.0
 SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "median": MEDIAN, "walkway": SHOULDER,
@@ -165,36 +167,35 @@ def _cut(
 ) -> tuple[np.ndarray, list[BaseGeometry]]:
     """The cells of a grid that an area covers, by column and row, and its parts in those that it covers partly. With
     `keep_outside`: the cells that it meets at all, and what it leaves of them."""
-    columns, rows, parts = [], [], []
+    columns, rows, cut, whole = [], [], list[BaseGeometry](), list[BaseGeometry]()
     x0, y0, x1, y1 = shapely.bounds(area) if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
     for i in range(max(int(np.searchsorted(xs, x0)) - 1, 0), min(int(np.searchsorted(xs, x1)), len(xs) - 1)):
-        column = clipped(area, (xs[i], y0 - 1, xs[i + 1], y1 + 1))
+        # A little wider, so that cells do not touch its sides: these are slow to ask about.
+        column = clipped(area, (xs[i] - ASIDE_M, y0 - 1, xs[i + 1] + ASIDE_M, y1 + 1))
         if column.is_empty:
             continue
         _, low, _, high = shapely.bounds(column)
         j = np.arange(max(int(np.searchsorted(ys, low)) - 1, 0), min(int(np.searchsorted(ys, high)), len(ys) - 1))
         cells = shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1])
         shapely.prepare(column)
-        covered = shapely.covers(column, cells)
-        meets = shapely.intersects(column, cells) & ~covered
-        taken = covered
-        for k in np.flatnonzero(meets):
-            part = clipped(column, (xs[i], ys[j[k]], xs[i + 1], ys[j[k] + 1]))
-            if part.is_empty or part.area < 1e-9:
-                continue
-            if keep_outside:
-                taken[k] = True
-                part = shapely.difference(cells[k], part)
-            parts.append(part)
+        taken = shapely.contains_properly(column, cells)
+        meets = np.flatnonzero(shapely.intersects(column, cells) & ~taken)
+        pieces = [clipped(column, (xs[i], ys[k], xs[i + 1], ys[k + 1])) for k in j[meets]]
+        is_part = shapely.area(pieces) >= LEAST_PART_M2
+        cut += [piece for piece, is_one in zip(pieces, is_part, strict=True) if is_one]
+        if keep_outside:
+            taken[meets] = is_part
+            whole += cells[meets[is_part]].tolist()
         columns += [i] * int(taken.sum())
         rows += j[taken].tolist()
+    parts = shapely.difference(whole, cut).tolist() if keep_outside else cut
     return np.array([columns, rows], dtype=int).reshape(2, -1), parts
 
 
-def _triangles(polygons: list[BaseGeometry]) -> np.ndarray:
+def _triangles(polygons: np.ndarray) -> np.ndarray:
     """The triangles of polygons; those that are too thin for any are left out."""
     try:
-        return np.asarray(shapely.constrained_delaunay_triangles(np.array(polygons)))
+        return np.asarray(shapely.constrained_delaunay_triangles(polygons))
     except shapely.errors.GEOSException:
         pass
     found = []
@@ -210,8 +211,9 @@ def _triangles(polygons: list[BaseGeometry]) -> np.ndarray:
 
 def _quads(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
     """Polygons as quads: triangles, each as three from its corners to its middle."""
-    polygons = [part for geometry in parts for part in shapely.get_parts(geometry) if part.geom_type == "Polygon"]
-    if not polygons:
+    pieces = shapely.get_parts(parts)
+    polygons = pieces[shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON]
+    if not len(polygons):
         return np.zeros((0, 4, 2))
     nested = shapely.get_parts(shapely.get_parts(_triangles(polygons)))
     rings = shapely.get_coordinates(nested).reshape(-1, 4, 2)[:, :3]

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from synth3dlanes.geometry.lane_curves import LaneCurve, LinePaint, measured
 from synth3dlanes.geometry.roads import NetworkLane, Offset
@@ -126,7 +126,7 @@ def _follows(edges: Sequence[PaintedEdge]) -> dict[tuple[int, bool], tuple[int, 
             out.append((end - inner) / np.linalg.norm(end - inner))
             keys.append((i, at_end))
     found: dict[int, list[int]] = {}
-    for a, b in cKDTree(np.array(points)).query_pairs(JOINED_M):
+    for a, b in scipy.spatial.cKDTree(np.array(points)).query_pairs(JOINED_M):
         (i, i_end), (k, k_end) = keys[a], keys[b]
         is_alike = edges[i].look(i_end) == edges[k].look(not k_end)
         if i != k and is_alike and out[a] @ out[b] < -JOINED_COS:

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import PchipInterpolator
 
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
@@ -80,7 +80,7 @@ def _on_track(track: tuple[tuple[float, float], ...], time_s: float) -> tuple[fl
     times_s, lengths_m = np.array(track).T
     if len(times_s) == 1 or not times_s[0] <= time_s <= times_s[-1]:
         return float(lengths_m[0 if time_s < times_s[0] else -1]), 0.0
-    driven = PchipInterpolator(times_s, lengths_m)
+    driven = scipy.interpolate.PchipInterpolator(times_s, lengths_m)
     return float(driven(time_s)), max(float(driven(time_s, 1)), 0.0)
 
 

@@ -129,13 +129,11 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
         lift_m = np.interp(ground.away_on(curve, rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
         lift_m = lift_m + _over_hollows_m(ground, curve, rows)
         offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
-        edges = [curve.shifted(float(t)) for t in offsets]
-        sides, onwards = (_sides(ground, edges, at) for at in (rows, rows + ALONG_M))
         if curve.is_measured:
-            # Behind its end a curve has no points.
-            onwards = np.where(
-                rows[:, None, None] + ALONG_M > curve.end_m, 2 * sides - _sides(ground, edges, rows - ALONG_M), onwards
-            )
+            sides, onwards = _measured_sides(curve, offsets, rows)
+        else:
+            edges = [curve.shifted(float(t)) for t in offsets]
+            sides, onwards = (_sides(ground, edges, at) for at in (rows, rows + ALONG_M))
         middle = sides.mean(axis=1, keepdims=True)
         narrowed = middle + share[:, None, None] * (sides - middle)
         floating = _floating(eye_world, narrowed, (onwards - sides).mean(axis=1), lift_m)
@@ -160,10 +158,21 @@ def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     return np.where(hidden, over_m, 0.0)
 
 
-def _sides(ground: Ground, edges: Sequence[LaneCurve], s: Scalars) -> Float[np.ndarray, "n 2 3"]:
+Edges = Float[np.ndarray, "n 2 3"]
+
+
+def _measured_sides(curve: LaneCurve, offsets: Float[np.ndarray, "2"], rows: Scalars) -> tuple[Edges, Edges]:
+    """Points on the road along both edges of a stripe of a measured curve, and those ALONG_M farther on."""
+    # Behind its end a curve has no points.
+    is_last = rows + ALONG_M > curve.end_m
+    at = np.concatenate([rows, np.where(is_last, rows - ALONG_M, rows + ALONG_M)])
+    points = curve.points_beside(np.repeat(at, 2), np.tile(offsets, len(at))).reshape(2, -1, 2, 3)
+    sides, onwards = points
+    return sides, np.where(is_last[:, None, None], 2 * sides - onwards, onwards)
+
+
+def _sides(ground: Ground, edges: Sequence[LaneCurve], s: Scalars) -> Edges:
     """Points on the road along both edges of a stripe."""
-    if edges[0].is_measured:
-        return np.stack([edge.points_world(s) for edge in edges], axis=1)
     return np.stack([lift_far(ground, edge.xy_world(s), edge.raised(s) + far_dam(s), s) for edge in edges], axis=1)
 
 

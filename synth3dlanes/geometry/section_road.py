@@ -1,9 +1,10 @@
 """Roads of maps: sections of lanes of many kinds, with widths that change, heights and banks of their own. World frame,
 metres; t grows to the right of growing s."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from types import EllipsisType
 
 import numpy as np
 from jaxtyping import Float
@@ -28,16 +29,17 @@ class Profile:
     pieces: tuple[Polynomial, ...]
 
     @cached_property
-    def _table(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 4"]]:
+    def _table(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "4 k"]]:
         pieces = sorted(self.pieces, key=lambda piece: piece.s_m) or [Polynomial(s_m=0.0, a=0.0)]
         rows = [[piece.a, piece.b, piece.c, piece.d] for piece in pieces]
-        return np.array([piece.s_m for piece in pieces]), np.array(rows, float)
+        return np.array([piece.s_m for piece in pieces]), np.array(rows, float).T
 
     def __call__(self, s: AnyScalars) -> AnyScalars:
         """Values at stations."""
-        starts, rows = self._table
-        which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
-        x, (a, b, c, d) = s - starts[which], np.moveaxis(rows[which], -1, 0)
+        starts, table = self._table
+        # Most have one piece, and no time is to be lost with looking for it.
+        which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None) if len(starts) > 1 else 0
+        x, (a, b, c, d) = s - starts[which], table[:, which]
         return np.asarray(a + x * (b + x * (c + x * d)))
 
 
@@ -174,14 +176,25 @@ class SectionRoad(Road):
 
     def section_at(self, s: AnyScalars) -> np.ndarray:
         """The numbers of the sections at stations."""
-        starts = np.array([section.start_m for section in self.sections])
-        return np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
+        return np.clip(np.searchsorted(self._starts, s, side="right") - 1, 0, None)
+
+    @cached_property
+    def _starts(self) -> Float[np.ndarray, " k"]:
+        return np.array([section.start_m for section in self.sections])
+
+    def _sections_at(self, s: AnyScalars) -> Iterator[tuple[CrossSection, np.ndarray | EllipsisType]]:
+        """The sections at stations, and at which of these each is."""
+        if len(self.sections) == 1:
+            yield self.sections[0], ...
+            return
+        at = self.section_at(s)
+        for i in np.unique(at):
+            yield self.sections[i], at == i
 
     def paved(self, which: int, s: AnyScalars) -> AnyScalars:
         """Offsets of the left (0) or right (1) edge of its pavement."""
-        found, at = np.zeros(s.shape), self.section_at(s)
-        for i in np.unique(at):
-            here, section = at == i, self.sections[i]
+        found = np.zeros(s.shape)
+        for section, here in self._sections_at(s):
             found[here] = section.edge(section.paved[which], s[here])
         return found
 
@@ -225,10 +238,15 @@ class SectionRoad(Road):
         found = np.zeros(np.shape(s))
         if not self._has_kerbs:
             return found
-        t, at = np.broadcast_to(t, found.shape), self.section_at(s)
-        for i in np.unique(at):
-            here, section = at == i, self.sections[i]
+        t = np.broadcast_to(t, found.shape)
+        for section, here in self._sections_at(s):
             for left, right in section.raised:
-                low, high = section.edge(left, s[here]) + SEAM_M, section.edge(right, s[here]) - SEAM_M
-                found[here] = np.where((t[here] > low) & (t[here] < high), KERB_M, found[here])
+                # Most places lie on the road's side of the inner edge.
+                is_right = left >= section.n_left
+                inner, outer = (left, right) if is_right else (right, left)
+                sign = 1 if is_right else -1
+                beyond = sign * (t[here] - section.edge(inner, s[here])) > SEAM_M
+                if beyond.any():
+                    beyond &= sign * (section.edge(outer, s[here]) - t[here]) > SEAM_M
+                    found[here] = np.where(beyond, KERB_M, found[here])
         return found

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy import ndimage
 
 from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.errors import InputError
@@ -64,7 +64,7 @@ class GroundGrid:
         """The sums of values around each cell, weighted with a bell of this standard deviation, which is 1 in its
         middle."""
         sigma = window_m / self.cell_m
-        mean = ndimage.gaussian_filter(values, sigma, mode="constant", truncate=TRUNCATE)
+        mean = scipy.ndimage.gaussian_filter(values, sigma, mode="constant", truncate=TRUNCATE)
         return np.asarray(mean * (2 * np.pi * sigma**2))
 
     def scans(

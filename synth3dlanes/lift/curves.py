@@ -7,8 +7,8 @@ pose and of the line in it, so each has unknown shifts of its own, which are est
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.linalg import cho_factor, cho_solve
 
 from synth3dlanes.arrays import Points2, Scalars
 
@@ -169,10 +169,10 @@ def _solved(
     system = _third_differences(n) + np.eye(n) / ASIDE_M**2 + np.diag(np.bincount(places.at, weight, minlength=n))
     system -= carried.reshape(n, -1) @ across.reshape(n, -1).T
     side = np.bincount(places.at, weight * target, minlength=n) - np.einsum("nki,ki->n", carried, sides)
-    factor = cho_factor(system, lower=True)
-    curve = cho_solve(factor, side)
+    factor = scipy.linalg.cho_factor(system, lower=True)
+    curve = scipy.linalg.cho_solve(factor, side)
     moved = np.einsum("kij,kj->ki", inner, sides - np.einsum("nki,n->ki", across, curve))
-    variance = cho_solve(factor, np.eye(n)).diagonal()
+    variance = scipy.linalg.cho_solve(factor, np.eye(n)).diagonal()
     return _Solved(curve, moved, variance, inner.diagonal(axis1=1, axis2=2).mean(axis=0))
 
 

@@ -6,8 +6,8 @@ A cell has a plane only where points around it support one; nothing is invented 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy import ndimage
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.errors import InputError
@@ -112,7 +112,7 @@ def fit_ground(cloud: WorldPoints, path: Path, precision: Precision) -> GroundMa
     on = np.abs(gap_m) < limit_m
     # Points of one scan are off together, and all scans by the lidar's place.
     range_m, weight = range_m[on], prior[on]
-    independent = ndimage.maximum_filter(grid.scans(number[on], scan[on], weight), 3)
+    independent = scipy.ndimage.maximum_filter(grid.scans(number[on], scan[on], weight), 3)
     with np.errstate(invalid="ignore"):
         far_m = grid.total(number[on], weight * range_m) / grid.total(number[on], weight)
     far_m = _filled(far_m, np.isfinite(variance))
@@ -130,7 +130,7 @@ def _filled(
     values: Float[np.ndarray, "rows cols"], wanted: Bool[np.ndarray, "rows cols"]
 ) -> Float[np.ndarray, "rows cols"]:
     """Values where they are wanted: those of the nearest cells that have some."""
-    nearest = ndimage.distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
     return np.where(wanted, values[tuple(nearest)], np.nan)
 
 

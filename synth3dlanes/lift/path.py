@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline, make_splprep
-from scipy.spatial import cKDTree
+import scipy
 
 from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.errors import InputError
@@ -25,9 +24,9 @@ class Path:
     """A smooth curve through the host's places: stations s in metres from the first, offsets d to the right of it.
     `to_plan` and `to_world` are inverse to each other near the curve. `length_m` is the station of the last pose."""
 
-    curve: CubicSpline
+    curve: "scipy.interpolate.CubicSpline"
     length_m: float
-    _samples: tuple[Scalars, cKDTree]
+    _samples: tuple[Scalars, "scipy.spatial.cKDTree"]
 
     def at(self, s: Scalars) -> Points3:
         """The places on the path at these stations."""
@@ -78,17 +77,17 @@ def path_of(poses: list[Matrix4]) -> Path:
     found = places[kept]
     s = lengths_along(found[:, :2])
     length_m = float(s[-1])
-    smooth, _ = make_splprep(found.T, u=s, k=min(3, len(kept) - 1), s=len(kept) * MISSES_M**2)
+    smooth, _ = scipy.interpolate.make_splprep(found.T, u=s, k=min(3, len(kept) - 1), s=len(kept) * MISSES_M**2)
     knots = np.linspace(0.0, length_m, max(3, round(length_m / KNOTS_M)))
     middle = np.asarray(smooth(knots), float).T
     straight = np.arange(0.0, BEYOND_M + 1, 10.0)[1:]
     starts, ends = middle[0] - middle[1], middle[-1] - middle[-2]
     before = middle[0] + straight[:, None] * starts / np.linalg.norm(starts[:2])
     after = middle[-1] + straight[:, None] * ends / np.linalg.norm(ends[:2])
-    whole = CubicSpline(
+    whole = scipy.interpolate.CubicSpline(
         np.concatenate([-straight[::-1], knots, length_m + straight]),
         np.concatenate([before[::-1], middle, after]),
         bc_type="natural",
     )
     stations = np.arange(-BEYOND_M, length_m + BEYOND_M, SAMPLE_M)
-    return Path(whole, length_m, (stations, cKDTree(whole(stations)[:, :2])))
+    return Path(whole, length_m, (stations, scipy.spatial.cKDTree(whole(stations)[:, :2])))

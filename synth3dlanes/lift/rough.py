@@ -5,8 +5,8 @@ are too far from its height.
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import ndimage
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.errors import InputError
@@ -37,13 +37,13 @@ def above_ground(cloud: WorldPoints, path: Path) -> Scalars:
     grid = GroundGrid.around(cloud.xyz_world[:, :2], SQUARE_M)
     number = grid.numbers(grid.cells(cloud.xyz_world[:, :2]))
     low = _lowest(grid, number[in_band], rise[in_band])
-    around = ndimage.percentile_filter(np.where(np.isnan(low), 0.0, low), 50, 5)
-    known = ndimage.uniform_filter((~np.isnan(low)).astype(float), 5) > 0.8
+    around = scipy.ndimage.percentile_filter(np.where(np.isnan(low), 0.0, low), 50, 5)
+    known = scipy.ndimage.uniform_filter((~np.isnan(low)).astype(float), 5) > 0.8
     low[known & (low < around - SUNK_M)] = np.nan
     cone = np.where(np.isnan(low), np.inf, low)
     reach = int(CONE_M / SQUARE_M)
     i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    cone = ndimage.grey_erosion(cone, structure=-STEEPEST * SQUARE_M * np.hypot(i, j), mode="nearest")
+    cone = scipy.ndimage.grey_erosion(cone, structure=-STEEPEST * SQUARE_M * np.hypot(i, j), mode="nearest")
     ground = np.where(np.isnan(low), np.inf, np.minimum(low, cone)).ravel()[number]
     return np.where(in_band, rise - ground, np.inf)
 

@@ -12,7 +12,7 @@ the run waits.
 
 import time
 from collections import Counter, deque
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from itertools import islice
@@ -92,7 +92,7 @@ class _Run:
         missing = {number: shard.missing(plan.n) for number, shard in self.shards.items()}
         self.left = {number: len(indices) for number, indices in missing.items()}
         self.todo = deque(("make", index) for indices in missing.values() for index in indices)
-        self.joins: dict[int, Future[list[int]]] = {}
+        self.joins: dict[int, Future[dict[int, str]]] = {}
         self.unjoined: list[int] = []  # shards that the disk had no room for
         self.scenes: dict[int, int] = {}  # that workers have, by worker
         self.failures: Counter[int] = Counter()
@@ -131,8 +131,12 @@ class _Run:
                 while self.todo and not tally.is_stopping and pool.idle and self._has_room():
                     slot = pool.idle[0]
                     self._start(pool, slot, *self._next(slot))
-                for outcome in pool.wait(POLL_S):
-                    self._handle(outcome)
+                # A pool without tasks sleeps for as long as it is asked to wait.
+                if self.joins and not pool.busy:
+                    wait(self.joins.values(), POLL_S, FIRST_COMPLETED)
+                else:
+                    for outcome in pool.wait(POLL_S):
+                        self._handle(outcome)
                 tally.acknowledge()
                 for number in [number for number, join in self.joins.items() if join.done()]:
                     self._joined(number, self.joins.pop(number))
@@ -219,17 +223,19 @@ class _Run:
         self.begun["join", number] = self.n_pauses
         self.joins[number] = self.joiner.submit(_join_shard, self.shards[number], self.plan.n)
 
-    def _joined(self, number: int, join: Future[list[int]]) -> None:
-        """Join a shard. A part that proves broken counts as missing again; a full disk is waited for."""
+    def _joined(self, number: int, join: Future[dict[int, str]]) -> None:
+        """Join a shard. A part that proves broken is made again, as often as one that fails; a full disk is waited
+        for."""
         error = join.exception()
         if is_full(error):
             self.unjoined.append(number)
             self._ended_full(("join", number), str(error), self._shard_bytes(self.shards[number]))
             return
-        lost = [index for index in join.result() if index not in self.given_up]
+        lost = {index: reason for index, reason in join.result().items() if index not in self.given_up}
         self.left[number] = len(lost)
-        self.todo.extendleft(("make", index) for index in reversed(lost))
-        self.tally.tell("shard", self._place(self.shards[number].path("tar")), shard=number, lost=lost)
+        self.tally.tell("shard", self._place(self.shards[number].path("tar")), shard=number, lost=list(lost))
+        for index, reason in reversed(lost.items()):
+            self._retry(index, Outcome(("make", index), "failed", reason=reason))
 
     def _ended_full(self, task: tuple[str, int], reason: str, n_bytes: int) -> None:
         """Pause where a task found the disk full, unless it began before the latest pause: there may be room since."""
@@ -268,9 +274,10 @@ class _Run:
         return f"{self.plan.destination.place.rstrip('/')}/{path.relative_to(self.root).as_posix()}"
 
 
-def _join_shard(shard: Shard, n: int) -> list[int]:
-    shard.join(n)
-    return shard.missing(n)
+def _join_shard(shard: Shard, n: int) -> dict[int, str]:
+    """The samples that the shard lacks, and why."""
+    unread = shard.join(n)
+    return {index: unread.get(index, "its file is gone") for index in shard.missing(n)}
 
 
 def _make_part(*args: Any) -> Any:

@@ -43,7 +43,7 @@ def stand(part: MapPart, world: World, draw: Draw) -> Roadside:
         elif item is not None:
             signals.append(item.model_copy(update={"phases": (Phase(state=state),)}))
     buildings = [_building(body, rng) for body in part.bodies if body.kind == "building"]
-    clear = [at for at in buildings if (world.ground.clearance(floor_plan(at)) > WALL_M).all()]
+    clear = [at for at in buildings if world.ground.is_clear(floor_plan(at), WALL_M).all()]
     return Roadside(
         signals=_nearest(signals, MAX_FREE), signs=_nearest(signs, MAX_FREE), buildings=_nearest(clear, MAX_BUILDINGS)
     )
@@ -61,7 +61,7 @@ def map_trees(part: MapPart, world: World, looks: Draw) -> tuple[Tree, ...]:
     """The trees of a part of a map, as high as there; where they would stand on pavement they are left out."""
     models, found = world.scene.assets.tree_models, list[Tree]()
     for body in part.bodies:
-        if body.kind == "tree" and world.ground.clearance(np.array([[body.x_m, body.y_m]]))[0] > TRUNK_M:
+        if body.kind == "tree" and world.ground.is_clear(np.array([[body.x_m, body.y_m]]), TRUNK_M)[0]:
             model, yaw_rad = looks("model"), looks("yaw_deg")
             scale = round(body.size_m[2] / models[model - 1].height_m, DECIMALS)
             found.append(Tree(model=model, x_m=body.x_m, y_m=body.y_m, yaw_rad=yaw_rad, scale=scale))

@@ -4,10 +4,8 @@ parameters beyond. World frame."""
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import sparse
-from scipy.sparse.linalg import spsolve
-from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.map_lines import plan_line
@@ -57,7 +55,7 @@ def road_points(road: MapRoad) -> Points3:
 
 def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:
     """Those of places that have no other far below them close by."""
-    pairs = cKDTree(xyz[:, :2]).query_pairs(BESIDE_M, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(xyz[:, :2]).query_pairs(BESIDE_M, output_type="ndarray")
     apart = xyz[pairs[:, 0]] - xyz[pairs[:, 1]]
     most, dz = ABOVE_M + np.hypot(*apart[:, :2].T), apart[:, 2]
     above = np.concatenate([pairs[dz > most, 0], pairs[dz < -most, 1]])
@@ -66,7 +64,7 @@ def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:
 
 def _fitted(grid: HeightGrid, xy_world: Float[np.ndarray, "m 2"], z: Scalars) -> Float[np.ndarray, "rows columns"]:
     """The coefficients with which a grid is nearest to these heights and bends least; level at its edge."""
-    n = len(grid.rows)
+    n, sparse = len(grid.rows), scipy.sparse
     mean = float(np.mean(z)) if len(z) else 0.0
     weights, first = grid_weights(grid, xy_world)
     columns = first[:, 0, None] + np.arange(4)
@@ -84,5 +82,5 @@ def _fitted(grid: HeightGrid, xy_world: Float[np.ndarray, "m 2"], z: Scalars) ->
     kept = sparse.identity(n * n, format="csr")[np.flatnonzero(inner)]
     system = kept @ (at.T @ at + STIFF * stiff + MEAN * sparse.identity(n * n)) @ kept.T
     found = np.zeros(n * n)
-    found[inner] = spsolve(system.tocsc(), kept @ (at.T @ (z - mean)))
+    found[inner] = sparse.linalg.spsolve(system.tocsc(), kept @ (at.T @ (z - mean)))
     return np.asarray(found.reshape(n, n) + mean)

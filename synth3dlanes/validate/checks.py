@@ -12,6 +12,7 @@ from synth3dlanes.validate.height import check_height
 from synth3dlanes.validate.ids import check_bonnet, check_ids
 from synth3dlanes.validate.integrity import check_row
 from synth3dlanes.validate.lidar import check_lidar
+from synth3dlanes.validate.moving import instant
 from synth3dlanes.validate.object_boxes import check_boxes
 from synth3dlanes.validate.picture import check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
@@ -130,6 +131,12 @@ CHECKS = (
         check_elements,
         "signals and signs that are not those of the scene, not where their pixels are, without a label, in another "
         "state than their lights show, or over another lane than they govern",
+    ),
+    Check(
+        "moving",
+        instant,
+        "from picture to picture of a clip or rig: objects that do not move as the velocities of their labels say, or "
+        "that cameras have in different places",
     ),
     Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
 )

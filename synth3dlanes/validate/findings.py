@@ -1,7 +1,7 @@
 """Results of checks: findings and their words, and measured values as distributions of constant size."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -76,8 +76,25 @@ class Bounded(NamedTuple):
         return not self.least <= self.value <= self.most
 
 
+class MovingObject(NamedTuple):
+    """Where an object stands on the road, metres, and its velocity there, metres per second; None without a time. World
+    frame."""
+
+    foot_world: Float[np.ndarray, "3"]
+    velocity_world: Float[np.ndarray, "3"] | None
+
+
+class Instant(NamedTuple):
+    """The objects of a picture by their numbers, its scene, and its time in the clip. Pictures of one scene are
+    compared with each other (`moving.between`)."""
+
+    scene: str
+    time_s: float
+    objects: Mapping[int, MovingObject]
+
+
 # What a check of a sample yields.
-Result = Finding | Measure | Signed | Bounded
+Result = Finding | Measure | Signed | Bounded | Instant
 
 
 def findings_of(results: Iterable[Result]) -> list[Finding]:

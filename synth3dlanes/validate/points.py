@@ -47,8 +47,8 @@ SCALED_M = 30.0
 SMOOTH = 1.2
 # A shoulder so much nearer than a point, in depth, may be a kerb before it.
 KERB_NEARER_M = 0.3
-# Farther away a kerb is thinner than a pixel.
-KERBS_M = 80.0
+# Farther away a kerb is thinner than a pixel: beyond so many metres, and so many for each pixel of the focal length.
+KERBS_M, KERBS_M_A_PX = 80.0, 0.24
 # Pixels of an object whose depths differ by a smaller factor show one surface without a gap.
 ONE_SURFACE = 1.05
 # Depth is interpolated between pixels as on a plane. A point is left out if pixels are too large to judge it: if the
@@ -217,14 +217,15 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: P
     own_depth = _own_depth(camera, strip, rows, columns)
     nearer = depth < NEARER * own_depth - NEARER_M
     objects = _of_objects(passes["semantic"][rows, columns])
-    y_m = strip.points_cam[:, 1]
+    y_m, away_m = strip.points_cam[:, 1], np.linalg.norm(strip.points_cam, axis=1)
+    shows_kerbs = (y_m < KERBS_M) & (away_m < KERBS_M_A_PX * camera.img_from_cam[0, 0])
     shown = ((depth < SMOOTH * y_m) & (depth > y_m / SMOOTH)).any(axis=0)
     if lane.connector is not None:
         # On a map a kerb may hide what is close behind it.
         kerb = (passes["semantic"][rows, columns] == SEMANTIC_IDS["shoulder"]) & (depth < own_depth - KERB_NEARER_M)
-        shown &= ~kerb.any(axis=0) & (y_m < KERBS_M)
+        shown &= ~kerb.any(axis=0) & shows_kerbs
     elif (passes["semantic"] == SEMANTIC_IDS["kerb"]).any():
-        shown &= y_m < KERBS_M
+        shown &= shows_kerbs
     asked = lane.in_image & (own_depth.min(axis=0) > MIN_NEXT * y_m)
     # Pixels of several bodies, or of several parts of one, may have a slit between them that shows the point.
     is_one = depth.max(axis=0) < ONE_SURFACE * depth.min(axis=0)

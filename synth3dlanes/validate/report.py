@@ -29,12 +29,14 @@ from synth3dlanes.validate.findings import (
     PROOF_M,
     WORST,
     Finding,
+    Instant,
     Measure,
     Problem,
     RangeHistogram,
     Result,
     Signed,
 )
+from synth3dlanes.validate.moving import between
 from synth3dlanes.words import counted
 
 MEASURES = {
@@ -74,9 +76,11 @@ class ValidationReport:
     made_again: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     _worlds: dict[str, str] = field(default_factory=dict)
+    _before: Instant | None = None
 
     def sample(self, name: str, digest: str, results: Iterable[Result]) -> None:
-        """Add one sample. A world that occurred before is a problem of the sample that repeats it."""
+        """Add one sample, in the order of its split. A world that occurred before is a problem of the sample that
+        repeats it; objects that do not move as their velocities say are one of the later picture."""
         self.n_samples += 1
         for result in results:
             if isinstance(result, Finding):
@@ -85,6 +89,10 @@ class ValidationReport:
                 self.means.setdefault(result.name, RunningMean()).add(result.value)
             elif isinstance(result, Measure):
                 self._measure(name, result)
+            elif isinstance(result, Instant):
+                moved = [] if self._before is None else between(self._before, result)
+                self.problems += [Problem(name, found.lane, found.reason) for found in moved]
+                self._before = result
         if digest:
             first = self._worlds.setdefault(digest, name)
             if first != name:

@@ -154,18 +154,20 @@ def check_objects(evidence: Evidence) -> Iterator[Finding]:
 
 def _references(labels: Labels) -> Iterator[Finding]:
     kinds = {lane.id: lane.kind for lane in labels.lanes}
+    # In a clip a name may be that of a line of another frame.
+    is_clip = labels.time_s is not None
     for lane in labels.lanes:
         for side in ("left", "right"):
             id_ = getattr(lane, side)
-            # In a clip it may be a line of another frame.
-            is_known = id_ in kinds or labels.time_s is not None
+            is_known = id_ in kinds or is_clip
             if id_ is not None and not (is_known and kinds.get(id_) != lane.kind):
                 yield Finding(lane.id, f"{side}: expected the id of a line of the other kind or null, got {id_}")
     segments = {segment.id for segment in labels.graph.segments}
     named = [name for segment in labels.graph.segments for name in (segment.left, segment.right) if name is not None]
     named += [name for key, values in labels.graph.successors.items() for name in (key, *values)]
     lines = {name for segment in labels.graph.segments for name in segment.centerlines}
-    unknown = sorted({*named} - segments) + sorted(name for name in lines if kinds.get(name) != "centerline")
+    usual = "centerline" if is_clip else None
+    unknown = sorted({*named} - segments) + sorted(name for name in lines if kinds.get(name, usual) != "centerline")
     if unknown:
         yield Finding("", f"graph: expected ids of segments and centre lines, got {', '.join(unknown)}")
 

@@ -10,14 +10,6 @@ import pytest
 FOCAL_PX = 415.7
 
 
-@pytest.fixture(scope="session", autouse=True)
-def one_thread() -> None:
-    """Threads that wait for each other on busy cores made a step ten times slower than one thread alone."""
-    import torch
-
-    torch.set_num_threads(1)
-
-
 @dataclass(frozen=True)
 class DrawnSample:
     """What a dataset reader yields, as far as the baseline looks."""

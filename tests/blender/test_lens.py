@@ -115,6 +115,7 @@ def test_a_fisheye_is_black_out_of_its_field_and_its_passes_are_empty():
         assert np.isfinite(picture.labels.camera.project(lane.xyz_cam[lane.in_image])).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_weather_and_night_work_through_a_lens():
     f_px, lens = LENSES["fisheye"]

@@ -142,6 +142,7 @@ def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes(oncomin
     assert WorldPaint(resolve(bare)).shows
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_some_windows_are_lit_at_night_only():
     house = Building(kind="house", x_m=10, y_m=-15, yaw_rad=0.3, width_m=9, length_m=14, height_m=9,
@@ -156,6 +157,7 @@ def test_some_windows_are_lit_at_night_only():
     assert np.mean(shining[is_house & ~is_glass]) < 0.1
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_signs_and_reflectors_throw_headlights_back_and_backs_of_signs_do_not():
     """A sign of 250 cd/lx/m2 in the stray light of 128 cd, at 34 m: 28 cd/m2, or 7e-4 of the daylight's unit."""
@@ -180,6 +182,7 @@ def test_signs_and_reflectors_throw_headlights_back_and_backs_of_signs_do_not():
     assert post.max() > 2 * front.max(), "a reflector stands in the beam"
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_snow_lies_on_roofs_trees_and_cars_where_they_look_up_and_leaves_no_trace():
     dark = {"gloss": 0.0, "scale": 1.0, "lane": "main_2", "model": 1}

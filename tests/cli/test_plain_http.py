@@ -99,6 +99,7 @@ def test_every_command_that_reads_reads_a_server(run: Run, folder: Path) -> None
         for command in (
             ("gallery", url, "--where", "n_lanes = 3", "--columns", 2, "--out", "gallery.png"),
             ("inspect", f"{url}/train:00000003", "--html", "page.html"),
+            ("evaluate", f"{url}/train"),
             ("merge", url, "--out", "copy"),
         ):
             result = run(*command)
@@ -106,6 +107,7 @@ def test_every_command_that_reads_reads_a_server(run: Run, folder: Path) -> None
     assert (Path("copy/train/00002.tar").read_bytes()) == (folder / "train/00002.tar").read_bytes()
 
 
+@pytest.mark.thorough
 def test_train_reads_a_server(run: Run, folder: Path) -> None:
     pytest.importorskip("torch")
     with serving(folder) as url:

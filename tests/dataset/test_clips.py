@@ -24,9 +24,9 @@ FRAMES = 6
 SHOT_COLUMNS = ["scene", "frame", "camera"]
 
 
-def plan(out, n, frames=FRAMES, split="train", part=(1, 1)):
+def plan(out, n, frames=FRAMES, split="train", part=(1, 1), workers=1):
     recipe = fake_samples.recipe(split=split, shots=clips(frames, 10))
-    return Plan(str(out), n, recipe, workers=2, part=part, shard_size=10, maker=fake_samples.make)
+    return Plan(str(out), n, recipe, workers, part=part, shard_size=10, maker=fake_samples.make)
 
 
 def made(out, n, **how):
@@ -132,7 +132,9 @@ def test_the_pictures_of_a_scene_are_made_by_one_worker(tmp_path, monkeypatch):
     marks = tmp_path / "marks"
     marks.mkdir()
     monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(marks))
-    assert not generate(replace(plan(tmp_path / "data", 36), maker=fake_samples.sign), lambda event: None).problem
+    assert not generate(
+        replace(plan(tmp_path / "data", 36, workers=2), maker=fake_samples.sign), lambda event: None
+    ).problem
     makers = dict(map(int, path.name.split("-")) for path in marks.iterdir())
     assert len(makers) == 36
     assert len(set(makers.values())) == 2

@@ -385,11 +385,17 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):
 def test_shards_are_locked_against_other_processes_one_by_one(tmp_path):
     code = (
         "import sys; from pathlib import Path; from tests.dataset.test_shards import enter\n"
-        "with enter(Path(sys.argv[1]), [int(sys.argv[2])]): pass"
+        "for shard in range(3):\n"
+        "    try:\n"
+        "        with enter(Path(sys.argv[1]), [shard]): print('free')\n"
+        "    except Exception as error: print(error)"
     )
+
+    def told_elsewhere() -> list[str]:
+        command = [sys.executable, "-c", code, tmp_path]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+
+    locked = [f"out {tmp_path}: shard {number} is locked by another run" for number in range(3)]
     with enter(tmp_path, shards=[0, 2]):
-        for shard, free in [(0, False), (1, True), (2, False)]:
-            run = subprocess.run([sys.executable, "-c", code, tmp_path, str(shard)], capture_output=True, text=True)
-            assert (run.returncode == 0) == free, run.stderr
-            assert free or f"shard {shard} is locked by another run" in run.stderr
-    assert subprocess.run([sys.executable, "-c", code, tmp_path, "2"]).returncode == 0
+        assert told_elsewhere() == [locked[0], "free", locked[2]]
+    assert told_elsewhere() == ["free"] * 3

@@ -127,21 +127,22 @@ def test_a_line_is_drawn_and_moved_by_the_keyboard_alone(open_page, page_text, t
     assert lanes[1].xy_world == pytest.approx(expected, abs=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "JSON"),
-        ('{"type": "Feature"}', "expected a FeatureCollection"),
-        ('{"type": "FeatureCollection", "features": [{"geometry": {"type": "Point"}}]}', "feature 0: expected a Line"),
-    ],
-)  # fmt: skip
-def test_a_bad_file_is_told_and_changes_nothing(open_page, page_text, tmp_path, text, message):
+BAD_FILES = {
+    "{": "JSON",
+    '{"type": "Feature"}': "expected a FeatureCollection",
+    '{"type": "FeatureCollection", "features": [{"geometry": {"type": "Point"}}]}': "feature 0: expected a Line",
+}
+
+
+def test_a_bad_file_is_told_and_changes_nothing(open_page, page_text, tmp_path):
     page = open_page(page_text)
-    (tmp_path / "bad.geojson").write_text(text)
-    page.locator("#file").set_input_files(tmp_path / "bad.geojson")
-    expect(page.locator("#told")).to_contain_text("bad.geojson: ")
-    expect(page.locator("#told")).to_contain_text(message)
-    assert page.evaluate("lines.length") == 1
+    for number, (text, message) in enumerate(BAD_FILES.items()):
+        bad = tmp_path / f"{number}.geojson"
+        bad.write_text(text)
+        page.locator("#file").set_input_files(bad)
+        expect(page.locator("#told")).to_contain_text(f"{bad.name}: ")
+        expect(page.locator("#told")).to_contain_text(message)
+        assert page.evaluate("lines.length") == 1
 
 
 def test_the_pages_can_be_read(open_page, page_text):

@@ -54,7 +54,7 @@ FEW = {
 }
 
 
-@pytest.mark.parametrize("name", presets("appendix_i", "streets"))
+@pytest.mark.parametrize("name", presets("appendix_i"))
 def test_every_preset_draws_what_it_declares(name):
     params = load_params(name, FEW.get(name, ["trees.n=0"]))
     statistics = scene_statistics([sample_scene(Scenes(params, 11, "train"), index) for index in range(60)], params)

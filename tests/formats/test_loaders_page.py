@@ -23,6 +23,7 @@ from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.settings import RenderSettings
 from synth3dlanes.shots import Shots, clips
 from tests import fake_samples
+from tests.thorough import first
 
 PAGE = Path(__file__).parents[2] / "docs/loaders.md"
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
@@ -43,12 +44,16 @@ def run(example, dataset, home):
     return done.stdout.splitlines()
 
 
-@pytest.mark.parametrize("example", EXAMPLES[:4], ids=["webdataset", "datasets", "datasets, Json", "croissant"])
+NAMES = ("webdataset", "datasets", "datasets, Json", "croissant")
+
+
+@pytest.mark.parametrize("example", first(1, EXAMPLES[:4]), ids=NAMES)
 def test_streams_end_at_our_last_sample(example, dataset, tmp_path):
     last = Reader(f"{dataset}/train")[-1]
     assert run(example, dataset, tmp_path) == [f"{last.key} {last.image.shape} {len(last.labels.lanes)}"]
 
 
+@pytest.mark.thorough
 def test_torch_sees_every_sample_once(dataset, tmp_path):
     # Seven samples in batches of two.
     assert run(EXAMPLES[4], dataset, tmp_path) == ["(2, 360, 480, 3)"] * 3 + ["(1, 360, 480, 3)"]

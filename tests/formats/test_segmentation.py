@@ -18,6 +18,7 @@ from synth3dlanes.formats.verify import verify
 from synth3dlanes.formats.yolo.write import outline
 from synth3dlanes.settings import SEMANTIC_IDS
 from tests.formats.problems import problems
+from tests.thorough import first
 
 CAR_BOX, TREE_BOX = (slice(200, 240), slice(100, 180)), (slice(40, 120), slice(300, 330))
 
@@ -180,12 +181,15 @@ def test_lines_with_each_others_numbers_are_found(with_passes, masks, tmp_path):
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [
-        (lambda box: box["center_cam"].__setitem__(0, box["center_cam"][0] + 0.1), "expected the 3D box of"),
-        (lambda box: box.update(id=2), "expected the 3D box of"),
-        (lambda box: box.update(category="bus"), "expected the 3D box of"),
-        (None, "got none"),
-    ],
+    first(
+        1,
+        [
+            (lambda box: box["center_cam"].__setitem__(0, box["center_cam"][0] + 0.1), "expected the 3D box of"),
+            (lambda box: box.update(id=2), "expected the 3D box of"),
+            (lambda box: box.update(category="bus"), "expected the 3D box of"),
+            (None, "got none"),
+        ],
+    ),
 )
 def test_3d_boxes_are_those_of_the_labels_and_others_are_found(change, words, with_passes, coco, tmp_path):
     out = shutil.copytree(coco, tmp_path / "coco")

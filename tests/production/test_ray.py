@@ -104,6 +104,7 @@ def log_of(folder: Path) -> list[dict]:
     return [json.loads(line) for line in newest.read_text().splitlines()]
 
 
+@pytest.mark.thorough
 def test_a_cluster_goes_on_where_one_machine_has_stopped(tmp_path, whole, address):
     finish(begin(str(tmp_path), 5))
     told = finish(begin(str(tmp_path), N, address))

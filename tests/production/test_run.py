@@ -64,7 +64,7 @@ def shard_0(files: dict[str, bytes]) -> dict[str, bytes]:
 
 @pytest.mark.fresh
 def test_workers_leave_no_trace(tmp_path, whole):
-    report, events = go(plan(tmp_path, workers=3))
+    report, events = go(plan(tmp_path, workers=2))
     assert report.exit_code == 0
     assert contents(tmp_path) == whole
     assert [sample.key for sample in Reader(str(tmp_path / "train"))] == [f"{i:08d}" for i in range(N)]
@@ -182,8 +182,9 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("maker", "limits", "reasons"),
     first(
-        1,
+        2,
         [
+            (fake_samples.make_what_no_reader_takes, Limits(), {3: "camera.height_px: expected"}),
             (fake_samples.crash_on_bad, Limits(), {3: "worker ended with 1"}),
             (
                 fake_samples.hang_on_bad_and_spin_on_the_next,
@@ -235,7 +236,8 @@ def test_a_worker_that_gets_little_of_a_busy_machine_is_waited_for(tmp_path, mon
 @pytest.mark.fresh
 def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(local, "MAX_IN_A_ROW", 2)
-    report, _ = go(plan(tmp_path, n=1000, workers=2, maker=fake_samples.always_crash))
+    monkeypatch.setattr(local, "MAX_FAILURES", 1)
+    report, _ = go(plan(tmp_path, n=1000, maker=fake_samples.always_crash))
     assert report.exit_code == 1
     last_words = "worker ended with 1: ValueError: no scene is good"
     assert report.problem.startswith(f"2 scenes in a row failed, the last with: {last_words}")

@@ -41,6 +41,7 @@ def test_it_is_kept_where_a_lane_through_a_junction_ends() -> None:
     assert len(faults(aside, labels)) == 1
 
 
+@pytest.mark.thorough
 def test_it_is_kept_everywhere_on_every_road() -> None:
     params, seen = load_params("tiny", EVERYWHERE), set()
     for index in range(60):

@@ -21,8 +21,9 @@ from synth3dlanes.labels import Lane, Segment
 from synth3dlanes.object_labels import CORNERS
 from synth3dlanes.polylines import resampled
 
-# The pieces of each segment, in order.
+# The pieces of each segment, in order, and half its least and its greatest width.
 PiecesOf = dict[str, list[LogLane]]
+HalvesOf = dict[str, tuple[float, float]]
 # Lanes are within this of the labels from above; heights within the slack. Labels of boxes and points are rounded.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
@@ -146,10 +147,10 @@ def _map(found: LogMap, truth: SourceSample) -> Comparison:
         lanes.setdefault(segments[i].id, []).append(pieces[i, number])
     middles = [(name, np.concatenate([_middle(piece) for piece in lane])) for name, lane in lanes.items()]
     compared = compare_map(middles, truth, RULE)
-    of_lanes = (_side_problems, _link_problems, _neighbour_problems, _paint_problems)
-    of_map = (_crossing_problems, _ground_problems)
-    problems = [text for find in of_lanes for text in find(lanes, truth)]
-    return compared.because([*problems, *(text for look in of_map for text in look(found, truth))])
+    halves_m = dict(zip(lanes, half_widths(truth.scene, list(lanes)), strict=True))
+    problems = [*_side_problems(lanes, halves_m), *_link_problems(lanes, truth)]
+    problems += [*_neighbour_problems(lanes, truth, halves_m), *_paint_problems(lanes, truth)]
+    return compared.because([*problems, *_crossing_problems(found, truth), *_ground_problems(found, truth)])
 
 
 def _middle(lane: LogLane) -> Float[np.ndarray, "n 3"]:
@@ -160,9 +161,10 @@ def _middle(lane: LogLane) -> Float[np.ndarray, "n 3"]:
     return (left + right) / 2
 
 
-def _side_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
+def _side_problems(lanes: PiecesOf, halves_m: HalvesOf) -> Iterator[str]:
     """Findings where a boundary is on the other side, or not half a lane's width from the middle."""
-    for (name, pieces), (least_m, most_m) in zip(lanes.items(), half_widths(truth.scene, list(lanes)), strict=True):
+    for name, pieces in lanes.items():
+        least_m, most_m = halves_m[name]
         for lane in pieces:
             middle = _middle(lane)[:, :2]
             dx, dy = np.gradient(middle, axis=0).T
@@ -197,14 +199,11 @@ def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
                 yield f"lane {name}: expected {other.id} to begin where {lane.id} ends, got it {gap_m:.3f} m away"
 
 
-def _neighbour_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
+def _neighbour_problems(lanes: PiecesOf, truth: SourceSample, halves_m: HalvesOf) -> Iterator[str]:
     """Findings where a lane has another neighbour than in the lane graph: to the left it may have an oncoming one,
     across a line that both share."""
     owner = {piece.id: (name, piece) for name, pieces in lanes.items() for piece in pieces}
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
-    widths_m = {
-        name: 2 * most_m for name, (_, most_m) in zip(lanes, half_widths(truth.scene, list(lanes)), strict=True)
-    }
     for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
         segment, is_oncoming = by_id[name], _is_oncoming(by_id[name])
         # On a map left and right are those of the lane's traffic.
@@ -222,7 +221,7 @@ def _neighbour_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
             is_across = wanted is None and side == "left" and got in lanes
             is_across = is_across and is_oncoming != _is_oncoming(by_id[str(got)])
             # Where a lane opens, it is beside its neighbour only farther on.
-            most_m = RULE.slack if is_across else widths_m[name]
+            most_m = RULE.slack if is_across else 2 * halves_m[name][1]
             if not (got == (wanted if wanted in lanes else None) or is_across) or not apart_m <= most_m:
                 yield f"lane {name}: expected {wanted} on its {side}, got {got}, {apart_m:.3g} m off"
 
@@ -234,19 +233,25 @@ def _is_oncoming(segment: Segment) -> bool:
 def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
     """Findings where a boundary that lies on one delimiter has other paint."""
     ours = [(lane, transform(truth.labels.camera.world_from_cam, lane.xyz_cam)) for lane in truth.labels.lanes
-            if lane.kind == "delimiter"]  # fmt: skip
+            if lane.kind == "delimiter" and len(lane.xyz_cam) > 1]  # fmt: skip
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
     for name, pieces in lanes.items():
         is_oncoming = _is_oncoming(by_id[name])
         for side in ("left", "right"):
             fine = resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
-            near = {paint.id: distances(fine, points) < ON_LINE_M for paint, points in ours if len(points) > 1}
-            close = [paint for paint, _ in ours if near.get(paint.id, np.zeros(1)).sum() >= LEAST_POINTS]
+            close = [paint for paint, points in ours if _are_near(fine, points)]
             expected = _mark_type(close[0], is_oncoming) if len(close) == 1 else ""
             got = {getattr(piece, f"{side}_lane_mark_type") for piece in pieces}
             if expected and got != {expected}:
                 told = ", ".join(sorted(got))
                 yield f"lane {name}: expected {expected} on its {side}, as {close[0].id} is painted, got {told}"
+
+
+def _are_near(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]) -> bool:
+    """Whether enough points lie on a line; most lines are too far away to be asked point by point."""
+    low, high = line.min(axis=0) - ON_LINE_M, line.max(axis=0) + ON_LINE_M
+    around = points[((points > low) & (points < high)).all(axis=1)]
+    return len(around) >= LEAST_POINTS and int((distances(around, line) < ON_LINE_M).sum()) >= LEAST_POINTS
 
 
 def _mark_type(paint: Lane, is_oncoming: bool) -> str:

@@ -153,7 +153,10 @@ def _segment_problems(infos: list[_Segment], pixels: Shaped[np.ndarray, "h w"], 
     is_stuff = np.isin(semantic, [SEMANTIC_IDS[name] for name in STUFF])
     ours = semantic << 32 | np.where(is_stuff, 0, instance)
     of_theirs, of_ours = (np.unique(x, return_inverse=True)[1].ravel() for x in (pixels, ours))
-    pairs, counts = np.unique(np.column_stack([of_theirs, of_ours]), axis=0, return_counts=True)
+    n_ours = int(of_ours.max()) + 1
+    # As one number each: sorted by rows, they take ten times as long.
+    numbers, counts = np.unique(of_theirs * n_ours + of_ours, return_counts=True)
+    pairs = np.column_stack(np.divmod(numbers, n_ours))
     n_same = sum(counts[pairs[:, 0] == k].max() for k in np.unique(pairs[:, 0]))
     if len(pairs) != len(np.unique(pairs[:, 0])) or len(pairs) != len(np.unique(pairs[:, 1])):
         yield f"expected the segments to be the objects of the passes, got {pixels.size - n_same} pixels of others"

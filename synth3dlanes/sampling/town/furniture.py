@@ -226,7 +226,7 @@ def _has_room(ground: Ground, outline: np.ndarray, height_m: float) -> bool:
         a + (b - a) * np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / RIM_M))[:, None] for a, b in pairwise(corners)
     ]
     rim = np.concatenate(sides)
-    return bool(is_level) and bool((ground.clearance(rim) > ROOM_M).all())
+    return bool(is_level) and bool(ground.is_clear(rim, ROOM_M).all())
 
 
 def _building(
@@ -258,7 +258,7 @@ def street_trees(town_map: TownMap, ground: Ground, roadside: Roadside, draw: Dr
     """Trees in rows behind the walkways, where no building stands."""
     share, rng = draw("street_trees"), draw.rng
     found: list[Tree] = []
-    fronts = [floor_plan(building) for building in roadside.buildings]
+    fronts = np.concatenate([np.full((1, 2), np.inf), *(floor_plan(building) for building in roadside.buildings)])
     models = [1, 3, 6]
     for street in town_map.streets if share else ():
         for side, sign in (("left", 1), ("right", -1)):
@@ -270,8 +270,8 @@ def street_trees(town_map: TownMap, ground: Ground, roadside: Roadside, draw: Dr
                 out_m = _paved(street, s_m, side) + street.profile.walkway_m + TREE_BEHIND_M
                 at = pose.moved(0.0, sign * out_m)
                 xy = np.array([[at.x, at.y]])
-                near = min((float(np.linalg.norm(front - xy, axis=1).min()) for front in fronts), default=99.0)
-                if near > 2.5 and ground.clearance(xy)[0] > 0.6:
+                near = np.hypot(*(fronts - xy).T).min()
+                if near > 2.5 and ground.is_clear(xy, 0.6)[0]:
                     yaw_rad, scale = looks("yaw_deg"), looks("scale")
                     place = {"x_m": round(at.x, DECIMALS), "y_m": round(at.y, DECIMALS)}
                     found.append(Tree(model=model, **place, yaw_rad=yaw_rad, scale=scale))
