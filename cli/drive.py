@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from synth3dlanes.errors import InputError
 from synth3dlanes.files import write
 from synth3dlanes.words import counted
 
-from .options import OutputFile, json_option
+from .options import FiniteRange, OutputFile, json_option
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -92,9 +93,7 @@ def check(ctx: click.Context, source: str, camera: str, lanes: str, marked: str,
 @marked_option
 @click.option("--lifted", metavar="DIR/SPLIT", default="", help="Begin with the lanes that were lifted of it, too.")
 @click.option("--frames", type=FrameRange(), default=":", help="Show what these frames saw.", show_default="all")
-@click.option(
-    "--cell", "cell_m", metavar="METRES", type=click.FloatRange(0.02, 2), default=0.1, help="Size of a pixel."
-)
+@click.option("--cell", "cell_m", metavar="METRES", type=FiniteRange(0.02, 2), default=0.1, help="Size of a pixel.")
 def mark(source: str, out: Path, camera: str, marked: str, lifted: str, frames: slice, cell_m: float) -> None:
     """Write a page on which lanes are marked in the drive's top view.
 
@@ -114,7 +113,10 @@ def mark(source: str, out: Path, camera: str, marked: str, lifted: str, frames: 
         known = {lane.id for lane in opened.marked}
         more = (lane for lane in lifted_marks(Reader(lifted), opened) if lane.id not in known)
         opened = replace(opened, marked=(*opened.marked, *more))
-    view = top_view(opened, opened.frames[frames], cell_m)
+    shown = opened.frames[frames]
+    if not len(shown):
+        raise InputError(f"frames: expected some of 0:{len(opened.frames)}, got none")
+    view = top_view(opened, shown, cell_m)
     write(out, marking_page(opened, view).encode())
     click.echo(f"Page: {out}, {len(view.tiles) * view.tile_m**2:,.0f} m2 of ground")
 

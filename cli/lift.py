@@ -21,6 +21,8 @@ class Precisions(click.ParamType):
         found: dict[str, float] = {}
         for part in filter(None, map(str.strip, str(value).split(","))):
             name, _, number = part.partition("=")
+            if name in found:
+                self.fail(f"expected {name} once, got it twice", param, ctx)
             try:
                 found[name] = float(number)
             except ValueError:

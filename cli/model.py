@@ -14,7 +14,7 @@ import click
 from synth3dlanes.errors import InputError, MissingPackageError
 
 from .idle import is_given, refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
-from .options import OutputFile, json_option
+from .options import FiniteRange, OutputFile, json_option
 
 if TYPE_CHECKING:
     from synth3dlanes_baseline.photographs import Photographs
@@ -156,7 +156,7 @@ def train(
 )
 @click.option(
     "--threshold",
-    type=click.FloatRange(0, 1),
+    type=FiniteRange(0, 1),
     default=0.5,
     show_default=True,
     help="Least confidence of the lanes in the pictures; the file has all.",
@@ -171,7 +171,7 @@ def train(
 @click.option("--video", is_flag=True, help="Draw the clips of a split as videos, NAME.lanes.mp4, as of a video file.")
 @click.option(
     "--smooth",
-    type=click.FloatRange(0, min_open=True),
+    type=FiniteRange(0, min_open=True),
     metavar="SECONDS",
     help="Smooth the lanes of clips and videos exponentially over time, with this time constant.",
 )
@@ -200,6 +200,7 @@ def predict(
     from synth3dlanes_baseline.predict import PredictConfig, detector_for
     from synth3dlanes_baseline.predict import predict as run
 
+    refuse_idle(overlays, ["video"], "with --overlays 0")
     if len(what) > 2:
         raise click.UsageError(
             f"expected [CHECKPOINT] and one split, image, folder or video, got {len(what)} arguments"
@@ -235,7 +236,7 @@ OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots
 )
 @click.option(
     "--threshold",
-    type=click.FloatRange(0, 1),
+    type=FiniteRange(0, 1),
     default=0.5,
     show_default=True,
     help="Confidence at which errors are measured; AP does not depend on it.",

@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+import math
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -55,6 +56,17 @@ class FileName(click.ParamType):
         if re.fullmatch(SPLIT_NAME, value) is None:
             self.fail(f"expected letters, digits, _ or -, got {value!r}", param, ctx)
         return str(value)
+
+
+class FiniteRange(click.FloatRange):
+    """A finite number in a range; click's own takes NaN."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Check it."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"expected a finite number, got {value!r}", param, ctx)
+        return number
 
 
 class OutputFile(click.ParamType):
@@ -172,7 +184,7 @@ def clip_options(command: Command) -> Command:
         help="Frames of each scene: with 20, samples 0 to 19 are a clip of scene 0 (docs/clips.md).",
     )
     fps = click.option(
-        "--fps", type=click.FloatRange(min=0, min_open=True), default=10.0, help="Frames per second of clips."
+        "--fps", type=FiniteRange(min=0, min_open=True), default=10.0, help="Frames per second of clips."
     )
     return frames(fps(command))
 

@@ -33,6 +33,8 @@ FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 # Without O_NONBLOCK, opening a pipe would block.
 FILE_FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 PIECE_BYTES = 1 << 20
+# As s3: of s3://lanes.
+ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:")
 # As `_temporary` names them.
 UNFINISHED = re.compile(r"\..+\.[0-9a-f]{16}\.tmp", re.DOTALL)
 
@@ -66,7 +68,10 @@ class Folder:
     root: Path
 
     def make(self, path: str | PurePath = "") -> None:
-        """Make the folder at `path`, and those above it, where they are missing."""
+        """Make the folder at `path`, and those above it, where they are missing. Raises InputError for an address as
+        the root, which as a path would be a folder of its scheme."""
+        if ADDRESS.fullmatch(next(iter(self.root.parts), "")) and not self.root.exists():
+            raise InputError(f"out {self.root}: expected a folder of this machine, got an address")
         self.root.mkdir(parents=True, exist_ok=True)
         with self._folder(_parts(path), make=True):
             pass

@@ -51,7 +51,14 @@ def read_clip(reader: Reader, scene: int, camera: str = "") -> Drive:
             partial(reader.member, at, image_format),
         )
 
-    return Drive(f"{reader.url}:{reader.key(positions[0])}", MadeFrames(len(positions), make), found, host_from_lidar)
+    name = f"{_name_of(reader)}:{reader.key(positions[0])}"
+    return Drive(name, MadeFrames(len(positions), make), found, host_from_lidar)
+
+
+def _name_of(reader: Reader) -> str:
+    """The names of its data set and split, however the address is written."""
+    url = reader.url.rstrip("/")
+    return "/".join(url.split("/")[-2:] if "://" in url else Path(url).resolve().parts[-2:])
 
 
 def lanes_in_image(labels: Labels) -> tuple[Polyline2, ...]:

@@ -40,14 +40,21 @@ def open_drive(source: str, camera: str = "", lanes: str = "", marked: str = "",
     return with_review(drive, Path(review)) if review else drive
 
 
+def _of_one_camera(drive: Drive, path: Path, camera: str) -> Drive:
+    """The drive; raise InputError for a camera other than its own."""
+    if camera not in ("", drive.camera.name):
+        raise InputError(f"camera: expected {drive.camera.name or 'none'}, which {path} has, got {camera[:40]}")
+    return drive
+
+
 def _opened(source: str, camera: str) -> Drive:
     path = Path(source)
     try:
         if path.is_file() and path.suffix in (".yaml", ".yml"):
-            return read_described(path)
+            return _of_one_camera(read_described(path), path, camera)
         if path.is_dir():
             if (path / DRIVE_FILE).is_file():
-                return read_described(path / DRIVE_FILE)
+                return _of_one_camera(read_described(path / DRIVE_FILE), path, camera)
             if is_argoverse(path):
                 return read_argoverse(path, camera)
             if is_kitti_sequence(path):

@@ -25,6 +25,13 @@ Run = Callable[..., Result]
         ("sample --camera argoverse2", "or the path of a .yaml file; argoverse2 is for --rig"),
         ("sample --rig kitti", "or the path of a .yaml file; kitti is for --camera"),
         ("sample --params kitti", "or the path of a .yaml file; kitti is for --camera"),
+        ("sample --frames 2 --fps inf", "'--fps': expected a finite number, got 'inf'"),
+        ("drive mark d --cell nan", "'--cell': expected a finite number, got 'nan'"),
+        ("lift d --out e --precision pose_m=1,pose_m=2", "'--precision': expected pose_m once, got it twice"),
+        (
+            "export FOLDER --format apollo --out memory://e",
+            "--out memory:/e: expected a folder of this machine, got an",
+        ),
         ("render s.json --lidar streets", "or the path of a .yaml file; streets is for --params"),
     ],
 )
@@ -51,6 +58,9 @@ def test_an_empty_argument_stands_for_no_folder(words: list[str], run: Run) -> N
         ("train FOLDER --out e --set model.grid.row=3", "model.grid.row: unknown key; did you mean rows?"),
         ("onnx nano none/x.onnx", "'FILE.onnx': none/x.onnx: expected a file in a folder that exists"),
         ("onnx nano x.txt", "'FILE.onnx': x.txt: expected a name that ends in .onnx"),
+        ("predict x.mp4 --smooth nan", "'--smooth': expected a finite number, got 'nan'"),
+        ("predict x.png --threshold nan", "'--threshold': expected a finite number, got 'nan'"),
+        ("predict d/train --video --overlays 0", "--video has no effect with --overlays 0."),
     ],
 )
 def test_the_baseline_too(command: str, message: str, run: Run, folder: Path) -> None:

@@ -54,6 +54,12 @@ def split(tmp_path_factory) -> Path:
     return root / "train"
 
 
+def test_a_clip_has_one_name_however_its_address_is_written(split, monkeypatch):
+    monkeypatch.chdir(split.parent)
+    names = {open_drive(place).name for place in (f"{split}:1", "train:1", f"file://{split}:1", f"{split}/../train:1")}
+    assert names == {"d/train:00000006"}
+
+
 def test_a_clip_is_a_drive_of_which_the_truth_is_known(split):
     drive = open_drive(f"{split}:1")
     reader = Reader(str(split))
@@ -97,7 +103,7 @@ def test_the_commands(split, tmp_path):
     ("arguments", "told"),
     [
         (("check", "nowhere"), "nowhere: expected drive.yaml, a log of Argoverse 2"),
-        (("mark", "{split}", "--frames", "9:"), "expected scans with ground in them, got none"),
+        (("mark", "{split}", "--frames", "9:"), "frames: expected some of 0:6, got none"),
         (("mark", "{split}", "--frames", "x"), "expected FIRST:END, as in 0:200, got 'x'"),
         (("check", "{split}", "--camera", "left"), "expected a camera of "),
         (("check", "{split}", "--marked", "none.geojson"), "none.geojson: cannot be read"),

@@ -137,6 +137,13 @@ def test_an_image_that_a_link_has_lost_is_no_image_that_never_was(tmp_path, trut
         open_drive(str(folder)).frames[1].load_image()
 
 
+def test_another_camera_than_the_only_one_is_refused(tmp_path, truth):
+    folder = made.write_described(tmp_path, truth)
+    assert open_drive(str(folder), camera="front").camera.name == "front"
+    with pytest.raises(InputError, match=r"camera: expected front, which .* has, got left"):
+        open_drive(str(folder), camera="left")
+
+
 def test_lanes_of_other_images_are_refused(tmp_path, truth):
     folder = made.write_described(tmp_path, truth)
     (tmp_path / "of_none").mkdir()
