@@ -206,6 +206,7 @@ def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
     assert 5 <= min(counts) <= max(counts) <= 60 / 3.5
 
 
+@pytest.mark.thorough
 def test_many_scenes_from_several_processes_are_the_same_scenes(params, scenes):
     texts = list(scene_texts(Scenes(params), range(200)))
     assert texts == [to_json(scene) for scene in scenes[:200]]

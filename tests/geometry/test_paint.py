@@ -95,6 +95,7 @@ def test_left_edges_have_no_paint_to_their_left(flip):
     assert leftmost == ("exit_line_0" if flip else "main_line_0")
 
 
+@pytest.mark.thorough
 def test_missing_paint_is_the_share_asked_for_in_stretches_that_stay_where_they_are():
     shares = []
     for seed in range(40):
