@@ -159,6 +159,7 @@ def test_cars_keep_apart(scenes):
 SOLD = ["cars.palette=sold", "cars.model={2: 3, 11: 1}", "cars.n=10", "trees.n=0"]
 
 
+@pytest.mark.thorough
 def test_cars_have_the_colours_that_are_sold():
     """Axalta's report of 2020: 38 % of new cars are white, 19 % black, 81 % white, black, gray or silver."""
     params = load_params("appendix_i", SOLD)
