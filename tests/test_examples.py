@@ -50,6 +50,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_the_loader_mirrors_images_and_lanes_alike(tiny: Path) -> None:
     """A mirrored point has the mirrored pixel, and batches depend on the seed alone."""

@@ -159,6 +159,7 @@ def test_cars_keep_apart(scenes):
 SOLD = ["cars.palette=sold", "cars.model={2: 3, 11: 1}", "cars.n=10", "trees.n=0"]
 
 
+@pytest.mark.thorough
 def test_cars_have_the_colours_that_are_sold():
     """Axalta's report of 2020: 38 % of new cars are white, 19 % black, 81 % white, black, gray or silver."""
     params = load_params("appendix_i", SOLD)
@@ -206,6 +207,7 @@ def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
     assert 5 <= min(counts) <= max(counts) <= 60 / 3.5
 
 
+@pytest.mark.thorough
 def test_many_scenes_from_several_processes_are_the_same_scenes(params, scenes):
     texts = list(scene_texts(Scenes(params), range(200)))
     assert texts == [to_json(scene) for scene in scenes[:200]]

@@ -156,6 +156,7 @@ def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knot
     assert sum(statistics.counts["centerline"].values()) > 200
 
 
+@pytest.mark.thorough
 def test_ceiling_on_generated_scenes():
     """What the anchors, six knots and a natural spline can say at best; 1,000 scenes gave 3.5 cm and AP 1.000."""
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])

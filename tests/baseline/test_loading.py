@@ -180,6 +180,7 @@ def test_what_does_not_fit_is_told_with_figures(monkeypatch):
     assert not decoding_of(12_000, nano, Process(0, 8, CPU, neighbours=8)).is_once, "every process keeps its own"
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_decoded_images_are_not_memory_of_the_process(tmp_path):
     """100 images of 1 MB behind a cache, read again and again: the process does not grow by them."""

@@ -54,6 +54,7 @@ def test_in_dense_fog_the_world_ends_in_the_sky_without_an_edge():
     assert np.ptp(image[:100].mean(axis=(0, 1))) < 6, "fog is gray"
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_noise_and_blur_come_again_byte_for_byte_and_are_the_scenes_own():
     scene = changed(sensor={"motion_blur_m": 0.3, "noise": 3})

@@ -70,6 +70,7 @@ def test_every_pixel_shows_what_its_ray_meets(shot):
     assert np.abs(points_world[near][:, 2]).max() < 0.03
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_rectified_it_is_the_picture_of_the_pinhole(shot):
     scene, picture = shot

@@ -27,6 +27,8 @@ from tests.thorough import first
 pytestmark = pytest.mark.render
 
 BARE = load_params("appendix_i", ["trees.n=40", "cars.n=1"])
+# For what holds of pixels of any size.
+SMALL = ("camera.width_px=160", "camera.height_px=120")
 ONE_SAMPLE = RenderSettings(samples=1, passes=("depth", "semantic", "instance"))
 
 
@@ -191,7 +193,8 @@ def arrays(scene):
 
 
 def test_no_scene_can_see_the_last_one():
-    a, b = (sample_scene(Scenes(BARE, 9, "test"), index) for index in (0, 1))
+    params = load_params("appendix_i", ["trees.n=40", "cars.n=1", *SMALL])
+    a, b = (sample_scene(Scenes(params, 9, "test"), index) for index in (0, 1))
     settings = RenderSettings(samples=1)
     first, other, again = (rendered(scene, settings).image for scene in (a, b, a))
     np.testing.assert_array_equal(first, again)
@@ -286,7 +289,7 @@ def test_normals_are_the_terrains_on_the_ground_and_face_the_camera():
 
 
 def test_asking_for_passes_changes_no_pixel():
-    scene = sample_scene(Scenes(load_params("appendix_i", ["cars.n=5", "trees.n=100"]), 5, "test"), 3)
+    scene = sample_scene(Scenes(load_params("appendix_i", ["cars.n=5", "trees.n=100", *SMALL]), 5, "test"), 3)
     plain = rendered(scene, RenderSettings(samples=2)).image
     with_passes = rendered(scene, RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance"))).image
     np.testing.assert_array_equal(plain, with_passes)

@@ -196,6 +196,7 @@ def test_the_command_exports_and_verifies(dataset, tmp_path):
     assert "worst 0.0000 m, median 0.0000 m (at most 0.001 m)" in result.output
 
 
+@pytest.mark.thorough
 def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp_path):
     shift = "camera.principal_offset_px=[-8, 8]"
     write_split(tmp_path / "level", "train", 2, [shift])

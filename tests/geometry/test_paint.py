@@ -11,6 +11,7 @@ from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.validate.standing import mesh_height
 from synth3dlanes.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
+from tests.thorough import first
 
 
 def painted_share(world, name, low=-40, high=90):
@@ -48,7 +49,7 @@ def painted_at(world, mesh, x_m, at_m):
 
 @pytest.mark.parametrize("pair", ["solid_dashed", "dashed_solid"])
 @pytest.mark.parametrize("flips", [(x, y) for x in (False, True) for y in (False, True)])
-@pytest.mark.parametrize("median_m", [None, 0.0, 4.0])
+@pytest.mark.parametrize("median_m", first(2, [None, 4.0, 0.0]))
 def test_the_solid_stripe_of_a_mixed_pair_is_on_the_side_the_scene_says_as_the_host_drives(median_m, flips, pair):
     oncoming = {} if median_m is None else {"n_oncoming": 2, "median_m": median_m}
     road = {"flip_longitudinal": flips[0], "flip_lateral": flips[1], **oncoming}
@@ -95,6 +96,7 @@ def test_left_edges_have_no_paint_to_their_left(flip):
     assert leftmost == ("exit_line_0" if flip else "main_line_0")
 
 
+@pytest.mark.thorough
 def test_missing_paint_is_the_share_asked_for_in_stretches_that_stay_where_they_are():
     shares = []
     for seed in range(40):

@@ -79,6 +79,7 @@ def test_a_lane_shifted_by_half_a_metre_is_found_by_scene_and_paint_and_image(da
     assert "image: expected the line's paint" in reasons(check(dataset), NAME, lane)
 
 
+@pytest.mark.thorough
 def test_a_lane_lifted_by_ten_centimetres_is_off_the_rendered_surface(dataset):
     lane = spoilt_lane(dataset)
     seal(
