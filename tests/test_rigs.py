@@ -21,6 +21,7 @@ from synth3dlanes.params import load_params, preset_names
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.shots import Shots
 from synth3dlanes.world import resolve
@@ -200,3 +201,12 @@ def test_formats_without_yaw_get_a_road_frame_that_looks_along_the_camera():
     axis_road = level.road_from_cam[:3, 1]
     np.testing.assert_allclose(axis_road, [0, math.cos(0.05), -math.sin(0.05)], atol=1e-12)
     assert (level.yaw_rad, level.roll_rad) == (0, 0)
+
+
+def test_a_fisheye_that_is_turned_ahead_sees_what_is_beside_and_is_exported_without_its_name() -> None:
+    sizes = {"width_px": 360, "height_px": 300, "fx_px": 115, "fy_px": 115, "cx_px": 180, "cy_px": 150, "height_m": 1.5}
+    fisheye = CameraSpec.model_validate({**sizes, "model": "fisheye", "yaw_deg": 20})
+    assert fisheye.is_turned_ahead
+    assert not fisheye.looks_ahead
+    aside = CameraSpec.model_validate({**sizes, "model": "fisheye", "yaw_deg": 60})
+    assert not aside.is_turned_ahead

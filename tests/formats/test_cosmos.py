@@ -19,7 +19,7 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import replacing
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos import verify as of_tables
-from synth3dlanes.formats.cosmos.controls import edges
+from synth3dlanes.formats.cosmos.controls import depth_picture, edges, nearness_span
 from synth3dlanes.formats.cosmos.convention import FOLDERS, ClipFiles, line_style
 from synth3dlanes.formats.cosmos.ftheta import fitted
 from synth3dlanes.formats.cosmos.read import CosmosClip
@@ -385,3 +385,11 @@ def test_names_of_paint() -> None:
     assert line_style("solid", False, "solid_dashed") == "DASHED_SOLID", "theirs begins at the right"
     assert line_style("dashed", False, None) == "LONG_DASHED_SINGLE"
     assert line_style("none", None, None) == "VIRTUAL"
+
+
+def test_what_is_beside_and_behind_a_fisheye_does_not_darken_its_depth_video() -> None:
+    depth_m = np.array([[-4.0, 1e-4, 0.5, 1.0, 4.0, np.inf]], np.float32)
+    passes = {"depth": depth_m, "semantic": np.ones(depth_m.shape, np.uint8)}
+    span = nearness_span(passes)
+    assert span == (0.0, 1.0)
+    assert depth_picture(passes, span)[0, :, 0].tolist() == [255, 255, 255, 255, 64, 0]

@@ -1,17 +1,22 @@
 """Faults planted in a picture of a town: what junctions have, too, is checked against the pixels."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from synth3dlanes.dataset.format import LABELS
+from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
+from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.shots import clips
+from synth3dlanes.validate.evidence import Evidence
 from tests.validate import planted
+from tests.validate.examining import findings, reasons, seen
 from tests.validate.faults import FAULTS, Fault, of_json
 from tests.validate.subtle import OF_STREETS, SUBTLE
 
@@ -63,3 +68,16 @@ def test_faults_of_towns_are_found(tmp_path: Path) -> None:
     assert len(chosen) == len(KINDS)
     results = planted.table(tmp_path / "clean", [*chosen, *OF_TOWNS], tmp_path)
     assert [result.row() for result in results if not result.is_found] == []
+
+
+def test_lines_that_the_host_has_passed_are_no_fault_of_a_clip() -> None:
+    place = ["town.junction=crossing", "town.control=priority", "town.host_place=in", "town.n_more=0", "trees.n=0"]
+    scenes = Scenes(load_params("town", place), 7, shots=clips(3, 0.5))
+    frames = [Evidence(world, seen(label(world, world.view))) for world in (sample_world(scenes, i) for i in range(3))]
+    lines = [{lane.id for lane in evidence.labels.lanes} for evidence in frames]
+    assert lines[0] - lines[-1]
+    assert [findings(evidence, "labels") for evidence in frames] == [[], [], []]
+    graph = frames[-1].labels.graph
+    unknown = replace(graph.segments[0], centerlines=("nowhere",), left="no segment")
+    wrong = replace(frames[-1].labels, graph=replace(graph, segments=(unknown, *graph.segments[1:])))
+    assert "graph" in reasons(replace(frames[-1], labels=wrong), "labels")

@@ -11,11 +11,13 @@ from synth3dlanes.formats.cosmos.convention import CLASS_COLORS, EDGE_HIGH, EDGE
 from synth3dlanes.settings import SEMANTIC_IDS
 
 GOLDEN = 0.618034
+# A fisheye also sees what is beside the plane of its camera, at depth 0, and behind it.
+NEAREST_M = 1.0
 
 
 def nearness(passes: Passes) -> Float[np.ndarray, "h w"]:
-    """One over the depth, 0 where nothing is hit."""
-    return 1.0 / np.maximum(passes["depth"].astype(float), 1e-3)
+    """One over the depth, 0 where nothing is hit; at most that of NEAREST_M, which what is behind has, too."""
+    return 1.0 / np.maximum(passes["depth"].astype(float), NEAREST_M)
 
 
 def nearness_span(passes: Passes) -> tuple[float, float]:

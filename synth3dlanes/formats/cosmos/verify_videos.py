@@ -18,6 +18,8 @@ from synth3dlanes.settings import SEMANTIC_IDS
 # How much of a frame may be off by more than so many of 255 grey levels.
 SHARE_OFF = 0.2
 GREYS = {"rgb": 24, "depth": 8, "seg": 64}
+# Depth videos tell no smaller depths.
+NEAR_M = 1.0
 # What is moved by so many pixels must fit worse.
 MOVED_PX, LEAST_EDGES = 4, 200
 # The share of the points of painted lines, up to so far ahead, that must be brighter than that in the lane map, the
@@ -76,9 +78,9 @@ def _rgb(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> s
 
 
 def _depth(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
-    low, high = span
-    with np.errstate(divide="ignore"):
-        share = (1 / picture.passes["depth"].astype(float) - low) / max(high - low, 1e-9)
+    (low, high), depth_m = span, picture.passes["depth"].astype(float)
+    # What is behind a fisheye counts as near.
+    share = (1 / np.where(depth_m < NEAR_M, NEAR_M, depth_m) - low) / max(high - low, 1e-9)
     return _off(frame, 255 * np.clip(share, 0, 1)[..., None], GREYS["depth"])
 
 

@@ -47,7 +47,8 @@ README = """Cosmos: control videos of clips, and their world scenarios as ClipGT
   `control_input_hdmap_bbox`, the control videos. A camera that is alone is `camera_front_wide_120fov`; those of a rig
   keep their names.
 - Depth videos: 1 / depth from black to white, over the least and the greatest of the clip by this camera;
-  `CLIP.depth.json` tells these, so that depth_m = 1 / (low + grey / 255 * (high - low)). The sky is black.
+  `CLIP.depth.json` tells these, so that depth_m = 1 / (low + grey / 255 * (high - low)). The sky is black; what is
+  nearer than a metre along the viewing direction, as is all behind a fisheye, is as white as that.
 - Segmentation videos: a colour for each class, each car one of its own. Edge videos: Canny, thresholds 100 and 200.
 - `clipgt/CLIP/CLIP.*.parquet`: poses, calibration, obstacles, lanes, lane lines, road boundaries, crosswalks, road
   markings, wait lines, traffic lights and signs. Frames: x forward, y left, z up, metres; the origin is on the road
