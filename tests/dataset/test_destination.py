@@ -65,6 +65,7 @@ def test_a_driver_needs_shards_that_nobody_makes_and_leaves_them_to_others(tmp_p
     """Locks are those of a process, so the other run is another process."""
     code = (
         "import sys; from tests.dataset.test_destination import *\n"
+        "from synth3dlanes.errors import ClaimedError\n"
         "for is_driver in (True, False):\n"
         "    try:\n"
         "        with Destination(sys.argv[1]).claim(DESCRIPTION, 'train', 3, [0], is_driver): print('free')\n"
