@@ -1,5 +1,8 @@
 """Export a network to ONNX: inputs `image` (RGB in 0..1) and `intrinsics`, named outputs, any batch size."""
 
+import warnings
+from collections.abc import Iterator
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ from synth3dlanes.files import write
 
 from . import checkpoint as checkpoints
 from .config import ModelConfig
+from .data import CameraImage
 from .model import LaneNet, Output
 from .pictures import open_pictures
 
@@ -57,13 +61,14 @@ def export_onnx(checkpoint: str | Path, path: str | Path, calibration: str | Pat
     """
     loaded = checkpoints.load(checkpoints.place(checkpoint))
     model = checkpoints.build_lane_net(loaded, torch.device("cpu"))
-    # Opened before the export, which takes half a minute.
-    pictures = None if calibration is None else open_pictures(calibration, None)
+    images: Iterator[CameraImage] = iter(()) if calibration is None else open_pictures(calibration, None).images
+    # Read before the export, which takes half a minute.
+    first = list(islice(images, 1))
     target, proto = Path(path), exported(model)
-    if pictures is not None:
+    if calibration is not None:
         from .onnx_int8 import quantised
 
-        proto = quantised(proto, pictures.images, checkpoints.detector_of(loaded, model))
+        proto = quantised(proto, chain(first, images), checkpoints.detector_of(loaded, model))
     onnx = _onnx()
     onnx.helper.set_model_props(proto, metadata_of(model.config))
     write(target, proto.SerializeToString())
@@ -78,16 +83,19 @@ def exported(model: LaneNet) -> Any:
     image = torch.zeros(2, 3, config.image_height_px, config.image_width_px)
     intrinsics = torch.tensor([config.reference_intrinsics] * 2)
     batch = torch.export.Dim("batch", min=1)
-    program: Any = torch.onnx.export(
-        _Plain(model).eval(),
-        (image, intrinsics),
-        input_names=INPUTS,
-        output_names=OUTPUTS if config.has_visibility else OUTPUTS[:-1],
-        opset_version=OPSET,
-        dynamo=True,
-        dynamic_shapes={"image": {0: batch}, "intrinsics": {0: batch}},
-        verbose=False,
-    )
+    with warnings.catch_warnings():
+        # It tells of its own ways: names of axes, and what torch is about to give up.
+        warnings.simplefilter("ignore")
+        program: Any = torch.onnx.export(
+            _Plain(model).eval(),
+            (image, intrinsics),
+            input_names=INPUTS,
+            output_names=OUTPUTS if config.has_visibility else OUTPUTS[:-1],
+            opset_version=OPSET,
+            dynamo=True,
+            dynamic_shapes={"image": {0: batch}, "intrinsics": {0: batch}},
+            verbose=False,
+        )
     return program.model_proto
 
 

@@ -80,7 +80,7 @@ class Commands(click.Group):
             raise WorkFailure(str(error)) from error
         except Synth3dlanesError as error:
             raise BadInput(str(error)) from error
-        except (MemoryError, RuntimeError) as error:
+        except (MemoryError, RuntimeError, ImportError) as error:
             if not is_lack_of_memory(error):
                 raise
             raise WorkFailure(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error

@@ -15,7 +15,7 @@ import pytest
 import torch
 from PIL import Image
 from synth3dlanes_baseline import checkpoint as checkpoints
-from synth3dlanes_baseline import evaluate, onnx_decode, sources, statistics
+from synth3dlanes_baseline import evaluate, onnx_decode, onnx_export, sources, statistics
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import CameraImage, intrinsics_of
 from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions, score
@@ -206,6 +206,13 @@ def test_table_puts_the_papers_numbers_beside_ours(roads, split):
     assert "0.952 / 1.000" in table.splitlines()[1]
     assert "37.4 / 0.0" in table.splitlines()[2]
     assert "0.566 / 1.000" in table.splitlines()[3]
+
+
+def test_a_damaged_image_to_quantise_by_is_told_before_the_export(checkpoint, tmp_path, monkeypatch):
+    (tmp_path / "a.jpg").write_bytes(b"no image")
+    monkeypatch.setattr(onnx_export, "exported", lambda _: pytest.fail("exported"))
+    with pytest.raises(FormatError, match=r"a\.jpg: expected a JPEG"):
+        export_onnx(checkpoint, tmp_path / "a.onnx", tmp_path)
 
 
 @pytest.mark.thorough

@@ -42,6 +42,16 @@ def test_a_wrong_name_is_answered_with_the_right_place(command: str, message: st
     assert message in result.stderr
 
 
+def test_too_little_memory_for_a_library_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ImportError("libx.so: failed to map segment from shared object")
+
+    monkeypatch.setattr("synth3dlanes.drives.open.open_drive", fails)
+    result = run("drive", "check", "d")
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+    assert result.stderr.startswith("synth3dlanes drive: not enough memory")
+
+
 @pytest.mark.parametrize("words", [["info", ""], ["info", "d", "--json="], ["drive", "check", "d", "--lanes", ""]])
 def test_an_empty_argument_stands_for_no_folder(words: list[str], run: Run) -> None:
     result = run(*words)
