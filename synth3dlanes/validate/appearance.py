@@ -25,6 +25,8 @@ SHADE = 0.35
 # green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass.
 MAX_BLUE = -0.02
 RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.2)}
+# That of trees, of which what has less light than this share of the road is left out, is -0.19 to -0.048 in 45 images.
+LEAVES_OVER_GREEN, LEAVES_LIGHT = 0.0, 0.05
 # Pixels of narrower paint show as much of the road: an id is that at a pixel's centre.
 RESOLVED_PX = 2
 # Red over blue of a white line: at most 0.035 in 114 lines; a yellow one has 0.25.
@@ -55,6 +57,7 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"image: expected light everywhere by day, got {100 * black:.1f} % of the picture black")
     linear = _linear(evidence)
     yield from _terrain(evidence, linear, _lit(linear[road]))
+    yield from _leaves(evidence, linear, _lit(linear[road]))
     if "instance" in evidence.passes and evidence.paint.is_dry:
         yield from _paint(evidence, linear)
 
@@ -96,6 +99,20 @@ def _terrain(
     if not low < red - green < high:
         found = f"{red - green:+.3f}"
         yield Finding("", f"image: expected grass with {low} to {high} of red over green, got {found}")
+
+
+def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[np.ndarray, "n 3"]) -> Iterator[Result]:
+    if evidence.scene.assets.trees or evidence.scene.assets.roads:
+        return
+    at = (evidence.passes["semantic"] == SEMANTIC_IDS["tree"]) & (evidence.passes["depth"] < TERRAIN_M)
+    at &= linear.sum(axis=2) > LEAVES_LIGHT * np.median(road.sum(axis=1))
+    if at.sum() < MIN_PIXELS:
+        return
+    red, green, _ = _chroma(linear[at]) - _chroma(road)
+    yield Bounded("appearance.leaves", float(red - green), most=LEAVES_OVER_GREEN)
+    if red - green > LEAVES_OVER_GREEN:
+        found = f"{red - green:+.3f}"
+        yield Finding("", f"image: expected leaves with at most {LEAVES_OVER_GREEN} of red over green, got {found}")
 
 
 def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[Result]:
