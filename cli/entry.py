@@ -25,6 +25,8 @@ def run() -> None:
     bound = resource.getrlimit(resource.RLIMIT_AS)[0]
     if bound != resource.RLIM_INFINITY and bound < LEAST_BYTES:
         _leave(f"expected an address space of at least {LEAST_BYTES >> 10} KiB (ulimit -v), got {bound >> 10}", 1)
+    # Matrices are small here: threads of algebra would wait for each other longer than they work.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         from .main import run as start
     except KeyboardInterrupt:

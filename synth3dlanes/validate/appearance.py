@@ -131,7 +131,7 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
             yield Bounded("appearance.yellow", float(red - blue), most=MAX_YELLOW)
         if color == "white" and red - blue > MAX_YELLOW:
             yield Finding(lane.id, f"image: expected white paint, got yellow ({red - blue:+.2f} of red over blue)")
-        times = brighter(linear[at], beside)
+        times = brighter(linear[at], beside, evidence.paint.contrast(color))
         if np.isinf(times):
             continue
         yield Bounded("appearance.brighter", times, BRIGHTER)
@@ -148,10 +148,11 @@ def _pavement_beside(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np
     return np.asarray(binary_dilation(at, iterations=AROUND_PX) & paved)
 
 
-def brighter(paint: Float[np.ndarray, "n 3"], beside: Float[np.ndarray, "m 3"]) -> float:
+def brighter(paint: Float[np.ndarray, "n 3"], beside: Float[np.ndarray, "m 3"], contrast: float) -> float:
     """How many times brighter paint is than the pavement beside it; infinite in glare, which whitens both, and where
-    the edge of a shadow may run along the line."""
+    the edge of a shadow may run along the line: paint that is `contrast` times as bright in equal light may be as dark
+    there as the road."""
     dark, of_road, light = np.quantile(beside.mean(axis=1), (0.2, 0.5, 0.8))
-    if of_road >= MAX_LIGHT or light > MOST_UNEVEN * dark:
+    if of_road >= MAX_LIGHT or light > min(MOST_UNEVEN, contrast / BRIGHTER) * dark:
         return np.inf
     return float(np.median(paint.mean(axis=1)) / max(float(of_road), 1e-6))

@@ -47,7 +47,8 @@ MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
 MAX_DRY = 0.3
 # Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
 MIN_LEFT, BRIGHTER = 0.22, 1.6
-BRIGHTNESS: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.65}
+# The mean of the channels of paint, of 1 for white.
+BRIGHTNESS: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.54}
 MAX_DROPS = 0.3
 
 
@@ -91,8 +92,12 @@ class WorldPaint:
 
     def stands_out(self, color: PaintColor) -> bool:
         """Whether lines of this colour are brighter than the road."""
-        markings = self.world.scene.markings
-        return markings.grayscale * BRIGHTNESS[color] * (1 - markings.wear) >= BRIGHTER * _albedo(self.world.scene)
+        return self.contrast(color) >= BRIGHTER
+
+    def contrast(self, color: PaintColor) -> float:
+        """How many times brighter lines of this colour are than the road, in equal light."""
+        markings, albedo = self.world.scene.markings, _albedo(self.world.scene)
+        return markings.grayscale * BRIGHTNESS[color] * (1 - markings.wear) / albedo if albedo else np.inf
 
     def strip(self, camera: CameraLabel, lane: Lane, points_cam: Points3) -> Strip:
         """The strip of points along a lane; at least two points, in order."""

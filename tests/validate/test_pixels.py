@@ -111,7 +111,7 @@ def test_lines_of_labels_without_colours_are_judged_too(samples):
 
 
 def test_lines_stand_out_that_are_brighter_than_their_road():
-    """Concrete is three times as bright as asphalt, and yellow two thirds as bright as white."""
+    """Concrete is three times as bright as asphalt, and yellow half as bright as white."""
 
     def stand_out(road_texture: int, color: PaintColor) -> bool:
         scene = changed(surface={"road_texture": road_texture}, markings={"grayscale": 0.48, "wear": 0.2})
