@@ -99,7 +99,7 @@ class CrossSection:
     def _widths(self) -> list[Profile]:
         return [Profile(lane.widths) for lane in self.lanes]
 
-    @property
+    @cached_property
     def n_left(self) -> int:
         """How many lanes are left of the reference line; also the number of the edge on that line."""
         return sum(lane.number > 0 for lane in self.lanes)

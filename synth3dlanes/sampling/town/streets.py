@@ -5,6 +5,7 @@ World frame, metres.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
@@ -134,12 +135,12 @@ class Street:
     def __post_init__(self) -> None:
         object.__setattr__(self, "pieces", tuple(_pieces(self.profile, self.length_m, self.start, self.end)))
 
-    @property
+    @cached_property
     def length_m(self) -> float:
         """Length of its reference line."""
         return sum(piece.length_m for piece in self.plan)
 
-    @property
+    @cached_property
     def stations(self) -> list[float]:
         """Where its sections begin, and the end of the last one."""
         return list(accumulate((piece.length_m for piece in self.pieces), initial=0.0))
@@ -165,10 +166,17 @@ class Street:
 
     def names(self, section: int) -> dict[str, dict[str, str]]:
         """The names of a section's lanes by side and key."""
-        return {
-            side: {key: f"{self.id}.{section}.{sign * (i + 1)}" for i, key in enumerate(self._keys(section, side))}
-            for side, sign in (("left", 1), ("right", -1))
-        }
+        return self._names[section]
+
+    @cached_property
+    def _names(self) -> list[dict[str, dict[str, str]]]:
+        return [
+            {
+                side: {key: f"{self.id}.{section}.{sign * (i + 1)}" for i, key in enumerate(self._keys(section, side))}
+                for side, sign in (("left", 1), ("right", -1))
+            }
+            for section in range(len(self.pieces))
+        ]
 
     def width(self, section: int, side: str, key: str, at_end: bool) -> float:
         """The width of a strip at the start or the end of a section."""
