@@ -31,9 +31,10 @@ MAX_GAP_M, MAX_PART = 0.035, {"pixels": 0.75, "points": 2.0}
 # Objects with fewer points are not judged.
 MIN_POINTS = 150
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
-BEYOND_M, ACROSS, ALONG = 0.5, 0, 1
-# The lowest, highest and widest parts are this share of half the length behind the nearer end, at most.
-SET_BACK = 0.25
+BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
+# The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. The axles of
+# vans are AXLE_M behind: their wheels are hidden as a whole by an end that is CLEARANCE_M over the ground, or higher.
+SET_BACK, AXLE_M, CLEARANCE_M = 0.25, 1.1, 0.15
 # Mirrors reach at most so far beyond a body.
 MIRROR_M = 0.07
 MAX_TRUNCATION_OFF = 0.005
@@ -118,8 +119,10 @@ def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: i
     """How far before a side what is set back from an object's nearer end may be hidden by this end: wheels under a
     bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
     wider."""
-    away_m, back_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), SET_BACK * half[ALONG]
-    share, aside_m = back_m / (away_m + back_m), half[axis] - sign * eye[axis]
+    away_m, aside_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), half[axis] - sign * eye[axis]
+    share, of_axle = (back_m / (away_m + back_m) for back_m in (SET_BACK * half[ALONG], AXLE_M))
+    if axis == UP and sign < 0 and aside_m * of_axle > CLEARANCE_M:
+        return float(aside_m * of_axle)
     if axis != ACROSS:
         return float(max(aside_m, 0.0) * share)
     # A body hides its far side from an eye beyond the near one, and the mirror there from one beyond the middle.
