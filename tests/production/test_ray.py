@@ -40,8 +40,10 @@ print(json.dumps(asdict(report) | {"exit_code": report.exit_code}))
 """
 
 
-def begin_telling(out: Path, address: str, workers: int = 1, lost_after_s: int = 60) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", RUN, str(out), str(MORE), str(workers), address, str(lost_after_s)]
+def begin_telling(
+    out: Path, address: str, n: int = MORE, workers: int = 1, lost_after_s: int = 60
+) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", RUN, str(out), str(n), str(workers), address, str(lost_after_s)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, cwd=soak.ROOT, env=soak.ENVIRONMENT, text=True, **pipes)
 
@@ -222,7 +224,9 @@ def test_a_cluster_that_is_lost_ends_the_run_in_a_line_and_another_goes_on(
     cluster: soak.Cluster, tmp_path: Path
 ) -> None:
     """The last one here: it takes the cluster from the others."""
-    run = begin_telling(tmp_path, cluster.address, lost_after_s=10)
+    # Two minutes of samples: a node goes on without its control store, and must not end before the loss is told.
+    n = 20 * MORE
+    run = begin_telling(tmp_path, cluster.address, n, lost_after_s=10)
     wait_for(run, "sample ")
     (store,) = processes(cluster, "gcs_server")
     store.kill()
@@ -231,5 +235,5 @@ def test_a_cluster_that_is_lost_ends_the_run_in_a_line_and_another_goes_on(
     assert run.returncode == 0, stderr
     assert report["exit_code"] == 1
     assert report["problem"].startswith("the Ray cluster is lost: its control store at ")
-    assert 0 < report["done"] < MORE
+    assert 0 < report["done"] < n
     assert "Traceback" not in stderr
