@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from .generate import WORKERS_HELP, Workers, progress
-from .model import need_torch
+from .networks import need_torch
 from .options import json_option
 
 

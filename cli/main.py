@@ -23,14 +23,16 @@ from .benchmark import benchmark
 from .data_sets import info, merge, split
 from .drive import drive
 from .entry import NO_MEMORY, is_lack_of_memory
+from .evaluate import evaluate
 from .export import export
 from .generate import generate
 from .lift import lift
 from .look import clip, gallery, inspect, report
-from .model import ablation, evaluate, onnx, predict, train
 from .params import params
+from .predict import onnx, predict
 from .scenes import render, sample
 from .stats import stats
+from .train import ablation, train
 from .twins import twins
 from .validate import validate
 

@@ -98,6 +98,9 @@ def is_lifted(description: Mapping[str, Any]) -> bool:
     return "lifted" in (description.get("derived") or {})
 
 
+_ORIGINS = {False: "samples drawn from parameters", True: "samples derived from another data set"}
+
+
 def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:
     """`dataset.json` once a split of `n` is asked for; `before` is what it holds now, None where there is none.
 
@@ -114,6 +117,9 @@ def updated_description(before: bytes | None, recipe: dict[str, Any], split: str
     splits: dict[str, Any] = {}
     if found is not None:
         splits = found.pop("splits")
+        there, new_ones = (_ORIGINS[bool(description.get("derived"))] for description in (found, asked))
+        if there != new_ones:
+            raise InputError(f"{where}: expected {there}, as in this data set, got {new_ones}; choose another folder")
         # Through JSON, so that a tuple equals the list that it was written as.
         problems = list(differences(found, json.loads(json.dumps(asked))))
         if problems:

@@ -1,0 +1,66 @@
+"""What the commands of the bundled baseline share: its options, and torch loaded or asked for."""
+
+import gc
+import importlib
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+import click
+
+from synth3dlanes.errors import InputError, MissingPackageError
+
+from .idle import refuse_repeated
+
+own_model_option = click.option(
+    "--model",
+    "own_model",
+    metavar="MODULE:FUNCTION",
+    help="The network of your own that the checkpoint was trained with.",
+)
+INTRINSICS = "FX,FY,CX,CY|FILE"
+changes_option = click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    callback=refuse_repeated,
+    help="Change a setting, such as batch=64 or model.grid.rows=104; repeatable.",
+)
+device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
+out_option = click.option(
+    "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder."
+)
+
+
+def need_torch() -> None:
+    """Load torch, or say how to install it."""
+    # OpenMP's threads spin while they wait for each other. On cores that others use as well, a training step took
+    # 4.8 s with spinning and 0.4 s without; on idle cores it makes no difference. Read when torch is first loaded.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    if importlib.util.find_spec("torch") is None:
+        raise MissingPackageError("PyTorch is not installed: pip install 'synth3dlanes[train]'")
+    if "torch" not in sys.modules:
+        # Nothing that an import makes is garbage: looking for some takes a tenth of the time that torch takes.
+        gc.disable()
+        importlib.import_module("torch")
+        gc.freeze()
+        gc.enable()
+
+
+def camera_intrinsics(text: str | None) -> tuple[float, float, float, float] | None:
+    """Numbers as FX,FY,CX,CY, or those of a calibration file."""
+    if text is None:
+        return None
+    from synth3dlanes_baseline.data import checked_intrinsics
+
+    if Path(text).is_file():
+        from synth3dlanes_baseline.photographs import read_intrinsics
+
+        return read_intrinsics(Path(text))
+    try:
+        fx, fy, cx, cy = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"intrinsics: expected FX,FY,CX,CY or a calibration file, got {text!r}") from None
+    return checked_intrinsics((fx, fy, cx, cy), "intrinsics")
