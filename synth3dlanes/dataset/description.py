@@ -98,7 +98,7 @@ def is_lifted(description: Mapping[str, Any]) -> bool:
     return "lifted" in (description.get("derived") or {})
 
 
-_ORIGINS = {False: "samples drawn from parameters", True: "samples derived from another data set"}
+_ORIGINS = {False: "samples drawn from parameters", True: "samples derived from other data"}
 
 
 def updated_description(before: bytes | None, recipe: dict[str, Any], split: str, n: int, where: str) -> bytes:

@@ -88,7 +88,7 @@ def test_a_cut_is_continued_and_another_one_refused(tmp_path):
     assert not (tmp_path / "c").exists()
     recipe = fake_samples.recipe(split="x")
     with (
-        pytest.raises(InputError, match="expected samples derived from another data set"),
+        pytest.raises(InputError, match="expected samples derived from other data"),
         claim(tmp_path / "b", {**recipe.description(), "shard_size": SIZE}, "x", 9, [0]),
     ):
         pass
