@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Integer
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
 from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.roads import SIDES
+
+Pairs = Integer[np.ndarray, " pairs"]
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
@@ -100,22 +102,35 @@ def _in_sight(
 ) -> Bool[np.ndarray, " n"]:
     """Which tufts reach into a line of sight from the eye to a point."""
     to_feet, to_points = feet - eye_world, points_world - eye_world
-    reach_m = np.linalg.norm(to_points[:, :2], axis=1)
-    along = to_points[:, :2] / reach_m[:, None]
-    beside_m = np.abs(to_feet[:, :2] @ np.stack([-along[:, 1], along[:, 0]]))
+    to_points = to_points[np.argsort(np.arctan2(to_points[:, 1], to_points[:, 0]))]
+    distance_m, reach_m = (np.hypot(way[:, 0], way[:, 1]) for way in (to_feet, to_points))
     room_m = ROOM_M + ROOM * np.linalg.norm(to_feet, axis=1)
     radius_m = RADIUS_M + LEAN * height_m + room_m
-    tuft, point = np.nonzero(beside_m < radius_m[:, None])
-    at_m = (to_feet[tuft, :2] * along[point]).sum(axis=1)
+    tuft, point = _about_one_way(to_feet, distance_m / radius_m, to_points)
+    along = to_points[point, :2] / reach_m[point, None]
+    at_m = (to_feet[tuft, :2] * along).sum(axis=1)
+    beside_m = np.abs(to_feet[tuft, 1] * along[:, 0] - to_feet[tuft, 0] * along[:, 1])
     last_m = np.minimum(at_m + radius_m[tuft], reach_m[point])
     first_m = at_m - radius_m[tuft]
     slope = to_points[point, 2] / reach_m[point]
     top_z = to_feet[:, 2] + height_m + room_m
     is_low = np.minimum(slope * first_m, slope * last_m) < top_z[tuft]
-    meets = (first_m < reach_m[point]) & (last_m > 0) & is_low
+    meets = (beside_m < radius_m[tuft]) & (first_m < reach_m[point]) & (last_m > 0) & is_low
     hidden = np.zeros(len(feet), dtype=bool)
     hidden[tuft[meets]] = True
     return hidden
+
+
+def _about_one_way(to_feet: Points3, away: Scalars, to_points: Float[np.ndarray, "p 3"]) -> tuple[Pairs, Pairs]:
+    """The pairs of a tuft and a point, these in the order of their directions, that a tuft `away` times its radius from
+    the eye may stand between; all points for the nearest."""
+    half = np.where(away > 2, np.arcsin(np.minimum(1 / away, 0.5)), np.pi)
+    toward, angles = (np.arctan2(way[:, 1], way[:, 0]) for way in (to_feet, to_points))
+    turns = np.concatenate([angles - 2 * np.pi, angles, angles + 2 * np.pi])
+    first, last = (np.searchsorted(turns, towards) for towards in (toward - half, toward + half))
+    n = last - first
+    point = np.arange(n.sum()) + np.repeat(first - np.cumsum(n) + n, n)
+    return np.repeat(np.arange(len(to_feet)), n), point % max(1, len(to_points))
 
 
 def _grown(feet: Points3, height_m: Scalars, rng: np.random.Generator) -> Blades:
