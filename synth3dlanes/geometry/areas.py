@@ -2,6 +2,7 @@
 
 import numpy as np
 import shapely
+from jaxtyping import Bool
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2
@@ -18,6 +19,14 @@ def signed_distance(area: BaseGeometry, xy_world: AnyPoints2) -> AnyScalars:
     inside = shapely.contains_properly(area, flat)
     distance = np.where(inside, -shapely.distance(shapely.boundary(area), flat), shapely.distance(area, flat))
     return np.asarray(distance.reshape(xy_world.shape[:-1]))
+
+
+def contains(area: BaseGeometry, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+    """Which points an area contains; those out of its bounds are left out before GEOS is asked."""
+    (x, y), (x0, y0, x1, y1) = xy_world.T, shapely.bounds(area)
+    found = np.asarray((x > x0) & (x < x1) & (y > y0) & (y < y1))
+    found[found] = shapely.contains_xy(area, x[found], y[found])
+    return found
 
 
 def solid(area: BaseGeometry) -> BaseGeometry:

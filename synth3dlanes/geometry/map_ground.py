@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
-from synth3dlanes.geometry.areas import clipped, filled, polygon_between, polygons_of, signed_distance, solid
+from synth3dlanes.geometry.areas import clipped, contains, filled, polygon_between, polygons_of, signed_distance, solid
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, FINE_M, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import AS_FAR, Junction, MapNetwork
@@ -256,7 +256,7 @@ class MapGround(Ground):
         flat = xy_world.reshape(-1, 2)
         above = self._built(flat) if self._has_heights else np.zeros(len(flat))
         for polygon, raised_m in self._raised:
-            above[shapely.contains_xy(polygon, flat[:, 0], flat[:, 1])] += raised_m
+            above[contains(polygon, flat)] += raised_m
         return above.reshape(xy_world.shape[:-1])
 
     def _built(self, flat: Points2) -> Scalars:
@@ -300,13 +300,13 @@ class MapGround(Ground):
     def _under_decks(self, xy_world: Points2) -> Iterator[tuple[Scalars, Int[np.ndarray, " m"]]]:
         """Heights of each road that passes below another, and at which of some points."""
         for area, road in self._passages:
-            at = np.flatnonzero(shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]))
+            at = np.flatnonzero(contains(area, xy_world))
             if at.size:
                 yield road.base_points(*road.line.project(xy_world[at]))[:, 2], at
 
     def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
         """At which places one road passes over another."""
-        inside = [shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]) for area, _ in self._passages]
+        inside = [contains(area, xy_world) for area, _ in self._passages]
         return np.logical_or.reduce([np.zeros(len(xy_world), dtype=bool), *inside])
 
     @cached_property
@@ -355,7 +355,7 @@ class MapGround(Ground):
     def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the terrain mesh, which goes on a little under the edges of the pavement."""
         flat = xy_world.reshape(-1, 2)
-        z, inside = self.height(flat), shapely.contains_xy(self.pavement, flat[:, 0], flat[:, 1])
+        z, inside = self.height(flat), contains(self.pavement, flat)
         z[inside] = self.under(flat[inside]) - UNDER_FALL_M * self.cell_scale(flat[inside])
         return z.reshape(xy_world.shape[:-1])
 
@@ -371,7 +371,7 @@ class MapGround(Ground):
         """Which points are at most so far from a pavement, to half a per cent of that."""
         area = shapely.buffer(self.pavement, reach_m)
         shapely.prepare(area)
-        return np.asarray(shapely.contains_xy(area, xy_world[:, 0], xy_world[:, 1]))
+        return contains(area, xy_world)
 
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""

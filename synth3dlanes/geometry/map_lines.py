@@ -166,6 +166,9 @@ class Chain(FiniteLine):
             return self.lines[0].frames(s)
         starts = self._starts
         which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
+        first = int(which.min(initial=len(starts) - 1))
+        if first == which.max(initial=first):
+            return self.lines[first].frames(s - starts[first])
         found = LineFrames(np.zeros((*s.shape, 2)), np.zeros((*s.shape, 2)), np.ones(s.shape), np.zeros(s.shape))
         for i in np.unique(which):
             at = which == i

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.areas import clipped
+from synth3dlanes.geometry.areas import clipped, contains
 from synth3dlanes.geometry.map_ground import GroundArea, MapGround
 from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, facing_up, grid, terrain_axes, terrain_heights
 from synth3dlanes.geometry.section_road import KERB_M, CrossSection, SectionRoad
@@ -91,6 +91,7 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     if area.polygon.is_empty:
         return []
     wide = area.polygon
+    shapely.prepare(wide)
     if not area.raised_m:
         seam = shapely.buffer(area.polygon, SEAM_M, join_style="mitre")
         wide = shapely.union(area.polygon, shapely.intersection(seam, ground.pavement))
@@ -106,7 +107,9 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     def lifted(xy: Points2) -> Points3:
         z = ground.area_height(area, xy)
         if not area.raised_m:
-            z = z - SEAM_FALL_M * (shapely.distance(area.polygon, shapely.points(xy)) > 0.5 * SEAM_M)
+            beside = ~contains(area.polygon, xy)
+            beside[beside] = shapely.distance(area.polygon, shapely.points(xy[beside])) > 0.5 * SEAM_M
+            z = z - SEAM_FALL_M * beside
         return np.column_stack([xy, z])
 
     found = [_shared(quads, lifted, AREA_SURFACES[area.kind])]
@@ -215,8 +218,7 @@ def _quads(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
     polygons = pieces[shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON]
     if not len(polygons):
         return np.zeros((0, 4, 2))
-    nested = shapely.get_parts(shapely.get_parts(_triangles(polygons)))
-    rings = shapely.get_coordinates(nested).reshape(-1, 4, 2)[:, :3]
+    rings = shapely.get_coordinates(_triangles(polygons)).reshape(-1, 4, 2)[:, :3]
     areas = np.abs(np.cross(rings[:, 1] - rings[:, 0], rings[:, 2] - rings[:, 0]))
     rings = rings[areas > 1e-9]
     after, before = np.roll(rings, -1, axis=1), np.roll(rings, 1, axis=1)

@@ -34,8 +34,16 @@ class Profile:
         rows = [[piece.a, piece.b, piece.c, piece.d] for piece in pieces]
         return np.array([piece.s_m for piece in pieces]), np.array(rows, float).T
 
+    @cached_property
+    def _constant(self) -> float | None:
+        """Its value if it is the same everywhere, as most widths are."""
+        _, table = self._table
+        return None if table[1:].any() or np.ptp(table[0]) else float(table[0, 0])
+
     def __call__(self, s: AnyScalars) -> AnyScalars:
         """Values at stations."""
+        if self._constant is not None:
+            return np.full(s.shape, self._constant)
         starts, table = self._table
         # Most have one piece, and no time is to be lost with looking for it.
         which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None) if len(starts) > 1 else 0

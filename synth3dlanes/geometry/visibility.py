@@ -8,6 +8,8 @@ from synth3dlanes.geometry.ground import Ground
 STEP_M = 2.0
 # Ground above the line of sight by less than this does not count: points lie on the ground themselves.
 TOLERANCE_M = 0.01
+# Lines of sight this near to the direction of a crest's end are asked, too.
+TOLERANCE_RAD = 1e-9
 
 
 def seen_over_ground(
@@ -40,12 +42,16 @@ def _behind_crest(
 ) -> Bool[np.ndarray, " n"]:
     """Which lines of sight (vectors from the eye to their ends) pass below a crest before they end. A crest is narrower
     than STEP_M, so its crossing seen from above is computed instead of sampled."""
-    start = crest_world[:-1] - eye_world
-    along = np.diff(crest_world, axis=0)
-    x, y = to[:, :1], to[:, 1:2]
+    toward = crest_world - eye_world
+    turned = np.unwrap(np.arctan2(toward[:, 1], toward[:, 0]))
+    after = (np.arctan2(to[:, 1], to[:, 0]) - turned.min() + TOLERANCE_RAD) % (2 * np.pi)
+    found = after < np.ptp(turned) + 2 * TOLERANCE_RAD
+    start, along = toward[:-1], np.diff(crest_world, axis=0)
+    x, y, z = to[found].T[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):
         across = x * along[:, 1] - y * along[:, 0]
         share = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / across
         place = (start[:, 0] * y - start[:, 1] * x) / across
-        below = share * to[:, 2:] < start[:, 2] + place * along[:, 2] - TOLERANCE_M
-    return np.asarray(((share > 0) & (share < 1) & (place >= 0) & (place <= 1) & below).any(axis=1))
+        below = share * z < start[:, 2] + place * along[:, 2] - TOLERANCE_M
+    found[found] = ((share > 0) & (share < 1) & (place >= 0) & (place <= 1) & below).any(axis=1)
+    return np.asarray(found)
