@@ -146,6 +146,23 @@ def test_pages_quote_the_stored_bench() -> None:
         assert [text for text in texts if text not in page.read_text()] == [], page.name
 
 
+def test_the_table_of_speed_has_the_rows_of_the_bench() -> None:
+    """Each row by its order: images an hour to ten, the rest to a hundredth."""
+    found = re.findall(
+        r"^\| `(\w+)`, (\d) samples?(.*?) \| ([\d,]+) \| (.+) \|$", (DOCS / "speed.md").read_text(), re.M
+    )
+    rows = json.loads((DOCS / "bench.json").read_text())["rows"]
+    assert len(found) == len(rows) == 5
+    for (params, samples, clip, rate, rest), row in zip(found, rows, strict=True):
+        stages = row["stages"]
+        assert (params, int(samples), "clips" in clip) == (row["params"], row["samples"], row["frames"] > 1)
+        assert rate == f"{round(row['images_per_hour'], -1):,.0f}"
+        named = ("path tracing", "denoise", "build", "bvh", "sync", "develop", "occlusion")
+        seconds = [row["core_seconds_per_image"], row["ratio"], *(stages[name] for name in named)]
+        assert rest.split(" | ") == [f"{value:.2f}" for value in (*seconds, stages["sample"] + stages["labels"])]
+    assert f"{round(rows[1]['images_per_hour'], -2):,.0f}\nwith `--quality train`" in (ROOT / "README.md").read_text()
+
+
 def test_the_times_of_the_faq_follow_from_the_bench() -> None:
     """The table gives the hours of (images x core-seconds / cores), rounded."""
     cost_s = json.loads((DOCS / "bench.json").read_text())["rows"][0]["core_seconds_per_image"]

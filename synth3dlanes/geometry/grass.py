@@ -14,7 +14,7 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.roads import SIDES
 
-Pairs = Integer[np.ndarray, " pairs"]
+TuftsAndPoints = Integer[np.ndarray, " pairs"]
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
@@ -121,7 +121,9 @@ def _in_sight(
     return hidden
 
 
-def _about_one_way(to_feet: Points3, away: Scalars, to_points: Float[np.ndarray, "p 3"]) -> tuple[Pairs, Pairs]:
+def _about_one_way(
+    to_feet: Points3, away: Scalars, to_points: Float[np.ndarray, "p 3"]
+) -> tuple[TuftsAndPoints, TuftsAndPoints]:
     """The pairs of a tuft and a point, these in the order of their directions, that a tuft `away` times its radius from
     the eye may stand between; all points for the nearest."""
     half = np.where(away > 2, np.arcsin(np.minimum(1 / away, 0.5)), np.pi)
