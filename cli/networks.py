@@ -11,8 +11,6 @@ import click
 
 from synth3dlanes.errors import InputError, MissingPackageError
 
-from .idle import refuse_repeated
-
 own_model_option = click.option(
     "--model",
     "own_model",
@@ -20,18 +18,7 @@ own_model_option = click.option(
     help="The network of your own that the checkpoint was trained with.",
 )
 INTRINSICS = "FX,FY,CX,CY|FILE"
-changes_option = click.option(
-    "--set",
-    "changes",
-    metavar="KEY=VALUE",
-    multiple=True,
-    callback=refuse_repeated,
-    help="Change a setting, such as batch=64 or model.grid.rows=104; repeatable.",
-)
 device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
-out_option = click.option(
-    "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder."
-)
 
 
 def need_torch() -> None:

@@ -9,8 +9,8 @@ import click
 
 from synth3dlanes.errors import InputError
 
-from .idle import is_given, refuse_idle_keys, refuse_together
-from .networks import changes_option, device_option, need_torch, out_option
+from .idle import is_given, refuse_idle_keys, refuse_repeated, refuse_together
+from .networks import device_option, need_torch
 
 MODEL_NAMES = ("paper", "compact", "small", "nano", "tiny", "improved", "tusimple")
 ROW_NAMES = (
@@ -31,12 +31,16 @@ class ModelName(click.ParamType):
         return str(value)
 
 
-model_option = click.option(
-    "--model",
-    type=click.Choice(MODEL_NAMES),
-    default="compact",
-    show_default=True,
-    help="Network to use (docs/baseline.md).",
+changes_option = click.option(
+    "--set",
+    "changes",
+    metavar="KEY=VALUE",
+    multiple=True,
+    callback=refuse_repeated,
+    help="Change a setting, such as batch=64 or model.grid.rows=104; repeatable.",
+)
+out_option = click.option(
+    "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder."
 )
 
 
@@ -116,7 +120,13 @@ def train(
 @click.command()
 @click.argument("data", metavar="DIR")
 @out_option
-@model_option
+@click.option(
+    "--model",
+    type=click.Choice(MODEL_NAMES),
+    default="compact",
+    show_default=True,
+    help="Network to use (docs/baseline.md).",
+)
 @click.option("--row", "rows", multiple=True, type=click.Choice(ROW_NAMES), help="Train only this variant; repeatable.")
 @click.option("--sizes", metavar="N,N,...", help="Train one network per training set size instead: a learning curve.")
 @click.option("--test", default="test", show_default=True, help="Split to test on.")

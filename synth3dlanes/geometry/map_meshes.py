@@ -91,8 +91,8 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     if area.polygon.is_empty:
         return []
     wide = area.polygon
-    shapely.prepare(wide)
     if not area.raised_m:
+        shapely.prepare(area.polygon)
         seam = shapely.buffer(area.polygon, SEAM_M, join_style="mitre")
         wide = shapely.union(area.polygon, shapely.intersection(seam, ground.pavement))
     x0, y0, x1, y1 = shapely.bounds(wide)

@@ -73,3 +73,27 @@ def test_a_scene_without_grass_has_none_and_equal_scenes_have_equal_grass() -> N
     np.testing.assert_array_equal(ours.corners_world, theirs.corners_world)
     (bare,) = worlds(1, "vegetation.grass_m=0")
     assert bare.grass(bare.view) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_tufts_in_a_line_of_sight_are_those_found_one_by_one(seed: int) -> None:
+    """Each tuft with each point, as spheres of a radius about lines; also tufts right beside and behind the eye."""
+    rng = np.random.default_rng(seed)
+    eye = np.array([2.0, -1.0, 1.5])
+    feet = np.column_stack([rng.normal(0, 1, (150, 2)) * rng.choice([0.4, 5, 25], (150, 1)), rng.uniform(-0.5, 1, 150)])
+    points = np.column_stack([rng.uniform(-60, 60, (60, 2)), rng.uniform(-1, 1, 60)])
+    height_m = rng.uniform(0.1, 0.6, 150)
+    expected = []
+    for foot, tall_m in zip(feet, height_m, strict=True):
+        room_m = grass.ROOM_M + grass.ROOM * np.linalg.norm(foot - eye)
+        radius_m, met = grass.RADIUS_M + grass.LEAN * tall_m + room_m, False
+        for point in points:
+            reach_m = np.hypot(*(point - eye)[:2])
+            way = (point - eye)[:2] / reach_m
+            along_m, beside_m = (foot - eye)[:2] @ way, abs(np.cross(way, (foot - eye)[:2]))
+            near, far = along_m - radius_m, min(along_m + radius_m, reach_m)
+            low_m = min((point - eye)[2] / reach_m * at for at in (near, far))
+            met |= beside_m < radius_m and near < reach_m and far > 0 and low_m < (foot - eye)[2] + tall_m + room_m
+        expected.append(met)
+    assert grass._in_sight(feet, height_m, eye, points).tolist() == expected
+    assert 5 < sum(expected) < 145

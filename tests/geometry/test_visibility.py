@@ -1,10 +1,12 @@
 """What the ground hides."""
 
+from itertools import pairwise
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from synth3dlanes.geometry.visibility import seen_over_ground
+from synth3dlanes.geometry.visibility import TOLERANCE_M, _behind_crest, seen_over_ground
 from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
 
@@ -47,3 +49,26 @@ def test_a_raised_exit_hides_the_ground_behind_it():
     low, high = seen(changed(road=road), eye, [[*beyond, 0.0], [*beyond, 12.0]])
     assert high
     assert not low
+
+
+def is_below(eye, to, crest):
+    """Whether a line of sight passes below any step of a crest, each by a linear system of its own."""
+    for start, end in pairwise(crest):
+        share, place = np.linalg.solve(np.stack([to[:2], (start - end)[:2]], axis=1), (start - eye)[:2])
+        top_m = (start + place * (end - start))[2] - TOLERANCE_M
+        if 0 < share < 1 and 0 <= place <= 1 and (eye + share * to)[2] < top_m:
+            return True
+    return False
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.floats(-3.2, 3.2), st.floats(0.3, 9))
+def test_a_crest_hides_the_same_whatever_its_direction_even_all_around(seed, first_rad, turn_rad):
+    """Kerbs to all sides of the eye and around it, past the direction where angles jump."""
+    rng = np.random.default_rng(seed)
+    angle = first_rad + np.linspace(0, turn_rad, 12)
+    away_m = rng.uniform(5, 30, 12)
+    eye = np.array([3.0, -7.0, 1.5])
+    crest = np.column_stack([eye[0] + away_m * np.cos(angle), eye[1] + away_m * np.sin(angle), rng.uniform(0, 2, 12)])
+    to = np.column_stack([rng.uniform(-60, 60, (80, 2)), rng.uniform(-1.5, 0, 80)])
+    assert _behind_crest(eye, to, crest).tolist() == [is_below(eye, way, crest) for way in to]
