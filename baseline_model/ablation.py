@@ -70,7 +70,7 @@ def _compare(
     reports: dict[str, EvaluationReport] = {}
     for name, config in configs.items():
         Folder(out_dir).make(name)
-        best = train(config, data_dir, out_dir / name)
+        best = train(config, [str(data_dir)], out_dir / name)
         reports[name] = evaluate_checkpoint(best, test, device=config.device)
         if name == "full":
             reports |= evaluate_flat_ground(best, test, device=config.device)

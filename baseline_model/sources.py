@@ -2,9 +2,11 @@
 
 import hashlib
 import json
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from synth3dlanes.dataset.splits import has_split, one_reader, only_split
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
+from synth3dlanes.formats.reading import ForeignSample
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.labels import Labels
 from synth3dlanes.words import counted
@@ -60,6 +63,51 @@ class Subset:
         """What the samples are, as far as the source can tell."""
         whole = digest_of(self.source)
         return None if whole is None else _hash(whole.encode(), str(self.index).encode())
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """The samples of several sources, one source after the other; their keys begin with the name of the source."""
+
+    sources: Sequence[Samples]
+    names: Sequence[str]
+
+    @cached_property
+    def ends(self) -> list[int]:
+        """The number of samples up to the end of each source."""
+        return list(accumulate(map(len, self.sources)))
+
+    def __len__(self) -> int:
+        return self.ends[-1]
+
+    def __getitem__(self, at: int) -> ForeignSample:
+        source, index = self._place(at)
+        sample = self.sources[source][index]
+        return ForeignSample(f"{self.names[source]}:{sample.key}", sample.image, sample.labels)
+
+    def key(self, at: int) -> str:
+        """The name of the source, and the sample's key there."""
+        source, index = self._place(at)
+        return f"{self.names[source]}:{key_at(self.sources[source], index)}"
+
+    def labels(self, at: int) -> Labels:
+        """The sample's labels."""
+        source, index = self._place(at)
+        return labels_at(self.sources[source], index)
+
+    def image(self, at: int) -> RgbImage:
+        """The sample's image."""
+        source, index = self._place(at)
+        return image_at(self.sources[source], index)
+
+    def digest(self) -> str | None:
+        """What the samples are, as far as the sources can tell."""
+        known = [whole for whole in map(digest_of, self.sources) if whole is not None]
+        return _hash(*map(str.encode, known)) if len(known) == len(self.sources) else None
+
+    def _place(self, at: int) -> tuple[int, int]:
+        source = bisect_right(self.ends, at)
+        return source, at - (self.ends[source - 1] if source else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +192,25 @@ def split_of(source: str) -> str:
 
 
 def training_and_validation(
+    data_dirs: Sequence[str], train_split: str, val_split: str, max_images: int | None
+) -> tuple[Samples, Samples]:
+    """Training and validation splits of data sets (folders or URLs), of each at most so many training images. Where a
+    data set has no `val_split`, every tenth scene of its training split is held out; below ten scenes, validation uses
+    all of them."""
+    dirs = [data_dir.rstrip("/") for data_dir in data_dirs]
+    pairs = [_training_and_validation(data_dir, train_split, val_split, max_images) for data_dir in dirs]
+    if len(pairs) == 1:
+        return pairs[0]
+    train, val = zip(*pairs, strict=True)
+    return (
+        Together(train, [f"{data_dir}/{train_split}" for data_dir in dirs]),
+        Together(val, [f"{data_dir}/{val_split}" for data_dir in dirs]),
+    )
+
+
+def _training_and_validation(
     data_dir: str, train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
-    """Training and validation split of a data set (folder or URL). Without `val_split`, every tenth scene of the
-    training split is held out; below ten scenes, validation uses all of them."""
-    data_dir = data_dir.rstrip("/")
     train = open_split(f"{data_dir}/{train_split}")
     n = len(train) if max_images is None else min(max_images, len(train))
     if has_split(data_dir, val_split):
@@ -167,6 +229,9 @@ def _scenes(samples: Samples) -> Int[np.ndarray, " n"]:
 
 def describe(validation: Samples) -> str:
     """What `training_and_validation` chose for validation."""
+    if isinstance(validation, Together):
+        parts = zip(validation.names, validation.sources, strict=True)
+        return "; ".join(f"{name}: {describe(source)}" for name, source in parts)
     what = counted(len(validation), "image")
     if not isinstance(validation, Subset):
         return what

@@ -4,6 +4,7 @@ All randomness in step s follows from (seed, s), so that a killed run resumes wi
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,15 +60,15 @@ class DivergenceError(Synth3dlanesError, FloatingPointError):
     """The loss or a gradient became NaN or infinite; the message names the step and the samples."""
 
 
-def train(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> Path:
-    """Train on DIR/train, validate on DIR/val, return the best checkpoint's path. Resumes a run found in `out_dir`."""
-    train_samples, val_samples = _splits(config, data_dir)
-    return train_on(config, train_samples, val_samples, Path(out_dir))
+def train(config: TrainConfig, data_dirs: Sequence[str], out_dir: str | Path) -> Path:
+    """Train on DIR/train of all these data sets, validate on DIR/val, return the best checkpoint's path. Resumes a run
+    found in `out_dir`."""
+    return train_on(config, *_splits(config, data_dirs), Path(out_dir))
 
 
-def plan(config: TrainConfig, data_dir: str | Path, out_dir: str | Path) -> list[str]:
+def plan(config: TrainConfig, data_dirs: Sequence[str], out_dir: str | Path) -> list[str]:
     """What `train` would do, in lines; nothing is written."""
-    return plan_on(config, *_splits(config, data_dir), Path(out_dir))
+    return plan_on(config, *_splits(config, data_dirs), Path(out_dir))
 
 
 def plan_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> list[str]:
@@ -128,8 +129,8 @@ def _log(out_dir: Path, length: RunLength, trainee: TrainingRun) -> TrainingLog:
     )
 
 
-def _splits(config: TrainConfig, data_dir: str | Path) -> tuple[Samples, Samples]:
-    return training_and_validation(str(data_dir), config.train_split, config.val_split, config.max_images)
+def _splits(config: TrainConfig, data_dirs: Sequence[str]) -> tuple[Samples, Samples]:
+    return training_and_validation(data_dirs, config.train_split, config.val_split, config.max_images)
 
 
 def _plan(trainee: TrainingRun, decoding: Decoding, validation: str) -> list[str]:

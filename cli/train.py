@@ -45,7 +45,7 @@ out_option = click.option(
 
 
 @click.command()
-@click.argument("data", metavar="DIR")
+@click.argument("data", metavar="DIR...", nargs=-1, required=True)
 @click.option(
     "--model",
     type=ModelName(),
@@ -74,7 +74,7 @@ out_option = click.option(
 @device_option
 @click.option("--dry-run", is_flag=True, help="Print what would be done, and stop.")
 def train(
-    data: str,
+    data: tuple[str, ...],
     model: str | None,
     out: Path,
     init: str | None,
@@ -86,8 +86,8 @@ def train(
     device: str,
     dry_run: bool,
 ) -> None:
-    """Train on DIR/train and validate on DIR/val; the best weights are saved to OUT/best.pt. Rerun to resume, with more
-    --epochs to extend a finished run.
+    """Train on DIR/train and validate on DIR/val; the best weights are saved to OUT/best.pt. Of several data sets, all
+    images are mixed. Rerun to resume, with more --epochs to extend a finished run.
 
     To use several GPUs: torchrun --nproc-per-node 8 -m synth3dlanes train ...
     """

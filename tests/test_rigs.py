@@ -153,7 +153,7 @@ def test_samples_of_some_cameras_are_found_by_their_names(data):
 
 
 def test_training_and_exports_take_the_cameras_that_look_ahead(data):
-    samples, _ = training_and_validation(str(data), "train", "val", None)
+    samples, _ = training_and_validation([str(data)], "train", "val", None)
     assert len(samples) == 2
     upright = UprightSamples(Reader(f"{data}/train", columns=("camera_roll_rad",)))
     assert [upright.key(i) for i in range(len(upright))] == ["00000000", "00000006"]

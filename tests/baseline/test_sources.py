@@ -83,20 +83,42 @@ def test_the_index_gives_keys_and_labels_without_pictures(split_of):
 
 def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "open_split", lambda place: list(range(25)) if place.endswith("train") else ["val"])
-    train, val = sources.training_and_validation(str(tmp_path), "train", "val", None)
+    train, val = sources.training_and_validation([str(tmp_path)], "train", "val", None)
     assert list(val.index) == [9, 19]
     assert sorted([*train.index, *val.index]) == list(range(25))
     (tmp_path / "val").mkdir()
-    train, val = sources.training_and_validation(str(tmp_path), "train", "val", 12)
+    train, val = sources.training_and_validation([str(tmp_path)], "train", "val", 12)
     assert list(train.index) == list(range(12))
     assert val == ["val"]
+
+
+def test_several_data_sets_follow_one_another_each_with_its_own_validation(split_of, tmp_path):
+    level, rolled = (Path(split_of(*changes).reader.url).parent for changes in ((), ("camera.roll_deg=2",)))
+    shutil.copytree(level / "train", level / "val")
+    parts = [open_split(root / "train") for root in (level, rolled)]
+    train, val = training_and_validation([str(level), f"{rolled}/"], "train", "val", None)
+    assert (len(train), len(val)) == (2 * N, 2 * N)
+    for at in range(2 * N):
+        source, index = divmod(at, N)
+        sample, alone = train[at], parts[source][index]
+        assert sample.key == train.key(at) == f"{(level, rolled)[source]}/train:0000000{index}"
+        for labels in (sample.labels, train.labels(at)):
+            np.testing.assert_array_equal(labels.lanes[0].xyz_cam, alone.labels.lanes[0].xyz_cam)
+        np.testing.assert_array_equal(sample.image, alone.image)
+        np.testing.assert_array_equal(train.image(at), alone.image)
+    assert sources.describe(val) == (
+        f"{level}/val: 3 images; {rolled}/val: 3 images of the training split, as there is no validation split"
+    )
+    again, fewer = (training_and_validation([str(level), str(rolled)], "train", "val", most)[0] for most in (None, 1))
+    assert again.digest() == train.digest() != fewer.digest()
+    assert len(fewer) == 2
 
 
 def test_held_out_clips_are_whole(tmp_path):
     def held_out(n):
         plan = Plan(tmp_path / "data", n, fake_samples.recipe(shots=clips(3, 10)), maker=fake_samples.make)
         assert not generate(plan, lambda event: None).problem
-        return [list(part.index) for part in training_and_validation(str(tmp_path / "data"), "train", "val", None)]
+        return [list(part.index) for part in training_and_validation([str(tmp_path / "data")], "train", "val", None)]
 
     assert held_out(27) == [list(range(27))] * 2  # nine scenes
     train, val = held_out(32)
@@ -109,7 +131,7 @@ def test_a_validation_split_that_is_damaged_is_an_error_and_not_missing(split_of
     shutil.copytree(root / "train", root / "val")
     (root / "val" / "00000.parquet").write_bytes(b"rubbish")
     with pytest.raises(FormatError, match=r"val/00000\.parquet: expected the index"):
-        training_and_validation(str(root), "train", "val", None)
+        training_and_validation([str(root)], "train", "val", None)
 
 
 def test_foreign_splits_are_known_by_their_files(tmp_path):
@@ -128,8 +150,8 @@ def test_both_splits_are_read_from_a_store(split_of):
     for path in root.rglob("*.*"):
         store.pipe_file(f"/lanes/{path.relative_to(root).as_posix()}", path.read_bytes())
         store.pipe_file(f"/lanes/{path.relative_to(root).as_posix().replace('train/', 'val/')}", path.read_bytes())
-    here, _ = training_and_validation(str(root), "train", "val", None)
-    train, val = training_and_validation("memory://lanes/", "train", "val", 2)
+    here, _ = training_and_validation([str(root)], "train", "val", None)
+    train, val = training_and_validation(["memory://lanes/"], "train", "val", 2)
     assert (len(here), len(train), len(val)) == (N, 2, N)
     for there in (train, val):
         assert there[1].key == "00000001"
