@@ -39,15 +39,38 @@ def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> A
     pitch_rad, yaw_rad = uniform(math.radians(config.pitch_deg)), uniform(math.radians(config.yaw_deg))
     if config.pitch_deg or config.yaw_deg:
         batch = rotate(batch, pitch_rad, yaw_rad)
+    if config.sharpness:
+        batch = batch._replace(image=sharpen(batch.image, uniform(config.sharpness)))
+    if config.saturation:
+        batch = batch._replace(image=saturate(batch.image, uniform(config.saturation)))
     gain, offset = 1 + uniform(config.contrast), uniform(config.brightness)
     # One noise field for the batch, with strength and sign per image: a field per image took longer on a CPU than the
     # first convolution.
     noise = torch.randn(batch.image.shape[1:], generator=generator, device=device)
     gain, offset, strength = (v[:, None, None, None] for v in (gain, offset, uniform(config.noise)))
+    if config.tint:
+        gain = gain * (1 + torch.stack([uniform(config.tint) for _ in range(3)], dim=1)[..., None, None])
     image = torch.addcmul(offset + (1 - gain) / 2, batch.image, gain).addcmul_(noise, strength).clamp_(0, 1)
     moved = top_from_road(uniform(math.radians(config.top_yaw_deg)), uniform(config.top_shift_m))
     pose_noise = torch.randn((n, 2), generator=generator, device=device)
     return AugmentedBatch(batch._replace(image=image), moved, pose_noise)
+
+
+def sharpen(image: Float[Tensor, "b 3 h w"], amount: Float[Tensor, " b"]) -> Float[Tensor, "b 3 h w"]:
+    """Move each pixel away from the mean of its four neighbours by this share of the difference; below 0 towards it,
+    which blurs. Those of the border stay."""
+    inner = image[..., 1:-1, 1:-1]
+    mean = (
+        (image[..., :-2, 1:-1] + image[..., 2:, 1:-1]).add_(image[..., 1:-1, :-2]).add_(image[..., 1:-1, 2:]).mul_(0.25)
+    )
+    sharp = image.clone()
+    sharp[..., 1:-1, 1:-1] = inner.lerp(mean, -amount[:, None, None, None])
+    return sharp
+
+
+def saturate(image: Float[Tensor, "b 3 h w"], amount: Float[Tensor, " b"]) -> Float[Tensor, "b 3 h w"]:
+    """Move each pixel away from its mean gray by this share of the difference; below 0 towards it: -1 leaves gray."""
+    return image.lerp(image.mean(1, keepdim=True).expand_as(image), -amount[:, None, None, None])
 
 
 def flip(batch: Batch, chosen: Bool[Tensor, " b"]) -> Batch:

@@ -144,6 +144,11 @@ class Augmentation(Strict):
     brightness: Annotated[float, Field(ge=0)] = 0.2
     contrast: Annotated[float, Field(ge=0)] = 0.2
     noise: Annotated[float, Field(ge=0)] = 0.02
+    tint: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    saturation: Annotated[float, Field(ge=0, le=1)] = 0.0
+    sharpness: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """What cameras differ in: the gain of each colour, the distance of colours from gray, and that of pixels from the
+    mean of their neighbours, each changed by at most this share."""
     pitch_deg: Annotated[float, Field(ge=0)] = 0.0
     yaw_deg: Annotated[float, Field(ge=0)] = 0.0
     """Virtual rotations of the camera: the image is warped by K R K^-1, exact for the whole 3D scene."""

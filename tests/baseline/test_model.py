@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 from synth3dlanes_baseline.anchors import encode
-from synth3dlanes_baseline.augment import augment, flip, generator_for, rotate
-from synth3dlanes_baseline.config import OUR_AUGMENTATION, PAPER, TINY, LossConfig, improved, train_config
+from synth3dlanes_baseline.augment import augment, flip, generator_for, rotate, saturate, sharpen
+from synth3dlanes_baseline.config import OUR_AUGMENTATION, PAPER, TINY, Augmentation, LossConfig, improved, train_config
 from synth3dlanes_baseline.curves import Y_REF_M
 from synth3dlanes_baseline.data import annotation_of, pack
 from synth3dlanes_baseline.loading import Example, collate
@@ -240,6 +240,27 @@ def test_augmentation_of_a_step_repeats(roads):
     )
     assert first.batch.image.equal(second.batch.image)
     assert not first.batch.image.equal(other.batch.image)
+
+
+def test_differences_between_cameras_change_colours_and_edges_alone(roads):
+    batch = _batch(roads)
+    image, twice = batch.image, torch.ones(2)
+    gray = saturate(image, torch.full((len(image),), -1.0))
+    assert torch.allclose(gray, image.mean(1, keepdim=True).expand_as(image), atol=1e-6)
+    assert torch.allclose(saturate(image, twice) - gray, 2 * (image - gray), atol=1e-6), "farther from gray"
+    edge = torch.zeros(1, 3, 9, 9)
+    edge[..., 4:] = 0.8
+    blurred, sharp = (sharpen(edge, torch.tensor([amount]))[0, 0, 4] for amount in (-1.0, 1.0))
+    assert blurred[3:5].tolist() == pytest.approx([0.2, 0.6]), "half of the neighbours are across the edge"
+    assert sharp[3:5].tolist() == pytest.approx([-0.2, 1.0]), "the dark side is darker, the bright side brighter"
+    for picture in (blurred, sharp):
+        assert picture[[0, 1, 2, 5, 6, 7, 8]].equal(edge[0, 0, 4][[0, 1, 2, 5, 6, 7, 8]])
+    plain = Augmentation(flip=0, brightness=0, contrast=0, noise=0)
+    tinted = augment(batch, plain.model_copy(update={"tint": 0.2}), generator_for(0, 0, 0, torch.device("cpu"))).batch
+    change = (tinted.image / image.clamp(min=1e-3)).amin((2, 3))
+    assert (change.amax(1) / change.amin(1)).max() > 1.02, "colours change unlike each other"
+    for name in ("intrinsics", "plane_pose", "target_pose"):
+        assert getattr(tinted, name).equal(getattr(batch, name))
 
 
 def test_a_top_view_moved_right_sees_lanes_further_left(roads):
