@@ -60,9 +60,8 @@ def sharpen(image: Float[Tensor, "b 3 h w"], amount: Float[Tensor, " b"]) -> Flo
     """Move each pixel away from the mean of its four neighbours by this share of the difference; below 0 towards it,
     which blurs. Those of the border stay."""
     inner = image[..., 1:-1, 1:-1]
-    mean = (
-        (image[..., :-2, 1:-1] + image[..., 2:, 1:-1]).add_(image[..., 1:-1, :-2]).add_(image[..., 1:-1, 2:]).mul_(0.25)
-    )
+    above, below, left, right = image[..., :-2, 1:-1], image[..., 2:, 1:-1], image[..., 1:-1, :-2], image[..., 1:-1, 2:]
+    mean = (above + below).add_(left).add_(right).mul_(0.25)
     sharp = image.clone()
     sharp[..., 1:-1, 1:-1] = inner.lerp(mean, -amount[:, None, None, None])
     return sharp
