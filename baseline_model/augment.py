@@ -47,10 +47,12 @@ def augment(batch: Batch, config: Augmentation, generator: torch.Generator) -> A
     # One noise field for the batch, with strength and sign per image: a field per image took longer on a CPU than the
     # first convolution.
     noise = torch.randn(batch.image.shape[1:], generator=generator, device=device)
+    offset = offset + (1 - gain) / 2
     gain, offset, strength = (v[:, None, None, None] for v in (gain, offset, uniform(config.noise)))
     if config.tint:
-        gain = gain * (1 + torch.stack([uniform(config.tint) for _ in range(3)], dim=1)[..., None, None])
-    image = torch.addcmul(offset + (1 - gain) / 2, batch.image, gain).addcmul_(noise, strength).clamp_(0, 1)
+        tint = 1 + torch.stack([uniform(config.tint) for _ in range(3)], dim=1)[..., None, None]
+        gain, offset = gain * tint, offset * tint
+    image = torch.addcmul(offset, batch.image, gain).addcmul_(noise, strength).clamp_(0, 1)
     moved = top_from_road(uniform(math.radians(config.top_yaw_deg)), uniform(config.top_shift_m))
     pose_noise = torch.randn((n, 2), generator=generator, device=device)
     return AugmentedBatch(batch._replace(image=image), moved, pose_noise)
