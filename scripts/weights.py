@@ -1,4 +1,5 @@
-"""Put the weights of a training run into the package: `python -m scripts.weights run/best.pt nano`, or `streets`.
+"""Put the weights of a training run into the package: `python -m scripts.weights run/best.pt nano`, or `streets`;
+or those of its end, `run/last.pt`.
 
 Numbers become float16, which changes no lane by more than a millimetre and halves the file.
 """
@@ -19,6 +20,8 @@ def ship(source: Path, target: Path) -> None:
         raise ValueError(f"{source}: expected weights that float16 can hold")
     config = found.config.model_copy(update={"device": "auto", "pretrained": None, "init": None})
     about = {key: value.rsplit("/", 1)[-1] if key == "init" else value for key, value in found.about.items()}
+    if found.resume is not None:
+        about["step"] = found.resume["step"]
     target.parent.mkdir(exist_ok=True)
     save(target, replace(found, config=config, about=about, model=weights, resume=None))
 
