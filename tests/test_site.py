@@ -108,5 +108,5 @@ def test_the_search_finds_words_of_a_page(browser: Browser, address: str) -> Non
     page = browser.new_page()
     page.goto(f"{address}index.html")
     page.get_by_role("textbox", name="Search").fill("CurveLanes")
-    page.locator(".md-search-result__link[href*='exports']").first.wait_for()
+    page.locator(".md-search-result__link[href*='exports']").first.wait_for(timeout=120_000)  # ms: a busy machine
     page.close()
