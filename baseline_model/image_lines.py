@@ -12,8 +12,10 @@ from synth3dlanes.frames import project
 
 from .lanes import Detection, Prediction
 
-MOST_LINES = 5
-"""tuSimple labels at most five lines, and gives no points to an image with more than two too many."""
+BESIDE_M = 10.0
+"""Distance at which the lines to the left and right of the host are chosen."""
+PER_SIDE = 2
+"""tuSimple asks for the lines of the host's lane and of the lanes beside it, four at most, and labels no others."""
 NEAREST_M = 0.5
 VISIBLE = 0.5
 
@@ -22,6 +24,14 @@ def delimiters(prediction: Prediction, threshold: float) -> list[Detection]:
     """The delimiters of at least this confidence, the most confident first."""
     kept = [lane for lane in prediction.lanes if lane.kind == "delimiter" and lane.score >= threshold]
     return sorted(kept, key=lambda lane: -lane.score)
+
+
+def beside_host(lanes: Sequence[Detection], n: int) -> list[Detection]:
+    """The n nearest lanes to the left of the host, and the n nearest to its right; fewer where there are no more."""
+    x_m = [float(np.interp(BESIDE_M, lane.xyz_cam[:, 1], lane.xyz_cam[:, 0])) for lane in lanes]
+    order = np.argsort(x_m, kind="stable")
+    n_left = sum(x < 0 for x in x_m)
+    return [lanes[i] for i in order[max(0, n_left - n) : n_left + n]]
 
 
 def columns_of(
@@ -50,17 +60,21 @@ def tusimple_line(
     return np.where(is_inside, columns_px, ABSENT).astype(int)
 
 
+def asked_for(prediction: Prediction, threshold: float) -> list[Detection]:
+    """The delimiters that tuSimple asks for: the lines of the host's lane and of the lanes beside it."""
+    return beside_host(delimiters(prediction, threshold), PER_SIDE)
+
+
 def tusimple_score(
     found: Sequence[Prediction], split: TusimpleSplit, img_from_cam: Float[np.ndarray, "3 3"], threshold: float
 ) -> TusimpleScore:
-    """The official score of a prediction for each frame: of its MOST_LINES most confident delimiters, projected with
-    the matrix of the images at the rows of the labels."""
+    """The official score of a prediction for each frame: of its lines that tuSimple asks for, projected with the matrix
+    of the images at the rows of the labels."""
     scores = []
     for index, prediction in enumerate(found):
         frame = split.frame(index)
         rows_px = frame.rows_px.astype(float)
-        kept = delimiters(prediction, threshold)[:MOST_LINES]
-        lines = [tusimple_line(lane, img_from_cam, rows_px) for lane in kept]
+        lines = [tusimple_line(lane, img_from_cam, rows_px) for lane in asked_for(prediction, threshold)]
         predicted = np.array(lines, dtype=float).reshape(-1, len(rows_px))
         scores.append(score_frame(frame.lanes_u_px, predicted, rows_px))
     return mean_score(scores)

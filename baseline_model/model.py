@@ -14,7 +14,7 @@ from .lane_head import LaneHead, Lanes
 from .layers import PIXELS, convolutions
 from .poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
 from .projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
-from .refinement import Refinement
+from .refinement import CloseLook, Refinement
 from .timm_trunk import TimmPathway
 
 PITCH_SPREAD_RAD, HEIGHT_SPREAD_M = 0.0251, 0.144
@@ -33,7 +33,7 @@ class Output(NamedTuple):
     cam_from_top: Float[Tensor, "b 4 4"]
     """The transform used in the warp."""
     earlier: tuple[Lanes, ...] = ()
-    """The lanes before each refinement."""
+    """The lanes before each refinement, and before the close look."""
 
 
 class PoseBranch(nn.Module):
@@ -72,7 +72,7 @@ class LaneNet(nn.Module):
         self.config = config
         grid, variant = config.grid, config.variant
         is_pose_learned = config.pose_target != "fixed"
-        needs_all = is_pose_learned or config.refinements or variant in ("full", "late_ipm", "image_view")
+        needs_all = is_pose_learned or config.is_refined or variant in ("full", "late_ipm", "image_view")
         pathway = TimmPathway if config.backbone.startswith(TIMM) else ImagePathway
         self.image = pathway(config, n_stages=4 if needs_all else 1) if self._needs_image(config) else None
         channels = self.image.channels if self.image is not None else ()
@@ -90,6 +90,7 @@ class LaneNet(nn.Module):
         rows = size[0] if variant == "image_view" else grid.rows // 8
         self.head = LaneHead(head_channels, rows, config)
         self.refinements = nn.ModuleList(Refinement(channels, config) for _ in range(config.refinements))
+        self.close_look = CloseLook(channels, config) if config.has_close_look else None
         fixed = torch.tensor([config.fixed_pitch_deg * torch.pi / 180, config.fixed_height_m])
         self.fixed_pose: Tensor
         self.register_buffer("fixed_pose", fixed, persistent=False)
@@ -98,7 +99,7 @@ class LaneNet(nn.Module):
 
     @staticmethod
     def _needs_image(config: ModelConfig) -> bool:
-        return config.variant != "top_view" or config.pose_target != "fixed" or config.refinements > 0
+        return config.variant != "top_view" or config.pose_target != "fixed" or config.is_refined
 
     def _projected_width(self, level: int) -> int:
         return self.config.projected_channels[level] if str(level) in self.projections else 0
@@ -136,9 +137,9 @@ class LaneNet(nn.Module):
             if top_from_road is not None:
                 cam_from_top = cam_from_top @ invert_rigid(top_from_road)
         stages: list[Lanes] = [self.head(self._top_features(image, intrinsics, maps, cam_from_top))]
-        for refinement in self.refinements:
+        for correct in (*self.refinements, *([] if self.close_look is None else [self.close_look])):
             assert self.image is not None
-            stages.append(refinement(stages[-1], self.anchors_m, maps, self.image.lattices, cam_from_top, intrinsics))
+            stages.append(correct(stages[-1], self.anchors_m, maps, self.image.lattices, cam_from_top, intrinsics))
         return Output(*stages[-1], pose, cam_from_top, tuple(stages[:-1]))
 
     def _top_features(

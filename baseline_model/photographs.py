@@ -16,13 +16,10 @@ from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
 from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam
-from .image_lines import MOST_LINES, columns_of, delimiters, tusimple_score
+from .image_lines import asked_for, beside_host, columns_of, delimiters, tusimple_score
 from .inference import choose_device
 from .lanes import Detection, Prediction, read_by_key
 from .pictures import image_files
-
-BESIDE_M = 10.0
-"""Distance at which the lines to the left and right of the host are chosen."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,7 @@ class TusimpleImages:
         """The official accuracy, and rates of false positives and negatives."""
         score = tusimple_score(found, self.split, img_from_cam(intrinsics), threshold)
         figures = {"accuracy": score.accuracy, "FP": score.false_positive, "FN": score.false_negative}
-        n_lines = sum(len(delimiters(prediction, threshold)[:MOST_LINES]) for prediction in found)
+        n_lines = sum(len(asked_for(prediction, threshold)) for prediction in found)
         return ImageReport("tuSimple", figures, len(self.split), n_lines, threshold)
 
 
@@ -98,12 +95,12 @@ class LaneAreas:
         for path, prediction in zip(self.masks, found, strict=True):
             counts, is_lane = np.moveaxis(read_image(path)[..., [0, 2]] > 127, -1, 0)
             lines = delimiters(prediction, threshold)
-            sides = beside_host(lines)
+            sides = beside_host(lines, 1)
             area = _between(sides, img_from_cam(intrinsics), counts.shape) & counts
             both += np.count_nonzero(area & is_lane)
             true += np.count_nonzero(is_lane & counts)
             claimed += np.count_nonzero(area)
-            n_found += bool(sides)
+            n_found += len(sides) == 2
             n_lines += len(lines)
         figures = {
             "precision": _ratio(both, claimed),
@@ -162,14 +159,6 @@ def read_intrinsics(path: Path) -> Intrinsics:
     return checked_intrinsics((fx, fy, cx, cy), str(path))
 
 
-def beside_host(lanes: Sequence[Detection]) -> list[Detection]:
-    """The nearest lane to the left of the host and the nearest to its right; none if one is missing."""
-    x_m = [float(np.interp(BESIDE_M, lane.xyz_cam[:, 1], lane.xyz_cam[:, 0])) for lane in lanes]
-    left = max((i for i, x in enumerate(x_m) if x < 0), key=lambda i: x_m[i], default=None)
-    right = min((i for i, x in enumerate(x_m) if x >= 0), key=lambda i: x_m[i], default=None)
-    return [] if left is None or right is None else [lanes[left], lanes[right]]
-
-
 def _score(
     found: Iterable[Prediction], photographs: Photographs, intrinsics: Intrinsics, threshold: float
 ) -> ImageReport:
@@ -184,7 +173,7 @@ def _between(
     sides: Sequence[Detection], matrix: Float[np.ndarray, "3 3"], size_px: tuple[int, ...]
 ) -> Bool[np.ndarray, "h w"]:
     height, width = size_px
-    if not sides:
+    if len(sides) < 2:
         return np.zeros((height, width), dtype=bool)
     left_px, right_px = (columns_of(lane, matrix, np.arange(height) + 0.5)[:, None] for lane in sides)
     centres_px = np.arange(width) + 0.5

@@ -1,7 +1,7 @@
 """Our addition: lanes are corrected by the maps of the image around their points.
 
 The top view shows the plane of the road alone, and what is far by few pixels. The 3D points of a predicted lane tell
-where in the image to look again.
+where in the image to look again: metres around each knot first, then pixels around the line.
 """
 
 from collections.abc import Sequence
@@ -17,20 +17,58 @@ from .lane_head import Lanes
 from .layers import Lattice
 from .projection import sampling_grid
 
-LEVELS = (0, 1, 2)
-"""Maps that are sampled: image strides 2, 4 and 8."""
-ASIDE_M = (-0.8, -0.4, 0.0, 0.4, 0.8)
-"""Where maps are sampled, right of each point."""
 WIDTH, HIDDEN = 16, 64
+LEVELS = (0, 1, 2)
+"""Maps that a refinement samples: image strides 2, 4 and 8."""
+ASIDE_M = (-0.8, -0.4, 0.0, 0.4, 0.8)
+"""Where it samples them, right of each point."""
 STEP = 0.2
-"""Scale of a correction, in spreads of the targets."""
+"""Scale of its correction, in spreads of the targets."""
+CLOSE_LEVELS = (0, 1)
+ASIDE_PX = (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0)
+"""Where a close look samples its maps, right of each point, in pixels of the network's input."""
+PER_KNOT = 3
+"""Points from a knot to the next, without the next."""
+STEP_PX = 10.0
+"""Scale of its correction."""
+CLOSE_HIDDEN = 48
 
 
-class Refinement(nn.Module):
+class _Look(nn.Module):
+    """Samples a few channels of maps of the image."""
+
+    def __init__(self, channels: Sequence[int], levels: Sequence[int]) -> None:
+        super().__init__()
+        self.levels = levels
+        self.reduce = nn.ModuleList(nn.Conv2d(channels[level], WIDTH, 1) for level in levels)
+
+    def seen_along(
+        self,
+        points_top: Float[Tensor, "b p n 3"],
+        n_lanes: int,
+        maps: Sequence[Float[Tensor, "..."]],
+        lattices: Sequence[Lattice],
+        cam_from_top: Float[Tensor, "b 4 4"],
+        intrinsics: Float[Tensor, "b 4"],
+    ) -> Float[Tensor, "m d s"]:
+        """A sequence of points for each lane of each image, with what the maps have at the point and beside it as
+        channels. No gradient passes to where maps are sampled."""
+        seen = []
+        for reduce, level in zip(self.reduce, self.levels, strict=True):
+            features = reduce(maps[level].float())
+            size = (features.shape[2], features.shape[3])
+            grid = sampling_grid(points_top, cam_from_top.detach(), intrinsics, lattices[level], size)
+            seen.append(functional.grid_sample(features, grid, align_corners=False))
+        b, n_points, n_aside, _ = points_top.shape
+        points = torch.cat(seen, dim=1).reshape(b, -1, n_lanes, n_points // n_lanes, n_aside)
+        return points.permute(0, 2, 1, 4, 3).reshape(b * n_lanes, -1, n_points // n_lanes)
+
+
+class Refinement(_Look):
     """Samples around the points of a lane, and convolutions along it, give a correction of its points and logits."""
 
     def __init__(self, channels: Sequence[int], config: ModelConfig) -> None:
-        super().__init__()
+        super().__init__(channels, LEVELS)
         for name, values in zip(("x_spread_m", "z_spread_m"), spread_m(config), strict=True):
             self.register_buffer(name, values, persistent=False)
         self.x_spread_m: Tensor
@@ -40,7 +78,6 @@ class Refinement(nn.Module):
         self.aside_m: Tensor
         self.register_buffer("aside_m", torch.tensor(ASIDE_M), persistent=False)
         self.has_elevation = config.has_elevation
-        self.reduce = nn.ModuleList(nn.Conv2d(channels[level], WIDTH, 1) for level in LEVELS)
         self.mix = nn.Conv1d(len(LEVELS) * len(ASIDE_M) * WIDTH + 3, HIDDEN, 1)
         self.place = nn.Parameter(torch.zeros(len(config.types), HIDDEN, len(config.knots_y_m)))
         along = [nn.Conv1d(HIDDEN, HIDDEN, 3, padding=1) for _ in range(2)]
@@ -65,15 +102,7 @@ class Refinement(nn.Module):
             x_top_m = (x_m + anchors_m[:, None])[..., None] + self.aside_m
             y_top_m, z_top_m = self.knots_y_m[:, None].expand_as(x_top_m), z_m[..., None].expand_as(x_top_m)
             points_top = torch.stack([x_top_m, y_top_m, z_top_m], dim=-1).reshape(b, t * a * k, len(ASIDE_M), 3)
-            seen = []
-            for reduce, level in zip(self.reduce, LEVELS, strict=True):
-                features = reduce(maps[level].float())
-                size = (features.shape[2], features.shape[3])
-                grid = sampling_grid(points_top, cam_from_top.detach(), intrinsics, lattices[level], size)
-                seen.append(functional.grid_sample(features, grid, align_corners=False))
-            # A sequence of knots per lane, with what is seen there and beside it as channels.
-            knots = torch.cat(seen, dim=1).reshape(b, -1, t * a, k, len(ASIDE_M))
-            knots = knots.permute(0, 2, 1, 4, 3).reshape(b * t * a, -1, k)
+            knots = self.seen_along(points_top, t * a, maps, lattices, cam_from_top, intrinsics)
             scaled = [x_m / self.x_spread_m, z_m / self.z_spread_m, 0.2 * logit[..., None].expand_as(x_m)]
             own = torch.stack(scaled, dim=3).reshape(b * t * a, 3, k)
             hidden = self.mix(torch.cat([knots, own], dim=1)).reshape(b, t, a, HIDDEN, k) + self.place[:, None]
@@ -84,4 +113,69 @@ class Refinement(nn.Module):
                 z_m + STEP * self.z_spread_m * dz if self.has_elevation else z_m,
                 logit + self.lane(hidden.mean(-1)).reshape(b, t, a),
                 None if lanes.visible_logit is None else lanes.visible_logit.detach() + dvisible,
+            )
+
+
+class CloseLook(_Look):
+    """Samples across the line as the camera sees it, at and between the knots, and convolutions along it, give a
+    correction of its points in pixels."""
+
+    def __init__(self, channels: Sequence[int], config: ModelConfig) -> None:
+        super().__init__(channels, CLOSE_LEVELS)
+        knots_y_m = torch.tensor(config.knots_y_m)
+        place = torch.arange(PER_KNOT * (len(knots_y_m) - 1) + 1) / PER_KNOT
+        self.at_points: Tensor
+        """Matrix from values at knots to linear interpolations at points."""
+        between = (1 - (place - torch.arange(len(knots_y_m))[:, None]).abs()).clamp_min(0)
+        self.register_buffer("at_points", between, persistent=False)
+        self.knots_y_m: Tensor
+        self.register_buffer("knots_y_m", knots_y_m, persistent=False)
+        self.aside_px: Tensor
+        self.register_buffer("aside_px", torch.tensor(ASIDE_PX), persistent=False)
+        self.has_elevation = config.has_elevation
+        self.mix = nn.Conv1d(len(CLOSE_LEVELS) * len(ASIDE_PX) * WIDTH, CLOSE_HIDDEN, 1)
+        self.place = nn.Parameter(torch.zeros(len(config.types), CLOSE_HIDDEN, len(place)))
+        self.along = nn.Sequential(
+            nn.ReLU(),
+            nn.Conv1d(CLOSE_HIDDEN, CLOSE_HIDDEN, 5, padding=2),
+            nn.ReLU(),
+            nn.Conv1d(CLOSE_HIDDEN, CLOSE_HIDDEN, 5, padding=2, stride=PER_KNOT),
+            nn.ReLU(),
+            nn.Conv1d(CLOSE_HIDDEN, CLOSE_HIDDEN, 3, padding=1),
+            nn.ReLU(),
+        )
+        self.points = nn.Conv1d(CLOSE_HIDDEN, 2, 1)
+        for value in self.points.parameters():
+            nn.init.zeros_(value)
+
+    def forward(
+        self,
+        lanes: Lanes,
+        anchors_m: Float[Tensor, " a"],
+        maps: Sequence[Float[Tensor, "..."]],
+        lattices: Sequence[Lattice],
+        cam_from_top: Float[Tensor, "b 4 4"],
+        intrinsics: Float[Tensor, "b 4"],
+    ) -> Lanes:
+        """The lanes with corrected points. No gradient passes to the lanes given, nor to where maps are sampled."""
+        x_m, z_m = lanes.x_m.detach(), lanes.z_m.detach()
+        b, t, a, k = x_m.shape
+        with torch.autocast(x_m.device.type, enabled=False):
+            # A pixel's width in metres, at a distance of one metre.
+            pixel = 1 / intrinsics[:, 0, None, None, None, None]
+            y_m = self.knots_y_m @ self.at_points
+            aside_m = pixel * y_m[:, None] * self.aside_px
+            x_top_m = ((x_m + anchors_m[:, None]) @ self.at_points)[..., None] + aside_m
+            y_top_m, z_top_m = y_m[:, None].expand_as(x_top_m), (z_m @ self.at_points)[..., None].expand_as(x_top_m)
+            points_top = torch.stack([x_top_m, y_top_m, z_top_m], dim=-1).reshape(b, -1, len(ASIDE_PX), 3)
+            seen = self.seen_along(points_top, t * a, maps, lattices, cam_from_top, intrinsics)
+            hidden = self.mix(seen).reshape(b, t, a, CLOSE_HIDDEN, -1) + self.place[:, None]
+            hidden = self.along(hidden.reshape(b * t * a, CLOSE_HIDDEN, -1))
+            dx_px, dz_px = (STEP_PX * self.points(hidden)).reshape(b, t, a, 2, k).unbind(3)
+            pixel_m = pixel[..., 0] * self.knots_y_m
+            return Lanes(
+                x_m + pixel_m * dx_px,
+                z_m + pixel_m * dz_px if self.has_elevation else z_m,
+                lanes.logit.detach(),
+                None if lanes.visible_logit is None else lanes.visible_logit.detach(),
             )

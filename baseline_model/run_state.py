@@ -135,7 +135,7 @@ def _resume(trainee: TrainingRun, found: checkpoints.Checkpoint, out_dir: Path) 
 
 
 def _start_from(model: nn.Module, source: str) -> str:
-    """Load another run's weights; return a description of them."""
+    """Load another run's weights; return a description of them. A close look is new to networks that had none."""
     found = checkpoints.load(checkpoints.place(source))
-    load_weights(model, found.model, "init", source)
+    load_weights(model, found.model, "init", source, may_lack="close_look")
     return f"{source}, trained on {found.about.get('train', {}).get('n_images', '?')} images"

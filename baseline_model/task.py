@@ -59,7 +59,7 @@ class LaneNetTask(nn.Module):
         else:
             top_from_cam = augmented.top_from_road @ road_from_cam(pose)
         targets, _ = encode(batch.curves, top_from_cam, network.config)
-        return loss(output, targets, pose, network.config.types, config.loss)
+        return loss(output, targets, pose, invert_rigid(top_from_cam), network.config, config.loss)
 
 
 class CustomTask(nn.Module):

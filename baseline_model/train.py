@@ -60,13 +60,13 @@ class DivergenceError(Synth3dlanesError, FloatingPointError):
     """The loss or a gradient became NaN or infinite; the message names the step and the samples."""
 
 
-def train(config: TrainConfig, data_dirs: Sequence[str], out_dir: str | Path) -> Path:
-    """Train on DIR/train of all these data sets, validate on DIR/val, return the best checkpoint's path. Resumes a run
-    found in `out_dir`."""
+def train(config: TrainConfig, data_dirs: str | Sequence[str], out_dir: str | Path) -> Path:
+    """Train on DIR/train of one data set or of several, validate on DIR/val, return the best checkpoint's path. Resumes
+    a run found in `out_dir`."""
     return train_on(config, *_splits(config, data_dirs), Path(out_dir))
 
 
-def plan(config: TrainConfig, data_dirs: Sequence[str], out_dir: str | Path) -> list[str]:
+def plan(config: TrainConfig, data_dirs: str | Sequence[str], out_dir: str | Path) -> list[str]:
     """What `train` would do, in lines; nothing is written."""
     return plan_on(config, *_splits(config, data_dirs), Path(out_dir))
 
@@ -129,7 +129,7 @@ def _log(out_dir: Path, length: RunLength, trainee: TrainingRun) -> TrainingLog:
     )
 
 
-def _splits(config: TrainConfig, data_dirs: Sequence[str]) -> tuple[Samples, Samples]:
+def _splits(config: TrainConfig, data_dirs: str | Sequence[str]) -> tuple[Samples, Samples]:
     return training_and_validation(data_dirs, config.train_split, config.val_split, config.max_images)
 
 

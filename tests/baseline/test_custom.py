@@ -120,6 +120,17 @@ def test_training_starts_from_the_weights_it_is_given(samples, tmp_path):
     assert not (tmp_path / "narrower").exists()
 
 
+def test_a_close_look_can_be_added_to_weights_that_have_none(samples, tmp_path):
+    first = train_on(_tiny(seed=1), samples, samples, tmp_path / "first")
+    still = {"learning_rate": 1e-30, "min_learning_rate": 1e-30, "weight_decay": 0.0, "ema_decay": 0.0}
+    config = checkpoints.fine_tuning(str(first), {**still, "model.has_close_look": True, "loss.image": 0.1})
+    before = checkpoints.load(first).model
+    after = checkpoints.load(train_on(config, samples, samples, tmp_path / "grown")).model
+    assert {name.partition(".")[0] for name in after.keys() - before.keys()} == {"close_look"}
+    names = [name for name, value in before.items() if value.is_floating_point() and "running" not in name]
+    assert all(torch.allclose(before[name], after[name], atol=1e-12) for name in names)
+
+
 def test_a_finished_run_is_extended_with_another_batch(samples, tmp_path):
     train_on(_tiny(epochs=2.0), samples, samples, tmp_path)
     longer = _tiny(epochs=5.0, batch=4)

@@ -8,13 +8,13 @@ import sys
 import numpy as np
 import pytest
 import torch
-from synth3dlanes_baseline.anchors import encode
+from synth3dlanes_baseline.anchors import Targets, anchor_positions_m, encode
 from synth3dlanes_baseline.augment import augment, flip, generator_for, rotate, saturate, sharpen
 from synth3dlanes_baseline.config import OUR_AUGMENTATION, PAPER, TINY, Augmentation, LossConfig, improved, train_config
 from synth3dlanes_baseline.curves import Y_REF_M
 from synth3dlanes_baseline.data import annotation_of, pack
 from synth3dlanes_baseline.loading import Example, collate
-from synth3dlanes_baseline.loss import loss
+from synth3dlanes_baseline.loss import ALONG, loss
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.projection import top_from_road
 
@@ -157,13 +157,42 @@ def test_improved_has_a_visibility_per_knot(roads):
 def test_loss_of_perfect_output_is_only_the_confidence(roads):
     batch = _batch(roads)
     targets = _targets(batch, TINY)
-    terms = loss(_output(targets, batch), targets, batch.target_pose, TINY.types, LossConfig())
+    terms = _loss(_output(targets, batch), targets, batch.target_pose, LossConfig())
     assert terms["geometry"].abs().max() == 0
     assert terms["pose"].abs().max() == 0
     assert terms["detection"].max() < 1e-3
     off = _output(targets, batch)._replace(pose=batch.target_pose + torch.tensor([math.radians(1.0), 0.1]))
-    terms = loss(off, targets, batch.target_pose, TINY.types, LossConfig())
+    terms = _loss(off, targets, batch.target_pose, LossConfig())
     assert terms["pose"].tolist() == pytest.approx([1.1, 1.1], rel=1e-4), "a degree counts as much as a metre"
+
+
+def test_the_image_term_is_what_the_camera_sees():
+    # One straight line on a level road, seen from above it without pitch: all of it is in one direction of the image.
+    right_m, height_m = 1.8, 1.6
+    knots_y_m, anchors_m = torch.tensor(TINY.knots_y_m), torch.tensor(anchor_positions_m(TINY))
+    assigned = torch.zeros(1, 3, 16, dtype=torch.bool)
+    assigned[0, 2, 9] = True
+    known = assigned[..., None].expand(1, 3, 16, len(knots_y_m))
+    x_m, z_m = (right_m - anchors_m)[:, None].expand(known.shape), torch.zeros(known.shape)
+    targets = Targets(x_m, z_m, known, known, assigned, assigned)
+    pose = torch.tensor([[0.0, height_m]])
+
+    def image(dx_m: float, dz_m: float) -> float:
+        output = _output(targets, None)._replace(x_m=x_m + dx_m, z_m=z_m + dz_m)
+        return float(_loss(output, targets, pose, LossConfig(image=1.0))["image"])
+
+    per_metre_mrad = float((1000 / knots_y_m).sum())
+    slant_m = math.hypot(right_m, height_m)
+    assert image(0.0, 0.0) == 0.0
+    across, along = height_m / slant_m, right_m / slant_m
+    assert image(0.1, 0.0) == pytest.approx(0.1 * (across + ALONG * along) * per_metre_mrad, rel=1e-4)
+    assert image(-0.1, 0.0) == pytest.approx(image(0.1, 0.0)), "left errors count as much as right ones"
+    scaled = image(0.05 * right_m, -0.05 * height_m)
+    assert scaled == pytest.approx(0.05 * slant_m * ALONG * per_metre_mrad, rel=1e-4), (
+        "a lane that is wider and lower by the same share is the same line of the image"
+    )
+    assert image(0.05 * right_m, 0.05 * height_m) > 3 * scaled
+    assert "image" not in _loss(_output(targets, None), targets, pose, LossConfig())
 
 
 def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
@@ -175,7 +204,7 @@ def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
     targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), road_from_cam(pose), TINY)
     x_m, z_m, logit = (torch.randn(1, 3, 16, *tail, requires_grad=True) for tail in ((6,), (6,), ()))
     output = _output(targets, None)._replace(x_m=x_m, z_m=z_m, logit=logit, pose=pose)
-    loss(output, targets, pose, TINY.types, LossConfig())["total"].sum().backward()
+    _loss(output, targets, pose, LossConfig())["total"].sum().backward()
     touched = torch.nonzero(x_m.grad[0]).tolist()
     assert touched == [[0, 8, 0], [0, 8, 1], [0, 8, 2]]
     assert torch.nonzero(z_m.grad[0]).tolist() == touched
@@ -189,7 +218,7 @@ def test_unlabelled_kinds_enter_no_term(roads):
     x_m = torch.zeros_like(targets.x_m).requires_grad_()
     output = _output(targets, batch)._replace(logit=logit, x_m=x_m)
     config = LossConfig(kinds=("delimiter",))
-    loss(output, targets, batch.target_pose, TINY.types, config)["total"].sum().backward()
+    _loss(output, targets, batch.target_pose, config)["total"].sum().backward()
     assert logit.grad[:, :2].abs().max() == x_m.grad[:, :2].abs().max() == 0
     assert logit.grad[:, 2].abs().min() > 0
 
@@ -276,6 +305,12 @@ def test_a_top_view_moved_right_sees_lanes_further_left(roads):
     anchor = int(torch.nonzero(targets.assigned)[0, 2])
     x_m = targets.x_m[0, 0, anchor] + (anchor - 7.5) * 1.28
     assert x_m.tolist() == pytest.approx([0.5] * 6, abs=1e-4)
+
+
+def _loss(output, targets, pose, config):
+    from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
+
+    return loss(output, targets, pose, invert_rigid(road_from_cam(pose)), TINY, config)
 
 
 def _output(targets, batch):

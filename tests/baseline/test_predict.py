@@ -47,8 +47,9 @@ def _untrained(path, row):
     torch.manual_seed(0)
     config = train_config("tiny", ablation=row)
     network = LaneNet(config.model)
-    for value in network.refinements.parameters():  # those that begin at zero would hide the others
-        torch.nn.init.normal_(value, std=0.05)
+    for name, value in network.named_parameters():  # those that begin at zero would hide the others
+        if name.startswith(("refinements.", "close_look.")):
+            torch.nn.init.normal_(value, std=0.05)
     checkpoints.save(path, checkpoints.Checkpoint(config, {}, network.state_dict(), None))
     return path
 

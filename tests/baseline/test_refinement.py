@@ -12,7 +12,7 @@ from synth3dlanes_baseline.layers import Lattice
 from synth3dlanes_baseline.loss import loss
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
-from synth3dlanes_baseline.refinement import ASIDE_M, WIDTH, Refinement
+from synth3dlanes_baseline.refinement import ASIDE_M, ASIDE_PX, STEP_PX, WIDTH, CloseLook, Refinement
 
 
 def _lanes(config, x_m=0.0, z_m=0.0):
@@ -58,10 +58,66 @@ def test_it_looks_where_the_points_of_a_lane_are_in_the_image():
                 assert found == pytest.approx(expected, abs=0.02), (y_m, aside_m, level)
 
 
+def test_a_close_look_is_at_pixels_across_the_line_at_and_between_knots():
+    config = improved(TINY)
+    anchors_m = torch.tensor(anchor_positions_m(config))
+    close_look = CloseLook((1, 1), config)
+    lattices = [Lattice(stride, stride / 2) for stride in (2, 4)]
+    wide, high, f_px, cx, cy, height_m = 3200, 2400, 400.0, 1600.0, 1200.0, 1.6
+    cam_from_top = invert_rigid(road_from_cam(torch.tensor([[0.0, height_m]] * 2)))
+    knots_y_m = np.array(config.knots_y_m)
+    lanes = _lanes(config)
+    for name, step in (("x_m", 0.01), ("z_m", 0.02)):
+        lanes = lanes._replace(**{name: torch.tensor(step * knots_y_m).float().expand(lanes.x_m.shape)})
+    given = []
+    close_look.mix.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
+    for reduce in close_look.reduce:
+        torch.nn.init.zeros_(reduce.bias)
+        torch.nn.init.zeros_(reduce.weight)
+        reduce.weight.data[0] = 1.0
+    for axis in (0, 1):
+        maps = []
+        for stride, offset in lattices:
+            n_rows, n_columns = high // stride, wide // stride
+            place = torch.arange(n_columns if axis == 0 else n_rows) * float(stride) + offset
+            grid = place.expand(n_rows, n_columns) if axis == 0 else place[:, None].expand(n_rows, n_columns)
+            maps.append(grid.expand(2, 1, n_rows, n_columns))
+        close_look(lanes, anchors_m, maps, lattices, cam_from_top, torch.tensor([[f_px, f_px, cx, cy]] * 2))
+    seen = [value.reshape(2, 3, 16, 2, WIDTH, len(ASIDE_PX), -1) for value in given]
+    points_y_m = np.interp(np.arange(28) / 3, np.arange(10), knots_y_m)
+    for point, y_m in enumerate(points_y_m):
+        u_px = cx + f_px * (float(anchors_m[8]) / y_m + 0.01)
+        v_px = cy - f_px * (0.02 - height_m / y_m)
+        for i, aside_px in enumerate(ASIDE_PX):
+            for level in range(2):
+                found = [float(value[0, 1, 8, level, 0, i, point]) for value in seen]
+                assert found == pytest.approx((u_px + aside_px, v_px), abs=0.02), (y_m, aside_px, level)
+
+
+def test_a_close_look_moves_points_by_pixels_and_leaves_the_confidence_alone():
+    config = improved(TINY)
+    network = LaneNet(config).eval()
+    image, intrinsics = torch.rand(1, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]])
+    with torch.no_grad():
+        before = network(image, intrinsics)
+        torch.nn.init.ones_(network.close_look.points.bias)
+        after = network(image, intrinsics)
+    pixel_m = torch.tensor(config.knots_y_m) / 138.6
+    for name in ("x_m", "z_m"):
+        moved_px = (getattr(after, name) - getattr(before, name)) / pixel_m
+        assert moved_px.flatten().tolist() == pytest.approx([STEP_PX] * moved_px.numel(), rel=1e-3), name
+    assert after.logit.equal(before.logit)
+    assert after.visible_logit.equal(before.visible_logit)
+
+
 def test_untrained_it_changes_nothing_and_flat_lanes_stay_flat():
     torch.manual_seed(3)
     for has_elevation in (True, False):
-        network = LaneNet(improved(TINY).model_copy(update={"refinements": 2, "has_elevation": has_elevation})).eval()
+        network = LaneNet(
+            improved(TINY).model_copy(
+                update={"refinements": 2, "has_elevation": has_elevation, "has_close_look": False}
+            )
+        ).eval()
         image, intrinsics = torch.rand(1, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]])
         with torch.no_grad():
             output = network(image, intrinsics)
@@ -79,13 +135,13 @@ def test_untrained_it_changes_nothing_and_flat_lanes_stay_flat():
 @pytest.mark.parametrize("variant", ["full", "top_view", "early_ipm", "late_ipm", "image_view"])
 @pytest.mark.parametrize("pose_target", ["plane", "fixed"])
 def test_every_variant_can_have_it(variant, pose_target):
-    changes = {"refinements": 1, "variant": variant, "pose_target": pose_target}
+    changes = {"refinements": 1, "has_close_look": True, "variant": variant, "pose_target": pose_target}
     with torch.no_grad():
         output = LaneNet(TINY.model_copy(update=changes)).eval()(
             torch.rand(1, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]])
         )
     assert output.x_m.isfinite().all()
-    assert len(output.earlier) == 1
+    assert len(output.earlier) == 2
 
 
 def test_every_stage_is_trained():
@@ -98,7 +154,7 @@ def test_every_stage_is_trained():
     def geometry(*errors_m: float) -> float:
         *earlier, last = (lanes._replace(x_m=torch.full(shape, error_m)) for error_m in errors_m)
         output = Output(*last, pose, torch.eye(4).expand(2, 4, 4), tuple(earlier))
-        return float(loss(output, targets, pose, TINY.types, LossConfig())["geometry"].mean())
+        return float(loss(output, targets, pose, output.cam_from_top, TINY, LossConfig())["geometry"].mean())
 
     one = geometry(1.0)
     assert one == pytest.approx(shape[1] * shape[2] * shape[3])

@@ -16,7 +16,7 @@ from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import Picture, encode, member_names
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit
 from synth3dlanes.ground_truth import ground_truth
@@ -112,6 +112,10 @@ def test_several_data_sets_follow_one_another_each_with_its_own_validation(split
     again, fewer = (training_and_validation([str(level), str(rolled)], "train", "val", most)[0] for most in (None, 1))
     assert again.digest() == train.digest() != fewer.digest()
     assert len(fewer) == 2
+    alone, _ = training_and_validation(str(level), "train", "val", None)
+    assert alone.digest() == training_and_validation([str(level)], "train", "val", None)[0].digest()
+    with pytest.raises(InputError, match=f"data sets: expected each once, got {level}, {rolled}, {level}"):
+        training_and_validation([str(level), str(rolled), f"{level}/"], "train", "val", None)
 
 
 def test_held_out_clips_are_whole(tmp_path):
