@@ -14,8 +14,8 @@ from .lanes import Detection, Prediction
 
 BESIDE_M = 10.0
 """Distance at which the lines to the left and right of the host are chosen."""
-PER_SIDE = 2
-"""tuSimple asks for the lines of the host's lane and of the lanes beside it, four at most, and labels no others."""
+MOST_LINES = 4
+"""tuSimple asks for at most four lines, those of the host's lane and of the lanes beside it."""
 NEAREST_M = 0.5
 VISIBLE = 0.5
 
@@ -26,12 +26,15 @@ def delimiters(prediction: Prediction, threshold: float) -> list[Detection]:
     return sorted(kept, key=lambda lane: -lane.score)
 
 
-def beside_host(lanes: Sequence[Detection], n: int) -> list[Detection]:
-    """The n nearest lanes to the left of the host, and the n nearest to its right; fewer where there are no more."""
-    x_m = [float(np.interp(BESIDE_M, lane.xyz_cam[:, 1], lane.xyz_cam[:, 0])) for lane in lanes]
-    order = np.argsort(x_m, kind="stable")
-    n_left = sum(x < 0 for x in x_m)
-    return [lanes[i] for i in order[max(0, n_left - n) : n_left + n]]
+def right_of_host_m(lane: Detection) -> float:
+    """How far right of the camera the lane is, BESIDE_M ahead."""
+    return float(np.interp(BESIDE_M, lane.xyz_cam[:, 1], lane.xyz_cam[:, 0]))
+
+
+def asked_for(prediction: Prediction, threshold: float) -> list[Detection]:
+    """The delimiters that tuSimple asks for: the MOST_LINES nearest the host."""
+    lanes = delimiters(prediction, threshold)
+    return sorted(lanes, key=lambda lane: abs(right_of_host_m(lane)))[:MOST_LINES]
 
 
 def columns_of(
@@ -58,11 +61,6 @@ def tusimple_line(
     columns_px = np.rint(columns_of(lane, img_from_cam, rows_px))
     is_inside = (columns_px >= 0) & (columns_px < CAMERA.width_px)
     return np.where(is_inside, columns_px, ABSENT).astype(int)
-
-
-def asked_for(prediction: Prediction, threshold: float) -> list[Detection]:
-    """The delimiters that tuSimple asks for: the lines of the host's lane and of the lanes beside it."""
-    return beside_host(delimiters(prediction, threshold), PER_SIDE)
 
 
 def tusimple_score(

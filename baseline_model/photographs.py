@@ -16,7 +16,7 @@ from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
 from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam
-from .image_lines import asked_for, beside_host, columns_of, delimiters, tusimple_score
+from .image_lines import asked_for, columns_of, delimiters, right_of_host_m, tusimple_score
 from .inference import choose_device
 from .lanes import Detection, Prediction, read_by_key
 from .pictures import image_files
@@ -95,12 +95,12 @@ class LaneAreas:
         for path, prediction in zip(self.masks, found, strict=True):
             counts, is_lane = np.moveaxis(read_image(path)[..., [0, 2]] > 127, -1, 0)
             lines = delimiters(prediction, threshold)
-            sides = beside_host(lines, 1)
+            sides = beside_host(lines)
             area = _between(sides, img_from_cam(intrinsics), counts.shape) & counts
             both += np.count_nonzero(area & is_lane)
             true += np.count_nonzero(is_lane & counts)
             claimed += np.count_nonzero(area)
-            n_found += len(sides) == 2
+            n_found += bool(sides)
             n_lines += len(lines)
         figures = {
             "precision": _ratio(both, claimed),
@@ -159,6 +159,14 @@ def read_intrinsics(path: Path) -> Intrinsics:
     return checked_intrinsics((fx, fy, cx, cy), str(path))
 
 
+def beside_host(lanes: Sequence[Detection]) -> list[Detection]:
+    """The nearest lane to the left of the host and the nearest to its right; none if one is missing."""
+    x_m = [right_of_host_m(lane) for lane in lanes]
+    left = max((i for i, x in enumerate(x_m) if x < 0), key=lambda i: x_m[i], default=None)
+    right = min((i for i, x in enumerate(x_m) if x >= 0), key=lambda i: x_m[i], default=None)
+    return [] if left is None or right is None else [lanes[left], lanes[right]]
+
+
 def _score(
     found: Iterable[Prediction], photographs: Photographs, intrinsics: Intrinsics, threshold: float
 ) -> ImageReport:
@@ -173,7 +181,7 @@ def _between(
     sides: Sequence[Detection], matrix: Float[np.ndarray, "3 3"], size_px: tuple[int, ...]
 ) -> Bool[np.ndarray, "h w"]:
     height, width = size_px
-    if len(sides) < 2:
+    if not sides:
         return np.zeros((height, width), dtype=bool)
     left_px, right_px = (columns_of(lane, matrix, np.arange(height) + 0.5)[:, None] for lane in sides)
     centres_px = np.arange(width) + 0.5
