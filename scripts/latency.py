@@ -19,7 +19,7 @@ from synth3dlanes.files import write
 from synth3dlanes.scratch import scratch
 
 FILE = Path(__file__).parents[1] / "docs/latency.json"
-MODELS = ("nano", "small", "compact", "paper", "tusimple")
+MODELS = ("nano", "streets", "small", "compact", "paper", "tusimple")
 REPEATS = 8
 HEAD = "| network | run by | numbers | one thread | two threads | peak memory |\n|---|---|---|---:|---:|---:|"
 UNITS = {"cpu_ms": "ms", "wall_ms": "ms", "memory_mib": "MiB"}
@@ -86,13 +86,13 @@ def one(by: str, model: str, what: str, file: str) -> dict[str, float]:
 
 
 def _network(model: str) -> Any:
-    """`nano` as in the package; the others with random weights, which cost the same."""
+    """`nano` and `streets` as in the package; the others with random weights, which cost the same."""
     import torch
     from synth3dlanes_baseline import checkpoint
     from synth3dlanes_baseline.config import train_config
     from synth3dlanes_baseline.model import LaneNet
 
-    if model == "nano":
+    if model in ("nano", "streets"):
         return checkpoint.build_lane_net(checkpoint.load(checkpoint.place(model)), torch.device("cpu"))
     return LaneNet(train_config(model, {}).model).eval().to(memory_format=torch.channels_last)
 

@@ -77,16 +77,17 @@ def card(name: str, about: dict[str, Any], network: dict[str, Any]) -> str:
     path = place(name)
     found = load(path)
     config = found.config
+    without = "" if config.model.has_close_look else " without a close look"
     facts = {
         "for": about["for"],
         "file": f"`{path.name}`, {path.stat().st_size / 1e6:.1f} MB, float16, no code in it",
-        "network": f"3D-LaneNet, `nano` with `--ablation improved`, {n_weights(found):,} numbers",
+        "network": f"3D-LaneNet, `nano` with `--ablation improved`{without}, {n_weights(found):,} numbers",
         "input": f"RGB, scaled to {config.model.image_width_px}x{config.model.image_height_px} px, and the intrinsics",
         "output": "centre lines and delimiters in 3D with confidences, height and pitch of the camera",
         "data": about["data"],
         "training": f"{found.about['step']:,} steps of {config.batch} images in the last run; {about['made']}",
         "licence": "weights: MIT, as the code; all images are CC0-1.0, made by this program, without a photograph",
-        "latency": f"{latency_words()} of one thread for an image ([all networks](baseline.md#speed))",
+        "latency": f"{latency_words(name)} of one thread for an image ([all networks](baseline.md#speed))",
     }
     rows = "\n".join(["| | |", "|---|---|", *(f"| {key} | {text.strip()} |" for key, text in facts.items())])
     limits, figures = ("\n".join(f"- {line.strip()}" for line in about[part]) for part in ("limits", "figures"))
@@ -98,9 +99,9 @@ def card(name: str, about: dict[str, Any], network: dict[str, Any]) -> str:
     )
 
 
-def latency_words() -> str:
-    """What the network of both files costs."""
-    costs = {(row["by"], row["numbers"]): f"{row['cpu_ms']:.0f} ms" for row in latency_rows() if row["model"] == "nano"}
+def latency_words(name: str) -> str:
+    """What the network of these weights costs."""
+    costs = {(row["by"], row["numbers"]): f"{row['cpu_ms']:.0f} ms" for row in latency_rows() if row["model"] == name}
     by_onnx = f"{costs['onnxruntime', 'float32']} with ONNX Runtime, {costs['onnxruntime', 'int8']} in int8"
     return f"{costs['torch', 'float32']} with PyTorch, {by_onnx}"
 

@@ -15,7 +15,7 @@ from synth3dlanes_baseline.checkpoint import load, place, save
 
 
 def ship(source: Path, target: Path, even: float) -> None:
-    """Write the checkpoint's weights, without paths of the machine that made them. The confidence `even` becomes 0.5."""
+    """Write the checkpoint's weights, without paths of the machine that made them; confidence `even` becomes 0.5."""
     found = load(source)
     if even != 0.5:
         found.model["refinements.0.lane.bias"] -= math.log(even / (1 - even))
