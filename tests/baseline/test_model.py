@@ -191,7 +191,10 @@ def test_the_image_term_is_what_the_camera_sees():
     assert scaled == pytest.approx(0.05 * slant_m * ALONG * per_metre_mrad, rel=1e-4), (
         "a lane that is wider and lower by the same share is the same line of the image"
     )
-    assert image(0.05 * right_m, 0.05 * height_m) > 3 * scaled
+    wider_m, lower_m = 0.05 * right_m, -0.05 * height_m
+    across, along = wider_m * height_m - lower_m * right_m, wider_m * right_m + lower_m * height_m
+    higher = (across + ALONG * along) / slant_m * per_metre_mrad
+    assert image(wider_m, -lower_m) == pytest.approx(higher, rel=1e-4), "wider and higher, it is another line"
     assert "image" not in _loss(_output(targets, None), targets, pose, LossConfig())
 
 

@@ -176,6 +176,35 @@ def test_columns_end_where_the_lane_is_hidden_or_turns_back():
     assert highest(Detection("delimiter", 1.0, crest)) == 360
 
 
+def test_the_four_delimiters_nearest_the_host_are_scored_on_tusimple(tmp_path):
+    height_m, rows = 1.5, np.arange(400, 710, 10)
+    camera = (1000.0, 1000.0, 640.0, 360.0)
+
+    def scored(labelled, found):
+        """Accuracy, FP and FN of straight lines so many metres right of the camera, each with a confidence."""
+        columns = [np.rint(640 + x_m * (rows - 360) / height_m).astype(int) for x_m in labelled]
+        lanes = [np.where((u_px >= 0) & (u_px < 1280), u_px, -2).tolist() for u_px in columns]
+        frame = {"raw_file": "1.jpg", "lanes": lanes, "h_samples": rows.tolist()}
+        (tmp_path / "labels.json").write_text(json.dumps(frame) + "\n")
+        y_m = np.arange(3.0, 60.0, 0.5)
+        lines = [
+            Detection("delimiter", score, np.stack([x_m + 0 * y_m, y_m, -height_m + 0 * y_m], axis=1))
+            for x_m, score in found.items()
+        ]
+        write_predictions(tmp_path / "p.jsonl", [Prediction("1.jpg", tuple(lines), None)])
+        report = evaluate_predictions(tmp_path / "p.jsonl", open_photographs(tmp_path), camera)
+        return tuple(report.figures.values())
+
+    four = {-5.4: 0.6, -1.8: 0.6, 1.8: 0.6, 5.4: 0.6}
+    assert scored(four, four) == (1.0, 0.0, 0.0)
+    assert scored(four, {9.0: 0.99, **four}) == (1.0, 0.0, 0.0), "the fifth is farther from the host"
+    accuracy, *rates = scored(four, {3.6: 0.55, **four})
+    assert accuracy < 1.0
+    assert rates == [0.25, 0.25], "a wrong line near the host takes the place of one beside its lane"
+    assert scored(four, {x_m: 0.4 for x_m in four})[2] == 1.0, "below the threshold"
+    assert scored([*four, 1.81], four) == (1.0, 0.0, 0.0), "one line finds two that lie together; FP is not negative"
+
+
 def test_centre_lines_alone_are_refused_in_a_line(tmp_path):
     frame = {"raw_file": "1.jpg", "lanes": [[600, 610]], "h_samples": [400, 410]}
     (tmp_path / "labels.json").write_text(json.dumps(frame) + "\n")
