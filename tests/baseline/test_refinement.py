@@ -20,28 +20,35 @@ def _lanes(config, x_m=0.0, z_m=0.0):
     return Lanes(torch.full(shape, x_m), torch.full(shape, z_m), torch.zeros(shape[:3]), torch.zeros(shape))
 
 
+def _places(axis, lattice, wide, high):
+    """A map whose features are their own place in the image, right (axis 0) or down."""
+    n_rows, n_columns = high // lattice.stride, wide // lattice.stride
+    place = torch.arange(n_columns if axis == 0 else n_rows) * float(lattice.stride) + lattice.offset
+    grid = place.expand(n_rows, n_columns) if axis == 0 else place[:, None].expand(n_rows, n_columns)
+    return grid.expand(2, 1, n_rows, n_columns)
+
+
+def _hand_on(look):
+    """Its first reduced channel is the map itself, the others are zero."""
+    for reduce in look.reduce:
+        torch.nn.init.zeros_(reduce.bias)
+        torch.nn.init.zeros_(reduce.weight)
+        reduce.weight.data[0] = 1.0
+
+
 def test_it_looks_where_the_points_of_a_lane_are_in_the_image():
     config = improved(TINY)
     anchors_m = torch.tensor(anchor_positions_m(config))
     refinement = Refinement((1, 1, 1), config)
     lattices = [Lattice(stride, stride / 2) for stride in (2, 4, 8)]
-    # Maps whose features are their own place in the image, right and then down.
     wide, high, fx, cx, cy = 1600, 1200, 400.0, 800.0, 600.0
     pitch, height_m, x_m, z_m = 0.05, 1.6, 0.3, 2.0
     cam_from_top = invert_rigid(road_from_cam(torch.tensor([[pitch, height_m]] * 2)))
     given = []
+    _hand_on(refinement)
     refinement.mix.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
     for axis in (0, 1):
-        for reduce in refinement.reduce:
-            torch.nn.init.zeros_(reduce.bias)
-            torch.nn.init.zeros_(reduce.weight)
-            reduce.weight.data[0] = 1.0
-        maps = []
-        for stride, offset in lattices:
-            n_rows, n_columns = high // stride, wide // stride
-            place = torch.arange(n_columns if axis == 0 else n_rows) * float(stride) + offset
-            grid = place.expand(n_rows, n_columns) if axis == 0 else place[:, None].expand(n_rows, n_columns)
-            maps.append(grid.expand(2, 1, n_rows, n_columns))
+        maps = [_places(axis, lattice, wide, high) for lattice in lattices]
         intrinsics = torch.tensor([[fx, fx, cx, cy]] * 2)
         refinement(_lanes(config, x_m, z_m), anchors_m, maps, lattices, cam_from_top, intrinsics)
     seen = [value[:, : 3 * len(ASIDE_M) * WIDTH].reshape(2, 3, 16, 3, WIDTH, len(ASIDE_M), -1) for value in given]
@@ -71,17 +78,9 @@ def test_a_close_look_is_at_pixels_across_the_line_at_and_between_knots():
         lanes = lanes._replace(**{name: torch.tensor(step * knots_y_m).float().expand(lanes.x_m.shape)})
     given = []
     close_look.mix.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
-    for reduce in close_look.reduce:
-        torch.nn.init.zeros_(reduce.bias)
-        torch.nn.init.zeros_(reduce.weight)
-        reduce.weight.data[0] = 1.0
+    _hand_on(close_look)
     for axis in (0, 1):
-        maps = []
-        for stride, offset in lattices:
-            n_rows, n_columns = high // stride, wide // stride
-            place = torch.arange(n_columns if axis == 0 else n_rows) * float(stride) + offset
-            grid = place.expand(n_rows, n_columns) if axis == 0 else place[:, None].expand(n_rows, n_columns)
-            maps.append(grid.expand(2, 1, n_rows, n_columns))
+        maps = [_places(axis, lattice, wide, high) for lattice in lattices]
         close_look(lanes, anchors_m, maps, lattices, cam_from_top, torch.tensor([[f_px, f_px, cx, cy]] * 2))
     seen = [value.reshape(2, 3, 16, 2, WIDTH, len(ASIDE_PX), -1) for value in given]
     points_y_m = np.interp(np.arange(28) / 3, np.arange(10), knots_y_m)
