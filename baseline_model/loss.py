@@ -37,9 +37,12 @@ def loss(
     stages: list[Lanes | Output] = [*output.earlier, output]
     by_stage = [_of_lanes(lanes, targets, of_kind, known, config) for lanes in stages]
     if config.image:
-        true = _in_image(targets, cam_from_top, model)
+        x_m, y_m = (
+            torch.tensor(values, device=known.device) for values in (anchor_positions_m(model), model.knots_y_m)
+        )
+        true = _in_image(targets, x_m, y_m, cam_from_top)
         for lanes, of_stage in zip(stages, by_stage, strict=True):
-            error = _image_error(_in_image(lanes, cam_from_top, model), true)
+            error = _image_error(_in_image(lanes, x_m, y_m, cam_from_top), true)
             of_stage["image"] = torch.where(known, error, torch.zeros_like(error)).sum((1, 2, 3)) / MRAD
     terms = {name: torch.stack([of_stage[name] for of_stage in by_stage]).sum(0) for name in by_stage[0]}
     error = (output.pose - target_pose).abs()
@@ -80,13 +83,13 @@ def _geometry(
 
 
 def _in_image(
-    lanes: Lanes | Output | Targets, cam_from_top: Float[Tensor, "b 4 4"], model: ModelConfig
+    lanes: Lanes | Output | Targets,
+    anchors_m: Float[Tensor, " a"],
+    knots_y_m: Float[Tensor, " k"],
+    cam_from_top: Float[Tensor, "b 4 4"],
 ) -> Float[Tensor, "b t a k 2"]:
     """Tangents of the viewing rays of the knots, right and up."""
-    device = lanes.x_m.device
-    anchors_m = torch.tensor(anchor_positions_m(model), device=device)
-    y_m = torch.tensor(model.knots_y_m, device=device).expand_as(lanes.x_m)
-    points_top = torch.stack([lanes.x_m + anchors_m[:, None], y_m, lanes.z_m], dim=-1)
+    points_top = torch.stack([lanes.x_m + anchors_m[:, None], knots_y_m.expand_as(lanes.x_m), lanes.z_m], dim=-1)
     rotation, translation = cam_from_top[:, None, None, :3, :3], cam_from_top[:, None, None, None, :3, 3]
     points_cam = points_top @ rotation.transpose(-1, -2) + translation
     return points_cam[..., [0, 2]] / points_cam[..., 1:2].clamp_min(MIN_DEPTH_M)

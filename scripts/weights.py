@@ -14,7 +14,7 @@ import torch
 from synth3dlanes_baseline.checkpoint import load, place, save
 
 
-def ship(source: Path, target: Path, even: float) -> None:
+def ship(source: Path, target: Path, even: float = 0.5) -> None:
     """Write the checkpoint's weights, without paths of the machine that made them; confidence `even` becomes 0.5."""
     found = load(source)
     if even != 0.5:
@@ -32,4 +32,4 @@ def ship(source: Path, target: Path, even: float) -> None:
 
 if __name__ == "__main__":
     source, name, *confidence = sys.argv[1:]
-    ship(Path(source), place(name), float(*confidence) if confidence else 0.5)
+    ship(Path(source), place(name), *map(float, confidence))
