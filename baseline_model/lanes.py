@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from synth3dlanes.errors import FormatError
@@ -22,12 +22,11 @@ from synth3dlanes.json_arrays import JsonPoints
 from synth3dlanes.labels import LaneKind
 from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
-from .onnx_decode import natural_spline
+from .onnx_decode import distinct_lanes, natural_spline
 from .poses import Pose, cam_from_road
 
 DENSE_Y_M = np.arange(101.0)
 """Decoded lanes are sampled every metre of road y; linear interpolation is within 2 mm of the spline."""
-MIN_SCORE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +48,6 @@ class Prediction:
     lanes: tuple[Detection, ...]
     pose: Pose | None
     time_s: float | None = None
-
-
-def keep_local_maxima(scores: Float[np.ndarray, "t a"]) -> Bool[np.ndarray, "t a"]:
-    """1-D non-maximum suppression along the anchors, per type; of equal neighbours the left one is kept."""
-    padded = np.pad(scores, ((0, 0), (1, 1)), constant_values=-np.inf)
-    return (scores > padded[:, :-2]) & (scores >= padded[:, 2:])
 
 
 def interpolate(
@@ -81,8 +74,9 @@ def decode(
 ) -> tuple[Detection, ...]:
     """Decode the anchors' output, in the road frame of `pose`, as lanes in camera coordinates. Between the knots,
     `visibility` is linear; no point is dropped because it is predicted to be hidden."""
-    types, anchors = np.nonzero(keep_local_maxima(scores) & (scores >= MIN_SCORE))
-    knots_xz = np.stack([x_m[types, anchors] + layout.anchors_m[anchors, None], z_m[types, anchors]], axis=-1)
+    x_m = x_m + layout.anchors_m[:, None]
+    types, anchors = distinct_lanes(scores, x_m, z_m, layout.knots_y_m).T
+    knots_xz = np.stack([x_m[types, anchors], z_m[types, anchors]], axis=-1)
     dense_xz = interpolate(layout.knots_y_m, np.moveaxis(knots_xz, 0, 1), DENSE_Y_M, layout.spline)
     lanes = []
     for i, (lane_type, anchor) in enumerate(zip(types, anchors, strict=True)):

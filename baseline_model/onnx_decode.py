@@ -19,6 +19,8 @@ import numpy as np
 Y_M = np.arange(101.0)
 """A lane has a point at each of these distances along the road."""
 MIN_SCORE = 0.01
+SAME_LANE_M, SAME_LANE_TO_M = 1.0, 40.0
+"""Lanes of one type are the same if they are less than this apart, on average over the knots up to that distance."""
 
 
 def decode(
@@ -40,9 +42,10 @@ def decode(
     images = []
     for image, score in enumerate(values["score"]):
         lanes: list[dict[str, Any]] = []
-        for t, a in np.argwhere(_is_peak(score) & (score >= min_score)):
-            x_m = natural_spline(knots_y_m, values["x_m"][image, t, a], Y_M)
-            z_m = natural_spline(knots_y_m, values["z_m"][image, t, a], Y_M)
+        x_knots_m, z_knots_m = values["x_m"][image], values["z_m"][image]
+        for t, a in distinct_lanes(score, x_knots_m, z_knots_m, knots_y_m, min_score):
+            x_m = natural_spline(knots_y_m, x_knots_m[t, a], Y_M)
+            z_m = natural_spline(knots_y_m, z_knots_m[t, a], Y_M)
             xyz_cam = _to_camera(np.stack([x_m, Y_M, z_m], axis=-1), *values["pose"][image])
             lane = {"kind": kinds[t], "score": float(score[t, a]), "xyz_cam": xyz_cam}
             if "visibility" in values:
@@ -50,6 +53,24 @@ def decode(
             lanes.append(lane)
         images.append(lanes)
     return images
+
+
+def distinct_lanes(
+    score: np.ndarray, x_m: np.ndarray, z_m: np.ndarray, knots_y_m: np.ndarray, min_score: float = MIN_SCORE
+) -> np.ndarray:
+    """The (type, anchor) of each lane, sorted. `score` is (types, anchors), `x_m` and `z_m` (types, anchors, knots) in
+    one frame. Of those that are the same lane (SAME_LANE_M) the most confident is kept, of equal ones the left one."""
+    near = knots_y_m <= max(SAME_LANE_TO_M, knots_y_m[0])
+    points_m = np.stack([x_m[..., near], z_m[..., near]], axis=-1)
+    kept: list[tuple[int, int]] = []
+    for t, scores in enumerate(score):
+        lanes: list[int] = []
+        for a in np.argsort(-scores, kind="stable"):
+            apart_m = np.linalg.norm(points_m[t, lanes] - points_m[t, a], axis=-1).mean(-1)
+            if scores[a] >= min_score and (apart_m >= SAME_LANE_M).all():
+                lanes.append(int(a))
+        kept += [(t, a) for a in sorted(lanes)]
+    return np.array(kept, dtype=int).reshape(-1, 2)
 
 
 def natural_spline(knots: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -66,12 +87,6 @@ def natural_spline(knots: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.
     before = 1 - after
     bend = (before**3 - before) * curvature[piece] + (after**3 - after) * curvature[piece + 1]
     return np.asarray(before * values[piece] + after * values[piece + 1] + bend * width**2 / 6)
-
-
-def _is_peak(score: np.ndarray) -> np.ndarray:
-    """Whether a score is higher than its left neighbour's and not lower than its right one's."""
-    padded = np.pad(score, ((0, 0), (1, 1)), constant_values=-np.inf)
-    return np.asarray((score > padded[:, :-2]) & (score >= padded[:, 2:]))
 
 
 def _to_camera(xyz_road: np.ndarray, pitch_rad: float, height_m: float) -> np.ndarray:

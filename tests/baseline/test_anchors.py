@@ -10,7 +10,8 @@ from synth3dlanes_baseline.anchors import DROPPED, IGNORED, KEPT, anchor_positio
 from synth3dlanes_baseline.config import NANO, PAPER, PAPER_KNOTS_M, TEN_KNOTS_M
 from synth3dlanes_baseline.curves import is_usable, plane_pose, resample, road_curves, target_pose
 from synth3dlanes_baseline.data import annotation_of, pack
-from synth3dlanes_baseline.lanes import interpolate, keep_local_maxima
+from synth3dlanes_baseline.lanes import interpolate
+from synth3dlanes_baseline.onnx_decode import distinct_lanes
 from synth3dlanes_baseline.poses import road_from_cam
 from synth3dlanes_baseline.statistics import statistics_of
 
@@ -195,9 +196,23 @@ def test_labels_without_a_horizon_give_the_tangent_plane(roads):
     assert target_pose(labels, "horizon") == plane_pose(labels)
 
 
-def test_suppression_keeps_one_of_a_plateau():
-    scores = np.array([[0.1, 0.7, 0.7, 0.2, 0.9, 0.3, 0.4]])
-    assert keep_local_maxima(scores).tolist() == [[False, True, False, False, True, False, True]]
+def test_a_lane_that_two_anchors_predict_is_kept_once_and_lanes_beside_each_other_both():
+    """Anchors 1 to 4 are neighbours: 1 and 2 have the same lane, 3 and 4 two lanes 2.5 m apart, which only meet beyond
+    40 m. Anchors 0 and 5 have the same lane without being neighbours; that of the other type coincides with it."""
+    knots_y_m = np.array(TEN_KNOTS_M)
+    ahead = (knots_y_m <= 40).astype(float)
+    left, middle, right = (-6.0 + 0 * ahead, 0.3 * ahead, 2.5 + 2.5 * ahead)
+    lanes_m = [left, middle, middle + 0.9 * ahead, right - 2.5 * ahead, right, left + 0.5]
+    x_m = np.stack([lanes_m, [left] * 6])
+    scores = np.array([[0.4, 0.8, 0.9, 0.7, 0.6, 0.5], [0.2, 0.2, 0.005, 0.1, 0.1, 0.1]])
+    # Of equal ones, the left one is kept.
+    kept = [[0, 2], [0, 3], [0, 4], [0, 5], [1, 0]]
+    assert distinct_lanes(scores, x_m, 0 * x_m, knots_y_m).tolist() == kept
+    # Lanes above each other, as on a ramp, are two.
+    above = 0 * x_m
+    above[0, 1] = 2.0
+    assert distinct_lanes(scores, x_m, above, knots_y_m).tolist() == [[0, 1], *kept]
+    assert distinct_lanes(scores, x_m, 0 * x_m, knots_y_m, min_score=0.65).tolist() == [[0, 2], [0, 3]]
 
 
 def test_the_default_spline_is_the_natural_cubic():
