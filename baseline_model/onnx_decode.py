@@ -65,9 +65,9 @@ def distinct_lanes(
     kept: list[tuple[int, int]] = []
     for t, scores in enumerate(score):
         lanes: list[int] = []
-        for a in np.argsort(-scores, kind="stable"):
+        for a in np.argsort(-scores, kind="stable")[: np.count_nonzero(scores >= min_score)]:
             apart_m = np.linalg.norm(points_m[t, lanes] - points_m[t, a], axis=-1).mean(-1)
-            if scores[a] >= min_score and (apart_m >= SAME_LANE_M).all():
+            if (apart_m >= SAME_LANE_M).all():
                 lanes.append(int(a))
         kept += [(t, a) for a in sorted(lanes)]
     return np.array(kept, dtype=int).reshape(-1, 2)
