@@ -101,7 +101,9 @@ def test_lines_are_drawn_moved_deleted_saved_and_loaded(open_page, page_text, tm
     assert [len(lane.xy_world) for lane in second] == [2]
     page.get_by_role("button", name="undo").click()
     expect(told).to_contain_text("2 lines")
+    expect(told).to_contain_text("not saved")
     page.locator("#file").set_input_files(tmp_path / "first.geojson")
+    expect(told).not_to_contain_text("not saved")
     third = read_marks(saved(page, tmp_path / "third.geojson"))
     assert (tmp_path / "third.geojson").read_text() == (tmp_path / "first.geojson").read_text()
     assert len(third) == 2
