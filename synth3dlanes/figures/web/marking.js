@@ -91,7 +91,7 @@ const does = {
     [chosen, point, isDrawing, isHeld] = [Math.min(chosen, lines.length - 1), -1, false, false];
   },
   reverse() { if (line() && !isDrawing) { changed(); line().points.reverse(); point = point < 0 ? -1 : line().points.length - 1 - point; } },
-  undo() { if (past.length) { [lines, chosen, point, isDrawing] = JSON.parse(past.pop()); isHeld = false; } },
+  undo() { if (past.length) { [lines, chosen, point, isDrawing] = JSON.parse(past.pop()); isHeld = isSaved = false; } },
   zoomIn() { zoom(0.8, cross); },
   zoomOut() { zoom(1.25, cross); },
   save() {
