@@ -62,12 +62,12 @@ def distinct_lanes(
     one frame. Of those that are the same lane (SAME_LANE_M) the most confident is kept, of equal ones the left one."""
     near = knots_y_m <= max(SAME_LANE_TO_M, knots_y_m[0])
     points_m = np.stack([x_m[..., near], z_m[..., near]], axis=-1)
+    apart_m = np.linalg.norm(points_m[:, :, None] - points_m[:, None], axis=-1).mean(-1)
     kept: list[tuple[int, int]] = []
     for t, scores in enumerate(score):
         lanes: list[int] = []
         for a in np.argsort(-scores, kind="stable")[: np.count_nonzero(scores >= min_score)]:
-            apart_m = np.linalg.norm(points_m[t, lanes] - points_m[t, a], axis=-1).mean(-1)
-            if (apart_m >= SAME_LANE_M).all():
+            if (apart_m[t, a, lanes] >= SAME_LANE_M).all():
                 lanes.append(int(a))
         kept += [(t, a) for a in sorted(lanes)]
     return np.array(kept, dtype=int).reshape(-1, 2)

@@ -48,11 +48,8 @@ SETTINGS = {
 }
 
 
-def train_without(content: str, data: str, out: Path, seed: int) -> Path:
-    """The best checkpoint of a training on images that lack the content."""
-    if content not in LACKS:
-        raise InputError(f"content: expected one of {', '.join(LACKS)}, got {content!r}")
-    scenes: list[Scene] = [json.loads(sample.scene_json) for sample in Reader(f"{data}/train")]
+def train_without(content: str, scenes: list[Scene], data: str, out: Path, seed: int) -> Path:
+    """The best checkpoint of a training on images whose scenes lack the content; `scenes` are those of DIR/train."""
     places = [place for place, scene in enumerate(scenes) if LACKS[content](scene)]
     if len(places) < N_IMAGES:
         raise InputError(f"{data}/train: expected {N_IMAGES} scenes without {content}, got {len(places)}")
@@ -63,8 +60,12 @@ def train_without(content: str, data: str, out: Path, seed: int) -> Path:
 
 def main(data: str, out: str, seed: str, *contents: str) -> None:
     """Train a network without each content."""
+    if unknown := set(contents) - set(LACKS):
+        raise InputError(f"content: expected {', '.join(LACKS)}, got {', '.join(sorted(unknown))}")
+    scenes = [json.loads(sample.scene_json) for sample in Reader(f"{data}/train")]
     for content in contents or LACKS:
-        sys.stdout.write(f"{train_without(content, data, Path(out, f'{content}-{seed}'), int(seed))}\n")
+        best = train_without(content, scenes, data, Path(out, f"{content}-{seed}"), int(seed))
+        sys.stdout.write(f"{best}\n")
 
 
 if __name__ == "__main__":
