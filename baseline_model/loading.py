@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,10 +68,20 @@ class Example(NamedTuple):
 
 
 class Examples:
-    """Samples as examples. What was decoded once comes from the caches."""
+    """Samples as examples. What was decoded once comes from the caches. `is_on_device`: whoever trains with them keeps
+    all their images in the memory of the device."""
 
-    def __init__(self, samples: Samples, config: TrainConfig, annotations: Slots | None, pixels: Slots | None) -> None:
+    def __init__(
+        self,
+        samples: Samples,
+        config: TrainConfig,
+        annotations: Slots | None,
+        pixels: Slots | None,
+        *,
+        is_on_device: bool = False,
+    ) -> None:
         self._samples, self._annotations, self._pixels = samples, annotations, pixels
+        self.is_on_device = is_on_device
         self._size_px = (config.model.image_height_px, config.model.image_width_px)
         self._pose_mode, self._in_image_only = config.model.pose_target, config.fov_mask
 
@@ -87,6 +98,11 @@ class Examples:
         if image is None:
             image = self._keep_image(index, image_at(self._samples, index))
         return Example(image, annotation)
+
+    def annotation(self, index: int) -> NetworkLabels:
+        """What is to be learned from a sample, without its image."""
+        found = self._kept_annotation(index)
+        return found or self._annotate(index, key_at(self._samples, index), labels_at(self._samples, index))
 
     def _kept_annotation(self, index: int) -> NetworkLabels | None:
         record = None if self._annotations is None else self._annotations.get(index)
@@ -111,29 +127,31 @@ class Examples:
 
 @dataclass(frozen=True)
 class Decoding:
-    """Whether the images of a split are decoded once and kept in memory (`is_once`), and the figures behind that
-    decision."""
+    """Whether the images of a split are decoded once and kept in memory (`is_once`), in that of the GPU
+    (`is_on_device`), and the figures behind that decision."""
 
     n_images: int
     n_bytes: int
     free_bytes: int
     is_once: bool
+    is_on_device: bool
 
     def text(self) -> str:
         """The decision and its figures, as one line of text."""
         what = f"{self.n_images:,} images, {self.n_bytes / 1e9:,.1f} GB when decoded"
         if self.is_once:
-            return f"{what}: kept in memory"
+            return f"{what}: kept in memory{' of the GPU' * self.is_on_device}"
         return f"{what}, with {self.free_bytes / 1e9:,.1f} GB of memory free: decoded again in every epoch"
 
 
 def decoding_of(n_images: int, config: TrainConfig, process: Process) -> Decoding:
-    """Decide whether decoded images are kept: `keep_decoded`, or whether every process here has room for them."""
+    """Decide where decoded images are kept: `keep_decoded`, or where every process here has room for them."""
     n_bytes = n_images * slot_bytes_of((config.model.image_height_px, config.model.image_width_px))
     free_bytes = free_memory_bytes()
+    is_on_device = config.keep_decoded is not False and n_bytes < MEMORY_SHARE * free_gpu_bytes(process.device)
     fits = n_bytes * process.neighbours < MEMORY_SHARE * free_bytes
-    is_once = fits if config.keep_decoded is None else config.keep_decoded
-    return Decoding(n_images, n_bytes, free_bytes, is_once and has_pixel_memory())
+    is_kept = has_pixel_memory() and (fits if config.keep_decoded is None else config.keep_decoded)
+    return Decoding(n_images, n_bytes, free_bytes, is_on_device or is_kept, is_on_device)
 
 
 def open_examples(
@@ -141,21 +159,46 @@ def open_examples(
 ) -> Examples:
     """Put the caches before a split: annotations in `out_dir`, decoded images in memory if they are kept."""
     size_px = (config.model.image_height_px, config.model.image_width_px)
-    pixels = pixel_memory(size_px) if decoding.is_once else None
-    return Examples(samples, config, _annotations(samples, config, process, out_dir), pixels)
+    pixels = pixel_memory(size_px) if decoding.is_once and not decoding.is_on_device else None
+    annotations = _annotations(samples, config, process, out_dir)
+    return Examples(samples, config, annotations, pixels, is_on_device=decoding.is_on_device)
 
 
 def training_batches(
     examples: Examples, config: TrainConfig, process: Process, first_step: int, n_steps: int
 ) -> Iterator[Batch]:
-    """The batches of the steps from `first_step` to the last one, in the memory of the CPU."""
+    """The batches of the steps from `first_step` to the last one, with images in the memory of the CPU, or of the
+    device if they are kept there."""
     order = Order(len(examples), config, process, first_step, n_steps)
     workers = spare_cores(process.neighbours) if config.workers is None else config.workers
+    kept = _images_on(process.device, examples, config.batch, workers) if examples.is_on_device else None
+    no_image = np.zeros((0, 0, 3), np.uint8)
 
     def make(indices: list[int]) -> Batch:
-        return collate([examples[index] for index in indices])
+        if kept is None:
+            return collate([examples[index] for index in indices])
+        return collate([Example(no_image, examples.annotation(index)) for index in indices])
 
-    return made_ahead(make, order, min(workers, len(order)), process.device)
+    batches = made_ahead(make, order, min(workers, len(order)), process.device)
+    for indices, batch in zip(order, batches, strict=True):
+        yield batch if kept is None else batch._replace(image=kept[torch.tensor(indices)])
+
+
+def _images_on(device: torch.device, examples: Examples, batch: int, workers: int) -> UInt8[Tensor, "n 3 h w"]:
+    """The images of all examples, in the memory of the device."""
+    n = len(examples)
+    order = [list(range(start, min(start + batch, n))) for start in range(0, n, batch)]
+    parts = made_ahead(lambda indices: _stacked([examples[i].image for i in indices]), order, min(workers, n), device)
+    first = next(parts)
+    images = torch.empty((n, *first.shape[1:]), dtype=torch.uint8, device=device, memory_format=torch.channels_last)
+    for indices, part in zip(order, chain([first], parts), strict=True):
+        images[indices[0] : indices[-1] + 1] = part
+    return images
+
+
+def free_gpu_bytes(device: torch.device) -> int:
+    """The free memory of a GPU; 0 for the CPU."""
+    return int(torch.cuda.mem_get_info(device)[0]) if device.type == "cuda" else 0
 
 
 def free_memory_bytes() -> int:

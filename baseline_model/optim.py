@@ -79,9 +79,10 @@ class RunningAverage:
     def update(self, model: nn.Module, step: int) -> None:
         """Update the average with the model's weights."""
         weight = 1 - min(self.decay, (1 + step) / (EMA_START + step))
-        pairs = zip(self.model.state_dict().values(), model.state_dict().values(), strict=True)
+        pairs = list(zip(self.model.state_dict().values(), model.state_dict().values(), strict=True))
+        averages, currents = zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)
+        # All in one call: a GPU needs longer to start one than to do it.
+        torch._foreach_lerp_(averages, currents, weight)
         for average, current in pairs:
-            if average.is_floating_point():
-                average.lerp_(current, weight)
-            else:
+            if not average.is_floating_point():
                 average.copy_(current)

@@ -11,7 +11,8 @@ from torch import nn
 from synth3dlanes.errors import FormatError, InputError
 
 from . import checkpoint as checkpoints
-from .config import TrainConfig
+from .config import ModelConfig, TrainConfig
+from .growth import grown
 from .inference import choose_device
 from .loading import Process
 from .malloc import keep_freed_memory
@@ -135,7 +136,10 @@ def _resume(trainee: TrainingRun, found: checkpoints.Checkpoint, out_dir: Path) 
 
 
 def _start_from(model: nn.Module, source: str) -> str:
-    """Load another run's weights; return a description of them. A close look is new to networks that had none."""
+    """Load another run's weights, which may be of a smaller network; return a description of them."""
     found = checkpoints.load(checkpoints.place(source))
-    load_weights(model, found.model, "init", source, may_lack="close_look")
+    weights, small = found.model, found.config.model
+    if isinstance(model, LaneNet) and isinstance(small, ModelConfig):
+        weights = grown(weights, small, model)
+    load_weights(model, weights, "init", source)
     return f"{source}, trained on {found.about.get('train', {}).get('n_images', '?')} images"

@@ -23,14 +23,9 @@ def read_tensors(path: Path, what: str) -> Any:
         raise FormatError(f"{path}: expected {what}, got other or damaged bytes") from None
 
 
-def load_weights(
-    network: nn.Module, weights: dict[str, torch.Tensor], where: str, source: str | Path, may_lack: str | None = None
-) -> None:
-    """Load the weights of this very network; raise InputError, which begins with `where`, if they are another's. Of the
-    part named `may_lack` they may have none: it stays as it is."""
+def load_weights(network: nn.Module, weights: dict[str, torch.Tensor], where: str, source: str | Path) -> None:
+    """Load the weights of this very network; raise InputError, which begins with `where`, if they are another's."""
     own = network.state_dict()
-    if may_lack is not None and not any(name.startswith(f"{may_lack}.") for name in weights):
-        weights = weights | {name: value for name, value in own.items() if name.startswith(f"{may_lack}.")}
     expected = {name: tuple(value.shape) for name, value in own.items()}
     given = {name: tuple(value.shape) for name, value in weights.items()}
     wrong = sorted(name for name in expected | given if expected.get(name) != given.get(name))

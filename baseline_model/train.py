@@ -162,11 +162,13 @@ def _step(
     distributed.train()
     trainee.optimizer.zero_grad(set_to_none=True)
     terms: Terms = distributed(augmented, done)
-    if not bool(torch.isfinite(terms["total"]).all()):
-        raise DivergenceError(f"step {step}: {_blame(task, augmented, done)}")
     terms["total"].mean().backward()  # type: ignore[no-untyped-call]
     norm = nn.utils.clip_grad_norm_(trainee.model.parameters(), config.clip_norm)
-    if not bool(torch.isfinite(norm)):
+    has_loss = torch.isfinite(terms["total"]).all()
+    # One question for both, as the answer waits for the GPU.
+    if not bool(has_loss & torch.isfinite(norm)):
+        if not bool(has_loss):
+            raise DivergenceError(f"step {step}: {_blame(task, augmented, done)}")
         raise DivergenceError(
             f"step {step}: expected a finite gradient, got {float(norm)} from {', '.join(batch.keys)}"
         )

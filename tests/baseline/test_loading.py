@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,9 +66,9 @@ def _config(**overrides):
     return train_config("tiny", {"batch": 4, "device": "cpu", "workers": 0, **overrides})
 
 
-def _batches(samples, folder, first=0, n_steps=5, process=None, **overrides):
+def _batches(samples, folder, first=0, n_steps=5, process=None, is_on_device=False, **overrides):
     config, process = _config(**overrides), process or Process(0, 1, CPU)
-    decoding = decoding_of(len(samples), config, process)
+    decoding = replace(decoding_of(len(samples), config, process), is_on_device=is_on_device)
     examples = open_examples(samples, decoding, config, process, folder)
     return list(training_batches(examples, config, process, first, n_steps))
 
@@ -87,6 +88,18 @@ def test_batches_do_not_depend_on_workers_caches_or_where_a_run_begins(drawn, tm
             _equal(one, other)
     for one, other in zip(whole[3:], _batches(drawn, tmp_path, first=3, workers=1), strict=True):
         _equal(one, other)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_images_kept_on_the_device_make_the_same_batches(drawn, tmp_path, workers):
+    """A GPU's memory; here the CPU's stands for it."""
+    counted = Counted(drawn)
+    kept = _batches(counted, tmp_path, first=2, n_steps=9, is_on_device=True, workers=workers)
+    for one, other in zip(_batches(drawn, tmp_path, first=2, n_steps=9), kept, strict=True):
+        _equal(one, other)
+        assert other.image.is_contiguous(memory_format=torch.channels_last)
+    if not workers:
+        assert counted.counts("whole") == [1] * 10, "each image is decoded once"
 
 
 def test_two_processes_read_disjoint_samples_that_are_together_those_of_one(drawn, tmp_path):
@@ -178,6 +191,12 @@ def test_what_does_not_fit_is_told_with_figures(monkeypatch):
     )
     assert decoding_of(12_000, nano, process).is_once
     assert not decoding_of(12_000, nano, Process(0, 8, CPU, neighbours=8)).is_once, "every process keeps its own"
+    monkeypatch.setattr(loading, "free_gpu_bytes", lambda device: 80 * 10**9)
+    text = "50,000 images, 25.9 GB when decoded: kept in memory of the GPU"
+    assert decoding_of(50_000, nano, process).text() == text
+    assert not decoding_of(300_000, nano, process).is_once
+    off = train_config("nano", {"device": "cpu", "keep_decoded": False})
+    assert not decoding_of(50_000, off, process).is_once
 
 
 @pytest.mark.thorough
