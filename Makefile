@@ -54,9 +54,10 @@ docs: .venv/ready  ## rewrite the generated pages of docs/
 site: .venv/ready  ## the documentation as a site in site/; dead links fail
 	PYTHONPATH=. NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
-pictures: .venv/ready  ## draw the pictures of frames and of the network anew
+pictures: .venv/ready  ## draw the pictures of frames, of the network and of results anew
 	$(BIN)/python -m scripts.frames_picture
 	$(BIN)/python -m scripts.network_picture
+	$(BIN)/python -m scripts.results_picture
 
 golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
 	$(BIN)/python -m tests.golden.make
