@@ -33,9 +33,9 @@ FORMER: dict[str, Any] = {
     "model.plane_heights_m": [0.0],
 }
 SHIPPED = Path(__file__).parent / "weights" / "nano.pt"
-STREETS = SHIPPED.with_name("streets.pt")
-"""Weights of `nano` in the package, for the paper's scenes and for photographs; docs/baseline.md and
-docs/real_images.md have the commands that made them."""
+STREETS, COMPACT = SHIPPED.with_name("streets.pt"), SHIPPED.with_name("compact.pt")
+"""Weights in the package: of small networks for the paper's scenes and for photographs, and of a larger one for the
+paper's scenes; docs/models.md says what made them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +114,8 @@ def _without_former(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def place(source: str | Path) -> Path:
-    """The file of a checkpoint, given by its path or by the name of weights in the package (`nano`, `streets`)."""
-    return {file.stem: file for file in (SHIPPED, STREETS)}.get(str(source), Path(source))
+    """The file of a checkpoint, given by its path or by the name of weights in the package."""
+    return {file.stem: file for file in (SHIPPED, COMPACT, STREETS)}.get(str(source), Path(source))
 
 
 def fine_tuning(source: str, overrides: dict[str, Any]) -> TrainConfig:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from .generate import WORKERS_HELP, Workers, progress
-from .networks import need_torch
+from .networks import WEIGHTS, need_torch
 from .options import json_option
 
 
@@ -15,7 +15,7 @@ from .options import json_option
 @click.argument("source", metavar="NAME|FILE")
 @click.option("--out", metavar="DIR", required=True, help="The data set: a folder or a URL such as s3://lanes/hills.")
 @click.option("--train", "is_training", is_flag=True, help="Make the images for training and validation too.")
-@click.option("--checkpoint", metavar="FILE|nano|streets", help="Trained network to score on the test images.")
+@click.option("--checkpoint", metavar=f"FILE|{WEIGHTS}", help="Trained network to score on the test images.")
 @click.option(
     "--predictions",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),

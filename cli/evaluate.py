@@ -9,7 +9,7 @@ import click
 from synth3dlanes.errors import InputError
 
 from .idle import refuse_idle, refuse_together
-from .networks import INTRINSICS, camera_intrinsics, device_option, need_torch, own_model_option
+from .networks import INTRINSICS, WEIGHTS, camera_intrinsics, device_option, need_torch, own_model_option
 from .options import FiniteRange, json_option
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots
 @click.argument("source", metavar="DIR[/SPLIT[:KEY]]|FOLDER|EXPORT")
 @click.option(
     "--checkpoint",
-    metavar="FILE|nano|streets",
-    help="Trained network to score; nano and streets are in this package (docs/real_images.md).",
+    metavar=f"FILE|{WEIGHTS}",
+    help="Trained network to score; nano, compact and streets are in this package (docs/models.md).",
 )
 @own_model_option
 @click.option(

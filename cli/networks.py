@@ -17,6 +17,7 @@ own_model_option = click.option(
     metavar="MODULE:FUNCTION",
     help="The network of your own that the checkpoint was trained with.",
 )
+WEIGHTS = "nano|compact|streets"
 INTRINSICS = "FX,FY,CX,CY|FILE"
 device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
 

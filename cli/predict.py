@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from .idle import refuse_idle
-from .networks import INTRINSICS, camera_intrinsics, device_option, need_torch, own_model_option
+from .networks import INTRINSICS, WEIGHTS, camera_intrinsics, device_option, need_torch, own_model_option
 from .options import FiniteRange, OutputFile
 
 
@@ -82,7 +82,7 @@ def predict(
 
 
 @click.command()
-@click.argument("checkpoint", metavar="CHECKPOINT|nano|streets")
+@click.argument("checkpoint", metavar=f"CHECKPOINT|{WEIGHTS}")
 @click.argument("path", metavar="FILE.onnx", type=OutputFile(".onnx"))
 @click.option(
     "--int8",

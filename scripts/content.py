@@ -1,6 +1,6 @@
-"""What a kind of content brings, by leaving it out: `python -m scripts.content DIR OUT SEED [CONTENT ...]`.
+"""What a kind of content brings, by leaving it out: `python -m scripts.content DIR OUT SEED INIT [CONTENT ...]`.
 
-DIR is a data set of `streets`. For each content named (default: all of LACKS), the weights `nano` are trained on with
+DIR is a data set of `streets`. For each content named (default: all of LACKS), the checkpoint INIT is trained on with
 720 images whose scenes lack it, drawn by SEED, into OUT/CONTENT-SEED; `nothing` draws from all images. DIR/val
 validates, and `synth3dlanes evaluate` scores the checkpoints, whose paths are printed.
 """
@@ -48,23 +48,23 @@ SETTINGS = {
 }
 
 
-def train_without(content: str, scenes: list[Scene], data: str, out: Path, seed: int) -> Path:
+def train_without(content: str, scenes: list[Scene], data: str, out: Path, seed: int, init: str) -> Path:
     """The best checkpoint of a training on images whose scenes lack the content; `scenes` are those of DIR/train."""
     places = [place for place, scene in enumerate(scenes) if LACKS[content](scene)]
     if len(places) < N_IMAGES:
         raise InputError(f"{data}/train: expected {N_IMAGES} scenes without {content}, got {len(places)}")
     drawn = np.random.default_rng(seed).permutation(places)[:N_IMAGES].tolist()
-    config = fine_tuning("nano", {**SETTINGS, "seed": seed})
+    config = fine_tuning(init, {**SETTINGS, "seed": seed})
     return train_on(config, Subset(open_split(f"{data}/train"), drawn), open_split(f"{data}/val"), out)
 
 
-def main(data: str, out: str, seed: str, *contents: str) -> None:
+def main(data: str, out: str, seed: str, init: str, *contents: str) -> None:
     """Train a network without each content."""
     if unknown := set(contents) - set(LACKS):
         raise InputError(f"content: expected {', '.join(LACKS)}, got {', '.join(sorted(unknown))}")
     scenes = [json.loads(sample.scene_json) for sample in Reader(f"{data}/train")]
     for content in contents or LACKS:
-        best = train_without(content, scenes, data, Path(out, f"{content}-{seed}"), int(seed))
+        best = train_without(content, scenes, data, Path(out, f"{content}-{seed}"), int(seed), init)
         sys.stdout.write(f"{best}\n")
 
 

@@ -86,13 +86,13 @@ def one(by: str, model: str, what: str, file: str) -> dict[str, float]:
 
 
 def _network(model: str) -> Any:
-    """`nano` and `streets` as in the package; the others with random weights, which cost the same."""
+    """`nano`, `compact` and `streets` as in the package; the others with random weights, which cost the same."""
     import torch
     from synth3dlanes_baseline import checkpoint
     from synth3dlanes_baseline.config import train_config
     from synth3dlanes_baseline.model import LaneNet
 
-    if model in ("nano", "streets"):
+    if model in ("nano", "compact", "streets"):
         return checkpoint.build_lane_net(checkpoint.load(checkpoint.place(model)), torch.device("cpu"))
     return LaneNet(train_config(model, {}).model).eval().to(memory_format=torch.channels_last)
 

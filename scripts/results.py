@@ -76,16 +76,15 @@ def card(name: str, about: dict[str, Any], network: dict[str, Any]) -> str:
     """What one file of weights is, and what it is not for."""
     path = place(name)
     found = load(path)
-    config = found.config
-    without = "" if config.model.has_close_look else " without a close look"
+    config, batch = found.config, found.about.get("batch", found.config.batch)
     facts = {
         "for": about["for"],
         "file": f"`{path.name}`, {path.stat().st_size / 1e6:.1f} MB, float16, no code in it",
-        "network": f"3D-LaneNet, `nano` with `--ablation improved`{without}, {n_weights(found):,} numbers",
+        "network": f"3D-LaneNet, {about['network']}, {n_weights(found):,} numbers",
         "input": f"RGB, scaled to {config.model.image_width_px}x{config.model.image_height_px} px, and the intrinsics",
         "output": "centre lines and delimiters in 3D with confidences, height and pitch of the camera",
         "data": about["data"],
-        "training": f"{found.about['step']:,} steps of {config.batch} images in the last run; {about['made']}",
+        "training": f"{found.about['step']:,} steps of {batch} images in the last run; {about['made']}",
         "licence": "weights: MIT, as the code; all images are CC0-1.0, made by this program, without a photograph",
         "latency": f"{latency_words(name)} of one thread for an image ([all networks](baseline.md#speed))",
     }

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from synth3dlanes.figures import colors
 
@@ -72,15 +73,19 @@ def training() -> Figure:
     for row in table("baseline_results.md", "network"):
         (samples,) = numbers(row["samples"])
         ap, low, high = numbers(row["AP, centre lines"])
-        (on_training,) = numbers(row["on 200 of its images"])
         axes.errorbar(samples, ap, [[ap - low], [high - ap]], fmt="o", color=CENTER, capsize=3)
-        axes.plot(samples, on_training, "o", color=CENTER, fillstyle="none")
-        axes.annotate(row["network"].replace("`", ""), (samples, ap), (6, -4), textcoords="offset points", fontsize=9)
+        if "not seen" not in row["on 200 of its images"]:
+            axes.plot(samples, numbers(row["on 200 of its images"])[0], "o", color=CENTER, fillstyle="none")
+        name = row["network"].replace("`", "").partition(":")[0]
+        text = f"{name}, {row['multiply-adds']}MAC"
+        axes.annotate(text, (samples, ap), (6, -4), textcoords="offset points", fontsize=9)
     for ap, style, what in ((PAPER_TEST, "-", "test images"), (PAPER_TRAINING, "--", "training images")):
         axes.axhline(ap, color=colors.INK, linewidth=0.8, linestyle=style, label=f"paper, {what}")
     axes.plot([], [], "o", color=CENTER, label="test images, 95 % interval")
     axes.plot([], [], "o", color=CENTER, fillstyle="none", label="200 of its training images")
-    axes.set(xscale="log", xlabel="training samples", ylabel="AP of centre lines", ylim=(0.8, 1.0))
+    axes.set(xscale="log", xlabel="training samples", ylabel="AP of centre lines", xlim=(1e5, 1.2e6), ylim=(0.8, 1.0))
+    axes.set_xticks([1e5, 2e5, 5e5, 1e6], ["100,000", "200,000", "500,000", "1,000,000"])
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(loc="lower right", frameon=False)
     return figure

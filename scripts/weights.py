@@ -1,5 +1,5 @@
-"""Put the weights of a training run into the package: `python -m scripts.weights run/best.pt nano`, or `streets`;
-or those of its end, `run/last.pt`.
+"""Put the weights of a training run into the package: `python -m scripts.weights run/best.pt nano`, `compact` or
+`streets`; or those of its end, `run/last.pt`.
 
 Numbers become float16, which changes no lane by more than a millimetre and halves the file. With a confidence behind
 the name, as `streets 0.25`, lanes of this confidence get 0.5, and the others follow.
