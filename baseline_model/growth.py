@@ -12,6 +12,17 @@ from torch import Tensor
 from .config import ModelConfig
 from .model import LaneNet
 
+SIZES = {
+    "name",
+    "image_channels",
+    "image_blocks",
+    "projected_channels",
+    "top_channels",
+    "head_channels",
+    "pose_channels",
+    "has_close_look",
+}
+"""In what a network may differ from a smaller one."""
 NEW_PAIR = re.compile(r"(image\.stages\.\d+\.\d+\.)(first|second)\.")
 LAST_NORM = ("second.1.weight", "second.1.bias")
 JOINED = re.compile(r"top\.[12]\.1\.0\.weight|head\.reduce\.0\.0\.weight")
@@ -22,16 +33,16 @@ def grown(weights: dict[str, Tensor], small: ModelConfig, network: LaneNet) -> d
     """The weights of `network` that compute what those of the `small` one do. Where the two differ in more than in
     size, the weights given stay as they are, which `load_weights` refuses."""
     own, large = network.state_dict(), network.config
-    is_alike = large.backbone == small.backbone == "residual" and large.variant == small.variant
-    if not (is_alike and large.types == small.types and large.knots_y_m == small.knots_y_m and large.batch_norm):
-        return weights
+    is_alike = small.model_dump(exclude=SIZES) == large.model_dump(exclude=SIZES)
+    may_grow = is_alike and large.backbone == "residual" and large.batch_norm
     found = dict(weights)
     for name, value in own.items():
         if name in weights:
-            found[name] = _within(value, weights[name], _inputs(name, weights[name], small, large))
+            if may_grow:
+                found[name] = _within(value, weights[name], _inputs(name, weights[name], small, large))
         elif name.startswith("close_look."):
             found[name] = value
-        elif (pair := NEW_PAIR.match(name)) and f"{pair[1]}shortcut.weight" not in own:
+        elif may_grow and (pair := NEW_PAIR.match(name)) and f"{pair[1]}shortcut.weight" not in own:
             found[name] = torch.zeros_like(value) if name.endswith(LAST_NORM) else value
     return found
 

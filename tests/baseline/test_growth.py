@@ -72,8 +72,14 @@ def test_all_that_is_new_learns():
 
 @pytest.mark.parametrize(
     ("ablation", "changes"),
-    [("improved", {"image_channels": [8, 12, 16, 20]}), ("full", {}), ("improved", {"knots_y_m": [5.0, 20.0, 60.0]})],
-    ids=["narrower", "another output", "other knots"],
+    [
+        ("improved", {"image_channels": [8, 12, 16, 20]}),
+        ("full", {}),
+        ("improved", {"knots_y_m": [5.0, 20.0, 60.0]}),
+        ("improved", {"image_height_px": 240, "image_width_px": 320}),
+        ("improved", {"has_visibility": False, "head_channels": 64}),
+    ],
+    ids=["narrower", "another output", "other knots", "larger images", "no visibility"],
 )
 def test_another_network_is_no_larger_one(ablation, changes, tmp_path):
     small = network()
