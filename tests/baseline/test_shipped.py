@@ -22,9 +22,9 @@ def rendered():
     return s3d.render(s3d.load_scene(SCENE))
 
 
-@pytest.mark.parametrize("name", ["nano", "streets"])
-def test_the_weights_take_little_room(name):
-    assert place(name).stat().st_size < 2_000_000
+@pytest.mark.parametrize(("name", "most_bytes"), [("nano", 2e6), ("streets", 2e6), ("compact", 8e6)])
+def test_the_weights_take_little_room(name, most_bytes):
+    assert place(name).stat().st_size < most_bytes
     found = load(place(name))
     assert found.resume is None
     assert found.about["train"]["n_images"] >= 900
