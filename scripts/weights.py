@@ -12,6 +12,10 @@ from pathlib import Path
 
 import torch
 from synth3dlanes_baseline.checkpoint import load, place, save
+from synth3dlanes_baseline.config import TrainConfig
+
+OF_THE_RUN = ("batch", "learning_rate", "weight_decay", "ema_decay", "epochs", "workers")
+"""Settings that fitted the machine and the images of the training; whoever trains on has others."""
 
 
 def ship(source: Path, target: Path, even: float = 0.5) -> None:
@@ -22,8 +26,11 @@ def ship(source: Path, target: Path, even: float = 0.5) -> None:
     weights = {name: value.half() if value.is_floating_point() else value for name, value in found.model.items()}
     if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
         raise ValueError(f"{source}: expected weights that float16 can hold")
-    config = found.config.model_copy(update={"device": "auto", "pretrained": None, "init": None})
-    about = {key: value.rsplit("/", 1)[-1] if key == "init" else value for key, value in found.about.items()}
+    defaults = {name: TrainConfig.model_fields[name].default for name in OF_THE_RUN}
+    config = found.config.model_copy(update={"device": "auto", "pretrained": None, "init": None, **defaults})
+    about = {"batch": found.config.batch} | {
+        key: value.rsplit("/", 1)[-1] if key == "init" else value for key, value in found.about.items()
+    }
     if found.resume is not None:
         about["step"] = found.resume["step"]
     target.parent.mkdir(exist_ok=True)
