@@ -16,7 +16,7 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import Folder
 from synth3dlanes.schema import Excerpt, Positive, validation_problems
 
-from .config import CustomModel, TrainConfig, changed, parse
+from .config import CustomModel, ModelConfig, TrainConfig, changed, parse
 from .data import FocalLengths
 from .inference import Detector
 from .model import LaneNet
@@ -82,8 +82,30 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
         torch.save(document, file)
 
 
-def load(path: Path) -> Checkpoint:
-    """Load a checkpoint without executing code from it; raise FormatError if it is not a baseline checkpoint."""
+def load(path: Path, own_model: str | None = None) -> Checkpoint:
+    """Load a checkpoint; raise FormatError if it is not one of the baseline.
+
+    Nothing that the file says is imported or called: a user's network is code, and a checkpoint of one is refused
+    (InputError) unless `own_model` names it as training did. All that builds a network from a file begins here.
+    """
+    found = _read(path)
+    model = found.config.model
+    if isinstance(model, CustomModel) and own_model != model.build:
+        raise InputError(f"model: expected {model.build}, whose network {path} holds, got {own_model or 'none'}")
+    if own_model is not None and not isinstance(model, CustomModel):
+        raise InputError(f"model: expected none for a checkpoint of {model.name}, got {own_model}")
+    return found
+
+
+def load_start(path: Path) -> tuple[dict[str, Tensor], ModelConfig | None, dict[str, Any]]:
+    """The weights of a checkpoint, the settings of its network if it is one of ours, and what is told of it: for
+    networks that the user has named, whichever network the weights were trained in."""
+    found = _read(path)
+    model = found.config.model
+    return found.model, None if isinstance(model, CustomModel) else model, found.about
+
+
+def _read(path: Path) -> Checkpoint:
     document = read_tensors(path, "a baseline checkpoint")
     found = (document.get("format"), document.get("version")) if isinstance(document, dict) else type(document).__name__
     if found != (FORMAT, VERSION):
@@ -119,36 +141,34 @@ def place(source: str | Path) -> Path:
 
 
 def fine_tuning(source: str, overrides: dict[str, Any]) -> TrainConfig:
-    """The settings of a checkpoint, changed by dotted keys, for a training that starts from its weights."""
-    return changed(load(place(source)).config, {"pretrained": None, "max_images": None, **overrides, "init": source})
+    """The settings of a checkpoint of one of our networks, changed by dotted keys, for a training that starts from its
+    weights. What belongs to the data and the machine of the earlier training is not taken over."""
+    of_earlier = dict.fromkeys(("pretrained", "max_images", "workers", "keep_decoded"))
+    return changed(load(place(source)).config, {**of_earlier, **overrides, "init": source})
 
 
-def build(checkpoint: Checkpoint, device: torch.device, own_model: str | None = None) -> nn.Module:
-    """The network of a checkpoint, in evaluation mode. A user's network is code: it is loaded only if `own_model` names
-    it as training did."""
-    model = checkpoint.config.model
-    if isinstance(model, CustomModel) and own_model != model.build:
-        raise InputError(f"model: expected {model.build}, whose network the checkpoint holds, got {own_model}")
-    if own_model is not None and not isinstance(model, CustomModel):
-        raise InputError(f"model: expected none for a checkpoint of {model.name}, got {own_model}")
-    network = network_of(model)
+def build(checkpoint: Checkpoint, device: torch.device) -> nn.Module:
+    """The network of a checkpoint, in evaluation mode."""
+    network = network_of(checkpoint.config.model)
     load_weights(network, checkpoint.model, "checkpoint", "the file")
     moved: nn.Module = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     return moved.eval()
 
 
-def build_lane_net(checkpoint: Checkpoint, device: torch.device) -> LaneNet:
-    """The network of a checkpoint that holds one of ours; raise InputError for a user's."""
-    network = None if isinstance(checkpoint.config.model, CustomModel) else build(checkpoint, device)
-    if not isinstance(network, LaneNet):
+def load_lane_net(source: str | Path, device: torch.device) -> tuple[Checkpoint, LaneNet]:
+    """A checkpoint, given as for `place`, and its network; raise InputError for a user's network."""
+    checkpoint = _read(place(source))
+    if isinstance(checkpoint.config.model, CustomModel):
         raise InputError("checkpoint: expected a named model (docs/baseline.md), got a network of your own")
-    return network
+    network = build(checkpoint, device)
+    assert isinstance(network, LaneNet)
+    return checkpoint, network
 
 
 def detector(source: str | Path, device: torch.device, own_model: str | None = None) -> Detector:
     """The network of a checkpoint, given as for `place`, ready to detect lanes."""
-    checkpoint = load(place(source))
-    return detector_of(checkpoint, build(checkpoint, device, own_model))
+    checkpoint = load(place(source), own_model)
+    return detector_of(checkpoint, build(checkpoint, device))
 
 
 def detector_of(checkpoint: Checkpoint, network: nn.Module) -> Detector:

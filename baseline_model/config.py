@@ -51,8 +51,9 @@ class ModelConfig(Strict):
     """One network. Widths are per stage at image strides 2, 4, 8, 16; `vgg16` has 64 channels before the first."""
 
     name: str
-    backbone: Annotated[str, Field(pattern=rf"^(vgg16|residual|{TIMM}\S+)$")]
-    """`timm:NAME` is a network of the package timm, whose own channels, blocks and norms replace those given here."""
+    backbone: Annotated[str, Field(pattern=rf"^(vgg16|residual|{TIMM}\w+(\.\w+)?)$")]
+    """`timm:NAME` is a network of the package timm, whose own channels, blocks and norms replace those given here. The
+    names of hubs and folders, from which timm would load more, are not taken."""
     image_channels: tuple[Size, Size, Size, Size]
     image_blocks: tuple[Few, Few, Few, Few]
     projected_channels: tuple[Size, Size, Size, Size]

@@ -59,8 +59,7 @@ def export_onnx(checkpoint: str | Path, path: str | Path, calibration: str | Pat
 
     `calibration` is a split or a folder of images, by which the convolutions become int8 (`onnx_int8.quantised`).
     """
-    loaded = checkpoints.load(checkpoints.place(checkpoint))
-    model = checkpoints.build_lane_net(loaded, torch.device("cpu"))
+    loaded, model = checkpoints.load_lane_net(checkpoint, torch.device("cpu"))
     images: Iterator[CameraImage] = iter(()) if calibration is None else open_pictures(calibration, None).images
     # Read before the export, which takes half a minute.
     first = list(islice(images, 1))

@@ -11,7 +11,7 @@ from torch import nn
 from synth3dlanes.errors import FormatError, InputError
 
 from . import checkpoint as checkpoints
-from .config import ModelConfig, TrainConfig
+from .config import CustomModel, TrainConfig
 from .growth import grown
 from .inference import choose_device
 from .loading import Process
@@ -94,7 +94,7 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
         optimizer_for(model, config, process.device),
     )
     if is_resumed:
-        found = checkpoints.load(last)
+        found = checkpoints.load(last, config.model.build if isinstance(config.model, CustomModel) else None)
         _resume(trainee, found, out_dir)
         about |= {name: found.about[name] for name in ("pretrained", "init") if name in found.about}
     return trainee
@@ -137,9 +137,8 @@ def _resume(trainee: TrainingRun, found: checkpoints.Checkpoint, out_dir: Path) 
 
 def _start_from(model: nn.Module, source: str) -> str:
     """Load another run's weights, which may be of a smaller network; return a description of them."""
-    found = checkpoints.load(checkpoints.place(source))
-    weights, small = found.model, found.config.model
-    if isinstance(model, LaneNet) and isinstance(small, ModelConfig):
+    weights, small, about = checkpoints.load_start(checkpoints.place(source))
+    if isinstance(model, LaneNet) and small is not None:
         weights = grown(weights, small, model)
     load_weights(model, weights, "init", source)
-    return f"{source}, trained on {found.about.get('train', {}).get('n_images', '?')} images"
+    return f"{source}, trained on {about.get('train', {}).get('n_images', '?')} images"

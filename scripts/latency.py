@@ -93,7 +93,7 @@ def _network(model: str) -> Any:
     from synth3dlanes_baseline.model import LaneNet
 
     if model in ("nano", "compact", "streets"):
-        return checkpoint.build_lane_net(checkpoint.load(checkpoint.place(model)), torch.device("cpu"))
+        return checkpoint.load_lane_net(model, torch.device("cpu"))[1]
     return LaneNet(train_config(model, {}).model).eval().to(memory_format=torch.channels_last)
 
 
