@@ -15,6 +15,7 @@ from .options import (
     device_option,
     json_option,
     open_assets,
+    open_params,
     output_console,
     params_option,
     passes_option,
@@ -73,7 +74,6 @@ def bench(
     written to disk as by `generate`, then deleted.
     """
 
-    from synth3dlanes.params import load_params
     from synth3dlanes.production import bench as measuring
     from synth3dlanes.production.devices import resolve_device
     from synth3dlanes.production.recipe import Recipe
@@ -83,7 +83,7 @@ def bench(
 
     stored = measuring.read_bench(against, source, samples, frames) if against else None
     library = open_assets(assets)
-    params, settings = load_params(source, changes, library.assets), RenderSettings(samples, passes, device)
+    params, settings = open_params(source, changes, library), RenderSettings(samples, passes, device)
     scenes = Scenes(params, 0, "bench", assets=library.assets, shots=clips(frames, FPS))
     recipe, slots = resolve_device(Recipe(scenes, settings, "jpg", library))
     with output_console(stderr=True).status("warming up") as status:

@@ -25,6 +25,7 @@ from .options import (
     lidar_option,
     open_assets,
     open_map,
+    open_params,
     open_shots,
     params_option,
     passes_option,
@@ -181,7 +182,6 @@ def generate(
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
     from synth3dlanes.given_scenes import given_scenes
-    from synth3dlanes.params import load_params
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
@@ -196,7 +196,7 @@ def generate(
     refuse_idle(executor == "ray", ["address"], "without --executor ray")
     refuse_idle_keys(image_format == "jpg", (*changes, *spreads), ["sensor.jpeg_quality"], "with --image-format png")
     library = open_assets(assets)
-    params, shots = load_params(source, changes, library.assets), open_shots(camera, rig, frames, fps, lidar)
+    params, shots = open_params(source, changes, library), open_shots(camera, rig, frames, fps, lidar)
     refuse_idle_changes((*changes, *spreads), shots)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
     given = read_like(given_scenes(like, params, library.assets), spreads) if like else None

@@ -19,6 +19,7 @@ from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
 
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
+    from synth3dlanes.params import Params
     from synth3dlanes.sampling.on_map import MapPlace
     from synth3dlanes.shots import Shots
 
@@ -242,6 +243,17 @@ def open_assets(folder: Path | None) -> "Library":
     for warning in warnings:
         click.echo(f"--assets {folder}: {warning}", err=True)
     return library
+
+
+def open_params(source: str, changes: Sequence[str], library: "Library") -> "Params":
+    """What `--params` and `--set` say; what does not fit each other is said on stderr."""
+    from synth3dlanes.params import load_params
+    from synth3dlanes.params_text import contradictions
+
+    params = load_params(source, changes, library.assets)
+    for line in contradictions(params):
+        click.echo(line, err=True)
+    return params
 
 
 def open_map(path: Path, at: str | None) -> "MapPlace":

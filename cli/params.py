@@ -30,10 +30,12 @@ def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
 @set_option
 def check(sources: tuple[str, ...], changes: tuple[str, ...]) -> None:
     """Check parameter files and list every problem in them, and the keys that they leave out."""
-    from synth3dlanes.params import check_params
-    from synth3dlanes.params_text import keys_left_out
+    from synth3dlanes.params import check_params, load_params
+    from synth3dlanes.params_text import contradictions, keys_left_out
 
     check_params(sources, changes)
     for source in sources:
+        for line in contradictions(load_params(source, changes)):
+            click.echo(f"{source}: {line}", err=True)
         left_out = ", ".join(keys_left_out(source))
         click.echo(f"{source}: ok" + (f"; left out, so as they are by default: {left_out}" if left_out else ""))

@@ -15,6 +15,7 @@ from .options import (
     device_option,
     lidar_option,
     open_assets,
+    open_params,
     open_shots,
     params_option,
     passes_option,
@@ -57,14 +58,14 @@ def sample(
     fps: float,
 ) -> None:
     """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
-    from synth3dlanes.params import load_params
     from synth3dlanes.sample import Scenes, scene_texts
 
     if index + n > MAX_SAMPLES:
         raise InputError(f"n: expected at most {MAX_SAMPLES - index} from index {index}, got {n}")
-    own, shots = open_assets(assets).assets, open_shots(camera, rig, frames, fps)
+    library, shots = open_assets(assets), open_shots(camera, rig, frames, fps)
     refuse_idle_changes(changes, shots)
-    scenes = Scenes(load_params(source, changes, own), seed, split, assets=own, shots=shots)
+    params = open_params(source, changes, library)
+    scenes = Scenes(params, seed, split, assets=library.assets, shots=shots)
     for text in scene_texts(scenes, range(index, index + n)):
         click.echo(text)
 

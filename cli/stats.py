@@ -8,7 +8,16 @@ import click
 from synth3dlanes.files import replacing
 
 from .idle import refuse_idle, refuse_idle_keys
-from .options import OutputFile, assets_option, json_option, open_assets, output_console, seed_option, set_option
+from .options import (
+    OutputFile,
+    assets_option,
+    json_option,
+    open_assets,
+    open_params,
+    output_console,
+    seed_option,
+    set_option,
+)
 
 
 @click.command()
@@ -46,7 +55,6 @@ def stats(
 
     from synth3dlanes.api import dataset_stats
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
-    from synth3dlanes.params import load_params
 
     if (folder is None) == (source is None):
         raise click.UsageError("Give either DIR or --params FILE.")
@@ -56,7 +64,7 @@ def stats(
         found = dataset_stats(folder, n=n)
     else:
         library = open_assets(assets)
-        found = dataset_stats(load_params(str(source), changes, library.assets), n=n, seed=seed, assets=library)
+        found = dataset_stats(open_params(str(source), changes, library), n=n, seed=seed, assets=library)
     if out:
         with replacing(out) as stream:
             draw_statistics(found.scenes, found.labels).savefig(stream, format=out.suffix[1:], dpi=100)

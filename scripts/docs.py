@@ -17,9 +17,9 @@ from synth3dlanes.figures.stats import form as written
 from synth3dlanes.labels import LabelsDocument
 from synth3dlanes.params import Params, forms, load_params, preset_names
 from synth3dlanes.params_text import REFERENCE, comments_of
-from synth3dlanes.sampling.weather import DAYTIMES, KINDS
 from synth3dlanes.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
+from synth3dlanes.weather import DAYTIMES, KINDS
 
 FOLDER = Path(__file__).parents[1] / "docs"
 
@@ -85,6 +85,11 @@ WEATHER_HEAD = """## Weather and time of day
 
 `weather.kind` and `weather.daytime` are drawn first. Any other than `any` replaces the distributions of these keys, so
 that air, surface, light and camera fit each other; the rest of the scene is drawn as without them.
+
+Your own values come first: a key that you give with `--set` keeps your value in every weather, and so does one that
+your file has otherwise than the preset that it differs least from. `kept: [weather.headlights]` in a file names keys
+that are your own although the preset has the same value; `params show` prints it. A value that does not fit the
+weather, such as a sun at 40 degrees at night, is used and named in a line.
 """
 
 

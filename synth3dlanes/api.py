@@ -34,6 +34,7 @@ from synth3dlanes.lift.precision import Precision
 from synth3dlanes.lift.write import LiftReport, lift_to
 from synth3dlanes.params import Params
 from synth3dlanes.params import load_params as _load_params
+from synth3dlanes.params_text import contradictions
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
@@ -80,9 +81,13 @@ def load_params(
 ) -> Params:
     """Read a preset (by name) or a YAML file, then apply overrides such as `cars.n=3`.
 
-    Raises InputError with a line for every problem.
+    Values of your own come before those of weather and time of day; issues a Python warning for each that does not fit
+    them, as a high sun at night. Raises InputError with a line for every problem.
     """
-    return _load_params(str(source), several(overrides), assets.assets)
+    params = _load_params(str(source), several(overrides), assets.assets)
+    for line in contradictions(params):
+        warnings.warn(line, stacklevel=2)
+    return params
 
 
 def load_camera(source: str | Path) -> CameraSpec:

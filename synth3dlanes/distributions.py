@@ -68,9 +68,16 @@ class Choice(Generic[Value]):
 Distribution = Uniform | Integers | Choice[Any]
 
 
+def extent(distribution: Distribution) -> tuple[Any, Any]:
+    """The least and the greatest value."""
+    if isinstance(distribution, Choice):
+        return min(distribution.values), max(distribution.values)
+    return distribution.low, distribution.high
+
+
 def least(distribution: Integers | Choice[int]) -> int:
     """The least value that may be drawn."""
-    return min(distribution.values) if isinstance(distribution, Choice) else distribution.low
+    return int(extent(distribution)[0])
 
 
 def at_least(distribution: Integers | Choice[int], low: int) -> Choice[int]:

@@ -9,11 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, ValidationError
 
 from synth3dlanes.assets.catalogue import BUILT_IN, AssetKind, Assets
 from synth3dlanes.distributions import (
     Choice,
+    Distribution,
     Flag,
     Integer,
     Integers,
@@ -30,6 +31,7 @@ from synth3dlanes.distributions import (
 from synth3dlanes.errors import InputError
 from synth3dlanes.schema import shown, unknown_key
 from synth3dlanes.settings import JPEG_QUALITY
+from synth3dlanes.weather import DAYTIMES, KINDS, replaced
 from synth3dlanes.yaml_text import read_yaml, text_of
 
 Fraction = Annotated[Real, reals(0, 1)]
@@ -231,7 +233,7 @@ class SensorParams(Group):
 
 class WeatherParams(Group):
     """Weather and time of day. A `kind` or `daytime` other than any replaces the distributions of other keys
-    (`sampling.weather`)."""
+    (`weather`)."""
 
     kind: Annotated[Named, names("any", "clear", "cloudy", "fog", "rain", "snow")] = added("any")
     daytime: Annotated[Named, names("any", "day", "dusk", "night")] = added("any")
@@ -325,8 +327,18 @@ class TownParams(Group):
     street_trees: Fraction = added(0.3)
 
 
+def _read_kept(read: Any) -> tuple[str, ...]:
+    """Keys that weather or time of day replace, in order; raise ValueError."""
+    known = sorted({path for table in (KINDS, DAYTIMES) for replaces in table.values() for path in replaces})
+    if not isinstance(read, list | tuple) or any(path not in known for path in read):
+        raise ValueError(f"expected a list of keys that follow from the weather: {', '.join(known)}")
+    return tuple(sorted(set(read)))
+
+
 class Params(Group):
     """The distribution of every parameter of a scene. Names are as in `scene.json`, with degrees instead of radians.
+    `kept` are the keys, as `surface.wetness`, whose distributions are the user's own: weather and time of day leave
+    them as they are.
 
     `model_dump(mode="json")` gives the YAML forms back; `Params.model_validate` reads them.
     """
@@ -350,11 +362,42 @@ class Params(Group):
     roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
     motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
     town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
+    kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
 
     @property
     def is_town(self) -> bool:
         """Whether scenes are towns, all or some of them."""
         return self.town.junction.values != ("none",)
+
+    @property
+    def groups(self) -> dict[str, Group]:
+        """The groups by name."""
+        return {name: group for name, group in self if isinstance(group, Group)}
+
+    def open_to(self) -> dict[str, dict[str, Distribution]]:
+        """What the kinds of weather and times of day that may be drawn replace: `group.key` -> distributions, by the
+        value of `weather` that brings them."""
+        found: dict[str, dict[str, Distribution]] = {}
+        for name, table in (("kind", KINDS), ("daytime", DAYTIMES)):
+            for value in getattr(self.weather, name).values:
+                for path, distribution in table[value].items():
+                    found.setdefault(path, {})[f"weather.{name} {value}"] = distribution
+        return found
+
+    def keeping(self, own: Iterable[str]) -> "Params":
+        """The parameters with these keys of the user's own, too; those that no weather replaces need not be kept."""
+        return self.model_copy(update={"kept": tuple(sorted({*self.kept, *own} & self.open_to().keys()))})
+
+    def under(self, kind: str, daytime: str) -> "Params":
+        """The parameters of scenes in this weather and at this time of day."""
+        changes: dict[str, dict[str, Distribution]] = {}
+        for path, distribution in replaced(kind, daytime).items():
+            if path not in self.kept:
+                group, key = path.split(".")
+                changes.setdefault(group, {})[key] = distribution
+        return self.model_copy(
+            update={group: getattr(self, group).model_copy(update=keys) for group, keys in changes.items()}
+        )
 
 
 def presets_folder() -> Path:
@@ -402,7 +445,21 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
         raise InputError(*problems, *override_problems, *_problems(error, where, overridden)) from None
     if problems or override_problems:
         raise InputError(*problems, *override_problems)
-    return params
+    # A file has all keys: its author's own are those that differ from the preset that it was made from.
+    is_file = source not in preset_names() and bool(params.open_to())
+    return params.keeping(overridden | nearest_preset(params)[1] if is_file else overridden)
+
+
+def nearest_preset(params: Params) -> tuple[str, set[str]]:
+    """The preset that parameters differ least from, and the keys, as `cars.n`, that differ."""
+    own = forms(params)
+    changes = {
+        name: {f"{group}.{key}" for group in own for key, form in own[group].items() if form != base[group][key]}
+        for name in preset_names()
+        for base in [forms(load_params(name))]
+    }
+    name = min(changes, key=lambda name: len(changes[name]))
+    return name, changes[name]
 
 
 @lru_cache(maxsize=16)
@@ -426,9 +483,9 @@ def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:
 def problems_of(params: Params, path: str, value: Any) -> list[str]:
     """What is wrong with a constant value of the parameter `group.key`, in lines; nothing for other paths."""
     group, _, key = path.partition(".")
-    if group not in Params.model_fields or key not in _keys((group,)):
+    if key not in _keys((group,)):
         return []
-    changed = {name: dict(keys) for name, keys in params}
+    changed = {name: dict(keys) for name, keys in params.groups.items()}
     changed[group][key] = value
     try:
         Params.model_validate(changed)
@@ -439,7 +496,7 @@ def problems_of(params: Params, path: str, value: Any) -> list[str]:
 
 def forms(params: Params) -> dict[str, dict[str, Any]]:
     """The YAML form of every key, by group and key."""
-    return {name: {key: form(distribution) for key, distribution in group} for name, group in params}
+    return {name: {key: form(distribution) for key, distribution in group} for name, group in params.groups.items()}
 
 
 def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[str], list[str]]:
@@ -458,8 +515,9 @@ def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[s
         if isinstance(group, dict) and not value_problems:
             group[steps[1]] = value
             done.add(path.strip())
-        elif steps[0] not in Params.model_fields:
-            problems.append(f"overrides {path.strip()}: {unknown_key(steps[0], Params.model_fields)}")
+        elif not _keys((steps[0],)):
+            groups = [name for name in Params.model_fields if _keys((name,))]
+            problems.append(f"overrides {path.strip()}: {unknown_key(steps[0], groups)}")
     return done, problems
 
 
@@ -487,5 +545,8 @@ def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[
 
 
 def _keys(group: tuple[int | str, ...]) -> Iterable[str]:
-    model = Params.model_fields[str(group[0])].annotation if group else Params
+    """The keys of a group, of none for other names; without a group those of all parameters."""
+    if not group:
+        return Params.model_fields
+    model = Params.model_fields[str(group[0])].annotation if group[0] in Params.model_fields else None
     return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else ()

@@ -10,7 +10,8 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from synth3dlanes.params import Params, find_preset, forms, load_params, preset_names
+from synth3dlanes.distributions import extent, form
+from synth3dlanes.params import Params, find_preset, forms, nearest_preset
 from synth3dlanes.yaml_text import read_yaml, text_of
 
 REFERENCE = "appendix_i"
@@ -20,6 +21,8 @@ COMMENT_COLUMN = 32
 MOST_CHANGES, OWN = 8, "own parameters"
 # Larger whole numbers are written as numbers with a point, as they are.
 MOST_SHORT = 1e15
+
+KEPT = "your own values, which weather and daytime leave as they are"
 
 LINE = re.compile(r"(?P<indent>\s*)(?P<key>\w+):[^#]*(?:#(?P<comment>.*))?$")
 
@@ -38,9 +41,11 @@ def params_yaml(params: Params, source: str = REFERENCE) -> str:
     parts = [head] if head else []
     for group, keys in forms(params).items():
         lines = [_line(f"{group}:", found.get((group, ""), ""))]
-        for key, form in keys.items():
-            lines.append(_line(f"  {key}: {_flow(form)}", found.get((group, key), "")))
+        for key, read in keys.items():
+            lines.append(_line(f"  {key}: {_flow(read)}", found.get((group, key), "")))
         parts.append("\n".join(lines) + "\n")
+    if params.kept:
+        parts.append(_line(f"kept: [{', '.join(params.kept)}]", KEPT) + "\n")
     return "\n".join(parts)
 
 
@@ -57,24 +62,40 @@ def comments_of(source: str) -> Comments:
     return found
 
 
+def contradictions(params: Params) -> list[str]:
+    """The user's own values that do not fit the weather or the time of day, as a high sun at night, a line each."""
+    open_to, lines = params.open_to(), []
+    for path in params.kept:
+        group, key = path.split(".")
+        own = getattr(getattr(params, group), key)
+        (low, high), usual = extent(own), open_to.get(path, {})
+        other = [
+            f"{_flow(form(distribution))} with {weather}"
+            for weather, distribution in usual.items()
+            if not extent(distribution)[0] <= low <= high <= extent(distribution)[1]
+        ]
+        if other:
+            lines.append(f"{path}: your own {_flow(form(own))} is kept; left open, it would be {' and '.join(other)}")
+    return lines
+
+
 def preset_of(document: Mapping[str, Any]) -> str:
     """What parameters are called, as `dataset.json` has them: `streets`, or `tiny with cars.n=3`, by the preset that
     they differ least from; "own parameters" where they differ from all in many keys or cannot be read."""
     try:
-        own = forms(Params.model_validate(document))
+        params = Params.model_validate(document)
     except ValidationError:
         return OWN
-    changes = {name: _changes(forms(load_params(name)), own) for name in preset_names()}
-    name = min(changes, key=lambda name: len(changes[name]))
-    if len(changes[name]) > MOST_CHANGES:
-        return OWN
-    return f"{name} with {', '.join(changes[name])}" if changes[name] else name
-
-
-def _changes(base: dict[str, dict[str, Any]], own: dict[str, dict[str, Any]]) -> list[str]:
-    return [
-        f"{group}.{key}={_flow(form)}" for group in own for key, form in own[group].items() if form != base[group][key]
+    name, differing = nearest_preset(params)
+    changes = [
+        f"{group}.{key}={_flow(read)}"
+        for group, keys in forms(params).items()
+        for key, read in keys.items()
+        if f"{group}.{key}" in {*differing, *params.kept}
     ]
+    if len(changes) > MOST_CHANGES:
+        return OWN
+    return f"{name} with {', '.join(changes)}" if changes else name
 
 
 def keys_left_out(source: str) -> list[str]:
@@ -105,12 +126,12 @@ def _head(text: str) -> str:
     return found[0] if found else ""
 
 
-def _flow(form: Any) -> str:
+def _flow(read: Any) -> str:
     """A value in a line, with whole numbers written as such."""
-    if isinstance(form, dict):
-        short: Any = {_short(value): _short(weight) for value, weight in form.items()}
+    if isinstance(read, dict):
+        short: Any = {_short(value): _short(weight) for value, weight in read.items()}
     else:
-        short = [_short(value) for value in form] if isinstance(form, list) else _short(form)
+        short = [_short(value) for value in read] if isinstance(read, list) else _short(read)
     text: str = yaml.safe_dump(short, default_flow_style=True, sort_keys=False, width=10_000)
     return text.removesuffix("...\n").strip()
 

@@ -28,7 +28,6 @@ from synth3dlanes.sampling.town.furniture import furnish, street_trees
 from synth3dlanes.sampling.traffic import check_way, on_its_road
 from synth3dlanes.sampling.traffic_elements import draw_elements
 from synth3dlanes.sampling.trees import draw_trees, trees_with_room
-from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import (
     MIN_MEDIAN_M,
     SCENE_VERSION,
@@ -111,7 +110,7 @@ def draw_world(scenes: Scenes, index: int) -> World:
     params, shots, like = scenes.params, scenes.shots, scenes.like
     drawn = scenes.seed, scenes.split, index
     first = draws_of(params, "weather", drawn, like)
-    params = under(params, first("kind"), first("daytime"))
+    params = params.under(first("kind"), first("daytime"))
     of = DrawsOf(params, drawn, like)
     if scenes.map is not None:
         return _map_world(scenes, scenes.map, index, of)

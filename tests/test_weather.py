@@ -1,14 +1,22 @@
 """Weather and time of day: what is drawn together, and what stays as it was drawn without them."""
 
+import re
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from synth3dlanes_cli.main import main
 
+from synth3dlanes import api
+from synth3dlanes.errors import InputError
 from synth3dlanes.figures.stats import is_fine, scene_statistics
 from synth3dlanes.host import Host
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.params import load_params
+from synth3dlanes.params import Params, load_params
+from synth3dlanes.params_text import params_yaml
 from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Weather, from_json, to_json
+from synth3dlanes.weather import DAYTIMES, KINDS
 
 FEW = ["cars.n=2", "trees.n=3"]
 
@@ -59,6 +67,110 @@ def test_weather_changes_nothing_but_what_it_names():
             assert getattr(plain, part) == getattr(rainy, part)
         assert plain.light.sun_azimuth_rad == rainy.light.sun_azimuth_rad
         assert plain.surface.model_copy(update={"wetness": rainy.surface.wetness}) == rainy.surface
+
+
+# A value of each key that weather or time of day replaces, which neither of them gives.
+OWN = {
+    "air.visibility_m": 55,
+    "air.overcast": 0.5,
+    "surface.wetness": 0.1,
+    "weather.rain": 0.05,
+    "weather.snowfall": 0.9,
+    "weather.snow": 0.1,
+    "weather.snow_on_road": 0.9,
+    "weather.headlights": False,
+    "sensor.drops": 0.9,
+    "sensor.noise": 30,
+    "sensor.flare": 0.9,
+    "sensor.motion_blur_m": 0.95,
+    "light.sun_zenith_deg": 96,
+    "light.metering": 0.5,
+    "light.exposure": 9,
+}
+ALL_WEATHER = [
+    "weather.kind={clear: 1, cloudy: 1, fog: 1, rain: 1, snow: 1}",
+    "weather.daytime={day: 1, dusk: 1, night: 1}",
+]
+
+
+def value_of(scene, path):
+    group, key = path.split(".")
+    part = getattr(scene, group)
+    return np.degrees(getattr(part, key.replace("_deg", "_rad"))) if key.endswith("_deg") else getattr(part, key)
+
+
+def test_every_key_that_the_weather_replaces_has_an_own_value_here():
+    assert OWN.keys() == {path for table in (KINDS, DAYTIMES) for replaces in table.values() for path in replaces}
+
+
+@pytest.mark.parametrize(("preset", "n"), [("diverse", 12), ("streets", 4)])
+def test_the_users_own_value_comes_before_the_weather_and_changes_nothing_else(preset, n):
+    own = drawn(*ALL_WEATHER, *(f"{path}={str(value).lower()}" for path, value in OWN.items()), n=n, preset=preset)
+    for scene, left_open in zip(own, drawn(*ALL_WEATHER, n=n, preset=preset), strict=True):
+        document = left_open.model_dump()
+        for path, value in OWN.items():
+            assert value_of(scene, path) == pytest.approx(value), path
+            group, key = path.replace("_deg", "_rad").split(".")
+            document[group][key] = getattr(getattr(scene, group), key)
+        assert document == scene.model_dump()
+
+
+def test_an_own_value_counts_in_a_file_and_by_set_alike(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(params_yaml(load_params("streets")))
+    assert load_params(str(path)) == load_params("streets"), "a copy of a preset leaves open what the preset does"
+    text = path.read_text()
+    for line, other in (("wetness: {0", "wetness: {0.05"), ("  rain: 0 ", "  rain: [0.8, 1] ")):
+        assert line in text
+        text = text.replace(line, other)
+    path.write_text(text)
+    own = load_params(str(path))
+    assert own.kept == ("surface.wetness", "weather.rain")
+    assert own == load_params("streets", ["surface.wetness={0.05: 3, 0.3: 1, 0.6: 1, 0.9: 1}", "weather.rain=[0.8, 1]"])
+    # One that equals the preset's is the user's own by --set, and stays so in a file.
+    same = load_params("streets", ["weather.headlights=false"])
+    assert same.kept == ("weather.headlights",)
+    path.write_text(params_yaml(same))
+    assert load_params(str(path)) == same
+    assert Params.model_validate(same.model_dump(mode="json")) == same
+    path.write_text(params_yaml(same).replace("kept: [weather.headlights]", "kept: [weather.headlight]"))
+    with pytest.raises(InputError, match="kept: expected a list of keys that follow from the weather"):
+        load_params(str(path))
+
+
+def test_what_no_weather_replaces_is_not_recorded():
+    assert load_params("diverse", [f"{path}={str(value).lower()}" for path, value in OWN.items()]).kept == ()
+    assert load_params("streets", ["weather.daytime=day", "light.exposure=2", "cars.n=3"]).kept == ()
+    assert "kept" not in load_params("streets").model_dump(mode="json")
+
+
+def test_statistics_know_own_values():
+    params = load_params("diverse", [*FEW, "weather.kind=rain", "surface.wetness=0", "weather.rain=[0.8, 1]"])
+    scenes = [sample_scene(Scenes(params, 3, "weather"), index) for index in range(30)]
+    rows = {row.key: row for row in scene_statistics(scenes, params).parameters}
+    assert [row.key for row in rows.values() if not is_fine(row)] == []
+    assert (rows["weather.rain"].low, rows["weather.rain"].high) == (0.8, 1)
+    assert rows["surface.wetness"].maximum == 0
+
+
+@pytest.mark.parametrize(
+    ("own", "told"),
+    [
+        (
+            "light.sun_zenith_deg=40",
+            "own 40 is kept; left open, it would be [86, 95] with weather.daytime dusk",
+        ),
+        ("surface.wetness=0", "own 0 is kept; left open, it would be [0.6, 1] with weather.kind rain"),
+        ("weather.rain=[0.8, 1]", None),
+        ("cars.n=3", None),
+    ],
+)
+def test_what_does_not_fit_the_weather_is_said_in_one_line(own, told):
+    errors = CliRunner().invoke(main, ["sample", "--params", "streets", "--set", own]).stderr
+    assert (told is None and not errors) or (told in errors and errors.count("\n") == 1)
+    if told:
+        with pytest.warns(UserWarning, match=re.escape(told)):
+            api.load_params("streets", own)
 
 
 def test_a_scene_without_weather_has_none_in_its_file():

@@ -121,7 +121,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool =
                 drawn[key][of_scene[key]].extend(values)
     declared = {
         f"{name}.{key}": distribution
-        for name, group in params
+        for name, group in params.groups.items()
         for key, distribution in group
         if not (own_camera and _is_of_camera(f"{name}.{key}"))
         and (f"{name}.{key}" in drawn or not (_is_named(distribution) or name in OPTIONAL))

@@ -2,12 +2,10 @@
 without oncoming lanes, of the lanes there are."""
 
 from collections.abc import Mapping
-from typing import Any
 
-from synth3dlanes.distributions import Choice, Distribution, Integers, Uniform, at_least, at_most
+from synth3dlanes.distributions import Choice, Distribution, Integers, Uniform, at_least, at_most, extent
 from synth3dlanes.geometry.paper_roads import is_wide_enough
 from synth3dlanes.params import Params
-from synth3dlanes.sampling.weather import under
 from synth3dlanes.scene import MIN_MEDIAN_M, PaperRoad, Scene
 from synth3dlanes.town import ROUNDABOUTS, Town
 
@@ -90,17 +88,15 @@ class ParameterRules:
     def _under(self, kind: str, daytime: str) -> dict[str, Distribution]:
         """The distributions in this weather at this time of day; those of the weather itself are as declared."""
         if (kind, daytime) not in self._by_weather:
-            changed = under(self.params, kind, daytime)
-            self._by_weather[kind, daytime] = {f"{name}.{key}": form for name, group in changed for key, form in group}
+            changed = self.params.under(kind, daytime).groups
+            self._by_weather[kind, daytime] = {
+                f"{name}.{key}": form for name, group in changed.items() for key, form in group
+            }
         return self._by_weather[kind, daytime]
 
     def _has_room(self, road: PaperRoad) -> bool:
         """Whether the bends of a road have room for the most oncoming lanes and the widest median declared: then none
         were left out."""
         declared = self.params.road
-        widest = {"n_oncoming": _most(declared.n_oncoming), "median_m": _most(declared.median_m)}
+        widest = {"n_oncoming": extent(declared.n_oncoming)[1], "median_m": extent(declared.median_m)[1]}
         return not widest["n_oncoming"] or is_wide_enough(road.model_copy(update=widest))
-
-
-def _most(distribution: Distribution) -> Any:
-    return max(distribution.values) if isinstance(distribution, Choice) else distribution.high

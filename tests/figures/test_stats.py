@@ -34,7 +34,7 @@ def test_drawn_scenes_agree_with_what_was_declared(scenes):
     assert {"weather.kind", "weather.daytime"} <= texts
     assert {row.key for row in statistics.parameters} == {
         f"{name}.{key}"
-        for name, group in params
+        for name, group in params.groups.items()
         if name not in ("symbols", "roadside", "motion", "town")
         for key in type(group).model_fields
     } - texts

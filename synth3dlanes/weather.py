@@ -1,4 +1,5 @@
-"""What follows from the weather and the time of day: the ranges that replace those of other keys (docs/params.md).
+"""What follows from the weather and the time of day: the ranges that replace those of keys which the user left open
+(docs/params.md).
 
 So fog comes with a closed sky, rain with a wet road, and night with headlights, a noisy sensor and a longer exposure.
 """
@@ -6,7 +7,6 @@ So fog comes with a closed sky, rain with a wet road, and night with headlights,
 from typing import Any
 
 from synth3dlanes.distributions import Choice, Distribution, Uniform
-from synth3dlanes.params import Params
 
 
 def _always(value: Any) -> Choice[Any]:
@@ -71,12 +71,6 @@ DAYTIMES: dict[str, dict[str, Distribution]] = {
 }
 
 
-def under(params: Params, kind: str, daytime: str) -> Params:
-    """The parameters of scenes in this weather and at this time of day."""
-    changes: dict[str, dict[str, Distribution]] = {}
-    for path, distribution in (KINDS[kind] | DAYTIMES[daytime]).items():
-        group, key = path.split(".")
-        changes.setdefault(group, {})[key] = distribution
-    return params.model_copy(
-        update={group: getattr(params, group).model_copy(update=keys) for group, keys in changes.items()}
-    )
+def replaced(kind: str, daytime: str) -> dict[str, Distribution]:
+    """The distributions in this weather at this time of day, by `group.key`."""
+    return KINDS[kind] | DAYTIMES[daytime]
