@@ -1,21 +1,41 @@
-"""The XML of a given map: parsed with bounds and without entities, and its attributes as numbers."""
+"""The XML of a given map: parsed with bounds and without a document type, and its attributes as numbers."""
 
 import math
+import zlib
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.schema import shown
 
+# As gzip compresses (.xodrz).
+GZIP_MAGIC, GZIP_BITS = b"\x1f\x8b", 31
 # Far above the files of towns, which have 20 MB in 300,000 elements.
 MAX_FILE_BYTES, MAX_ELEMENTS, MAX_DEPTH = 256 << 20, 5_000_000, 50
 # The largest number: coordinates in a UTM grid have up to seven digits.
 MOST = 1e8
 
 
+def inflated(data: bytes, where: str) -> bytes:
+    """The data, decompressed where it is of gzip. Raises FormatError for broken data and for more than
+    MAX_FILE_BYTES."""
+    if not data.startswith(GZIP_MAGIC):
+        return data
+    stream = zlib.decompressobj(GZIP_BITS)
+    try:
+        found = stream.decompress(data, MAX_FILE_BYTES + 1)
+    except zlib.error as error:
+        raise FormatError(f"{where}: expected data of gzip, got {error}") from None
+    if len(found) > MAX_FILE_BYTES:
+        raise FormatError(f"{where}: expected at most {MAX_FILE_BYTES:,} bytes in the compressed file, got more")
+    if not stream.eof:
+        raise FormatError(f"{where}: expected data of gzip, got a file that is cut off")
+    return found
+
+
 def parse_xml(data: bytes, where: str) -> Element:
     """The root of a document. Raises FormatError, with one line that begins with `where`, for what is no XML, declares
-    entities or is absurdly large or deep."""
+    a document type or is absurdly large or deep."""
     builder, depth, count = TreeBuilder(), 0, 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -32,14 +52,14 @@ def parse_xml(data: bytes, where: str) -> Element:
         depth -= 1
         builder.end(tag)
 
-    def refuse(*_: object) -> int:
-        raise FormatError(f"{where}: expected a map without entities, got a declaration of one")
+    def refuse(*_: object) -> None:
+        # Its entities and the defaults of its attributes make a small file large.
+        raise FormatError(f"{where}: expected a map without a document type, got <!DOCTYPE")
 
     parser = expat.ParserCreate()
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler = lambda _: None
-    parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = refuse
-    parser.ExternalEntityRefHandler = refuse
+    parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(data, True)
     except (expat.ExpatError, ValueError, LookupError) as error:

@@ -17,7 +17,7 @@ from synth3dlanes.arrays import Points2
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.maps.cubics import is_zero, read_cubics, steepened, times, value
-from synth3dlanes.maps.document import MAX_FILE_BYTES, number, parse_xml
+from synth3dlanes.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml
 from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
 from synth3dlanes.maps.furniture import edges_at, read_furniture
 from synth3dlanes.maps.lanes import read_sections
@@ -153,8 +153,8 @@ def read_map(path: Path) -> GivenMap:
 
 
 def read_opendrive(data: bytes, source: str, where: str) -> GivenMap:
-    """The map in the bytes of a file named `source`; FormatErrors begin with `where`."""
-    root = parse_xml(data, where)
+    """The map in the bytes of a file named `source`, as they are or of gzip; FormatErrors begin with `where`."""
+    root = parse_xml(inflated(data, where), where)
     if root.tag.rpartition("}")[2].rpartition(":")[2] != "OpenDRIVE":
         raise FormatError(f"{where}: expected an OpenDRIVE file, got one of {shown(root.tag)}")
     try:

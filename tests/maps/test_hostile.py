@@ -1,5 +1,7 @@
 """Hostile files are refused in one line, and quickly."""
 
+import gzip
+import hashlib
 import re
 import time
 from pathlib import Path
@@ -11,6 +13,7 @@ from synth3dlanes_cli.main import main
 
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.maps import document
 from synth3dlanes.maps.given_map import read_map, read_opendrive
 from synth3dlanes.params import load_params
 from synth3dlanes.road_map import PlanPiece
@@ -20,6 +23,7 @@ from tests.map_scenes import FOUR_WAY, map_scene
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 from tests.maps.test_parts import link
 
+NO_TYPE = "expected a map without a document type, got <!DOCTYPE"
 LINE = plan(("<line/>", 50.0))
 BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">' + "".join(
     f'<!ENTITY {b} "{("&" + a + ";") * 10}">' for a, b in zip("abcdefgh", "bcdefghi", strict=True)
@@ -42,8 +46,15 @@ HOSTILE = {
     "nothing": (b"", "expected XML, got no element found"),
     "no XML": (b"\x00\x01\x02", "expected XML"),
     "another root": (b"<html/>", "expected an OpenDRIVE file, got one of 'html'"),
-    "entities": (f"{BOMB}]><OpenDRIVE>&i;</OpenDRIVE>".encode(), "without entities"),
-    "a file from outside": (b'<!DOCTYPE x [<!ENTITY a SYSTEM "file:///x">]><OpenDRIVE>&a;</OpenDRIVE>', "entities"),
+    "entities": (f"{BOMB}]><OpenDRIVE>&i;</OpenDRIVE>".encode(), NO_TYPE),
+    "a file from outside": (b'<!DOCTYPE x [<!ENTITY a SYSTEM "file:///x">]><OpenDRIVE>&a;</OpenDRIVE>', NO_TYPE),
+    "entities of parameters": (b'<!DOCTYPE x [<!ENTITY % a "b">%a;]><OpenDRIVE/>', NO_TYPE),
+    "a type from outside": (b'<!DOCTYPE x SYSTEM "file:///x"><OpenDRIVE/>', NO_TYPE),
+    "attributes by default": (
+        (f'<!DOCTYPE x [<!ATTLIST a {" ".join(f"k{i} CDATA {chr(39)}v{chr(39)}" for i in range(5000))}>]><OpenDRIVE>'
+         + "<a/>" * 100_000 + "</OpenDRIVE>").encode(), NO_TYPE),
+    "not gzip": (b"\x1f\x8bnothing", "expected data of gzip, got Error -3"),
+    "gzip cut off": (gzip.compress(b"<OpenDRIVE/>")[:-9], "expected data of gzip, got a file that is cut off"),
     "depth": (b"<OpenDRIVE>" + b"<a>" * 100_000 + b"</a>" * 100_000 + b"</OpenDRIVE>", "within each other"),
     "no roads": (opendrive(), "expected 1 to 100000 roads, got 0"),
     "two roads of one id": (opendrive(road(LINE), road(LINE)), "ids of roads that differ"),
@@ -90,6 +101,21 @@ def test_a_hostile_file_is_refused_in_one_line(name: str) -> None:
     assert "\n" not in text
     assert len(text) < 200
     assert time.process_time() - start < 1.0
+
+
+def test_a_compressed_file_is_the_map_in_it_with_the_digest_of_the_file(tmp_path: Path) -> None:
+    data = opendrive(road(LINE))
+    (tmp_path / "x.xodrz").write_bytes(packed := gzip.compress(data))
+    plain, found = read_opendrive(data, "x.xodrz", "map x"), read_map(tmp_path / "x.xodrz")
+    assert found.text() == plain.text()
+    assert found.roads == plain.roads
+    assert found.digest == hashlib.sha256(packed).hexdigest() != plain.digest
+
+
+def test_a_compressed_file_is_decompressed_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(document, "MAX_FILE_BYTES", 1000)
+    with pytest.raises(FormatError, match="expected at most 1,000 bytes in the compressed file, got more"):
+        read_opendrive(gzip.compress(b" " * 5_000_000), "x.xodrz", "map x")
 
 
 def test_links_in_circles_and_to_nowhere_end(tmp_path: Path) -> None:
