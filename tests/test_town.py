@@ -13,7 +13,7 @@ from synth3dlanes.scene import Scene, from_json, to_json
 from synth3dlanes.shots import Shots
 from synth3dlanes.world import World
 from tests.thorough import first
-from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, standing_problems, touching
+from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, order_problems, standing_problems, touching
 
 TOWN = load_params("town")
 CLIP = Shots(frames=16, fps=5.0)
@@ -30,6 +30,30 @@ def test_lanes_go_on_and_nothing_touches(junction: str) -> None:
     world = town(1, f"town.junction={junction}")
     assert world.scene.map is not None
     assert [*map_problems(world.scene.map), *standing_problems(world)] == []
+
+
+@pytest.mark.parametrize(
+    ("junction", "control", "index"),
+    first(
+        4,
+        [
+            ("t", "priority", 17),
+            ("crossing", "priority", 6),
+            ("crossing", "stop", 10),
+            ("roundabout_2", "priority", 8),
+            ("crossing", "signals", 14),
+            ("staggered", "signals", 26),
+            ("roundabout", "priority", 37),
+            ("crossing", "equal", 3),
+        ],
+    ),
+)
+def test_every_two_ways_that_meet_have_one_order(junction: str, control: str, index: int) -> None:
+    """A side street that goes on to a junction of its own is the main one there; opposite left turns that cross, and
+    those who leave a roundabout across its outer lane, have an order too."""
+    own = f"town.junction={junction}", f"town.control={control}", "town.n_more=2", "town.traffic=0", "town.parked=0"
+    scene = sample_scene(Scenes(load_params("town", own), 7001), index)
+    assert list(order_problems(scene)) == []
 
 
 def test_parked_cars_keep_off_long_vehicles_in_bends() -> None:
@@ -140,5 +164,8 @@ def test_2000_towns() -> None:
     for index in range(2000):
         world = town(index)
         assert world.scene.map is not None
-        problems += [f"{index}: {line}" for line in (*map_problems(world.scene.map), *standing_problems(world))]
+        problems += [
+            f"{index}: {line}"
+            for line in (*map_problems(world.scene.map), *order_problems(world.scene), *standing_problems(world))
+        ]
     assert problems == []

@@ -1,12 +1,14 @@
 """What must hold in every town, told as lines of problems; written without the sampler's own geometry."""
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 import shapely
 
 from synth3dlanes.road_map import RoadMap
 from synth3dlanes.scene import Scene
+from synth3dlanes.traffic_elements import TrafficSignal
 from synth3dlanes.world import World
 from tests.town_maps import MapReader, off
 
@@ -42,6 +44,41 @@ def map_problems(roads: RoadMap) -> Iterator[str]:
             yield f"{at.id}: outline crosses itself or is clockwise"
         both = {pair for pair in at.yields if pair[::-1] in at.yields}
         yield from (f"{at.id}: {a} and {b} yield to each other" for a, b in both)
+
+
+def order_problems(scene: Scene) -> Iterator[str]:
+    """Ways through a junction that meet without an order between them, or with two; lights that are green together
+    do not keep them apart."""
+    roads = scene.map
+    assert roads is not None
+    reader = MapReader(roads)
+    before: dict[str, set[str]] = {}
+    after: dict[str, set[str]] = {}
+    for a, b in roads.links:
+        before.setdefault(b, set()).add(a)
+        after.setdefault(a, set()).add(b)
+    green = {lane: _green(signal) for signal in scene.roadside.signals for lane in signal.lanes}
+    for at in roads.junctions:
+        inside = [f"{road.id}.0.-1" for road in roads.roads if road.junction == at.id]
+        ways = {name: shapely.LineString(reader.lane(name)[0]) for name in inside if name in roads.driving_lanes}
+        for one, other in combinations(ways, 2):
+            follow = other in after[one] or one in after[other] or before[one] & before[other]
+            if follow or not (ways[one].crosses(ways[other]) or after[one] & after[other]):
+                continue
+            lights = [next((green[lane] for lane in before[way] if lane in green), None) for way in (one, other)]
+            if lights[0] is not None and lights[1] is not None and not (lights[0] & lights[1]).any():
+                continue
+            orders = ((one, other) in at.yields) + ((other, one) in at.yields)
+            if orders != 1:
+                yield f"{at.id}: {one} and {other} meet with {orders} orders"
+
+
+def _green(signal: TrafficSignal) -> np.ndarray:
+    """Whether a signal lets traffic go, every tenth of a second of two minutes."""
+    ends = np.cumsum([phase.seconds for phase in signal.phases])
+    at = (np.arange(0, 120, 0.1) + signal.shift_s) % ends[-1]
+    goes = np.array([phase.state in ("green", "amber") for phase in signal.phases])
+    return goes[np.searchsorted(ends, at, side="right")]
 
 
 def bodies(world: World) -> list[shapely.Polygon]:

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from synth3dlanes.sampling.town.lanes import LaneLines, Route
-from synth3dlanes.sampling.town.lights import Lights, group_of
+from synth3dlanes.sampling.town.lights import Lights
 from synth3dlanes.sampling.town.paint import line_m
-from synth3dlanes.sampling.town.rules import Conflict, JunctionRules
+from synth3dlanes.sampling.town.rules import Conflict, Group, JunctionRules
 
 STEP_S = 0.2
 # Of following (the intelligent driver model): acceleration, comfortable deceleration, time gap, standing gap.
@@ -39,7 +39,7 @@ class Gate(NamedTuple):
     line_m: float
     end_m: float
     zones: tuple[Zone, ...]
-    group: str
+    group: Group
     rules: JunctionRules
     lanes: tuple[str, ...]
 
@@ -105,7 +105,7 @@ def gates_of(route: Route, rules: tuple[JunctionRules, ...], has_crosswalks: boo
         start = next(at for at in each.junction.connectors if at.lane == inside[0])
         assert start.from_arm is not None, "routes enter junctions from arms"
         keys = {lane.name: lane.key for lane in each.junction.arms[start.from_arm].lanes(incoming=True)}
-        group = group_of(each, start.from_arm, keys[start.before[0]])
+        group = each.group(start.from_arm, keys[start.before[0]])
         # The line is on the lane before: it is part of the route, or the car begins in the junction.
         line = route.starts[first] - line_m(has_crosswalks) - BEFORE_LINE_M
         found.append(Gate(line, route.starts[k], zones, group, each, inside))

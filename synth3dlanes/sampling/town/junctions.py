@@ -18,6 +18,8 @@ TURN_FROM_RAD, STRAIGHT_SIDE_RAD = np.radians(35.0), np.radians(150.0)
 # Arms begin this far behind their corners, and at least so far from the middle.
 SETBACK_M, LEAST_SETBACK_M = 0.5, 5.0
 OUTLINE_STEP_M = 0.5
+# A kerb's arc begins at most this far from where the kerbs would meet: acute corners have smaller radii.
+LONGEST_TANGENT_M = 15.0
 
 
 class Arm(NamedTuple):
@@ -125,7 +127,7 @@ def setbacks(angles: Sequence[float], crosses: Sequence[Cross], corner_m: float)
     found = [LEAST_SETBACK_M] * len(angles)
     for i, j, alpha, left, right in _sides(angles, crosses):
         if alpha < STRAIGHT_SIDE_RAD:
-            (at_i, at_j), tangent_m = _meeting(alpha, left, right), corner_m / np.tan(alpha / 2)
+            (at_i, at_j), (_, tangent_m) = _meeting(alpha, left, right), _arc(alpha, corner_m)
             found[i] = max(found[i], at_i + tangent_m + SETBACK_M)
             found[j] = max(found[j], at_j + tangent_m + SETBACK_M)
     return [float(setback) for setback in found]
@@ -141,12 +143,12 @@ def crossing(id: str, middle: PlanPose, arms: Sequence[Arm], corner_m: float) ->
         if alpha >= STRAIGHT_SIDE_RAD:
             corners.append(Corner(connection(start, end), walkways_m))
             continue
-        (at_i, at_j), tangent_m = _meeting(alpha, left, right), corner_m / np.tan(alpha / 2)
+        (at_i, at_j), (radius_m, tangent_m) = _meeting(alpha, left, right), _arc(alpha, corner_m)
         back_i, back_j = (np.hypot(arm.pose.x - middle.x, arm.pose.y - middle.y) for arm in (arms[i], arms[j]))
-        bend = -1 / corner_m
+        bend = -1 / radius_m
         parts = [
             (back_i - at_i - tangent_m, 0.0, 0.0),
-            (corner_m * (np.pi - alpha), bend, bend),
+            (radius_m * (np.pi - alpha), bend, bend),
             (back_j - at_j - tangent_m, 0.0, 0.0),
         ]
         corners.append(Corner(chain(start, parts), walkways_m))
@@ -203,7 +205,8 @@ def _connectors(junction: str, arms: Sequence[Arm], corner_m: float) -> list[Con
                 start, end = arm.lane_pose(lane, incoming=True), arms[j].lane_pose(out, incoming=False)
                 # A turn goes round the kerb on its side.
                 side = arm.cross.edge("left" if turn == "right" else "right")
-                widest_m = np.inf if turn == "straight" else corner_m + abs(side - lane.offset_m)
+                radius_m, _ = _arc(abs(wrapped(arms[j].pose.heading - arm.pose.heading)), corner_m)
+                widest_m = np.inf if turn == "straight" else radius_m + abs(side - lane.offset_m)
                 found.append(
                     Connector(
                         f"{junction}c{len(found)}",
@@ -232,3 +235,9 @@ def _meeting(alpha: float, left: float, right: float) -> tuple[float, float]:
     """How far along both axes the edges of two arms meet."""
     sin, cos = np.sin(alpha), np.cos(alpha)
     return float((right + left * cos) / sin), float((left + right * cos) / sin)
+
+
+def _arc(alpha: float, corner_m: float) -> tuple[float, float]:
+    """The radius of the kerb between two arms, and how far before the meeting of their edges it begins."""
+    radius_m = min(corner_m, LONGEST_TANGENT_M * float(np.tan(alpha / 2)))
+    return radius_m, radius_m / float(np.tan(alpha / 2))

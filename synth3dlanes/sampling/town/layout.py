@@ -224,8 +224,8 @@ class _Growth:
         else:
             angles = [QUARTER if self.rng.random() < 0.5 else -QUARTER]
         sides = [Planned(angle, self.side, NO_POCKET, False) for angle in angles]
-        ahead = Planned(0.0, came.profile, NO_POCKET, came.is_main)
-        here = Planned(np.pi, came.profile, NO_POCKET, came.is_main)
+        # The street that goes on is the main one here, even where it is a side street of the first junction.
+        ahead, here = (Planned(angle, came.profile, NO_POCKET, True) for angle in (0.0, np.pi))
         return [here, *sorted([ahead, *sides], key=lambda arm: (arm.angle - np.pi) % (2 * np.pi))]
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from synth3dlanes.sampling.town.junctions import Connector, TownJunction, Turn, 
 from synth3dlanes.sampling.town.plan import sampled
 from synth3dlanes.town import Control
 
+# Lanes before a junction whose signals change together.
+Group = Literal["major", "major_left", "minor"]
 # Ways closer than this cannot be driven at the same time: the width of a truck and some air.
 TOUCH_M, STEP_M = 2.75, 0.5
 # An arm is on the right of another between these angles.
@@ -79,28 +81,53 @@ class JunctionRules:
 
     @cached_property
     def yields(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of lanes that cross or merge, of which the first yields to the second."""
-        by_lane = {at.lane: at for at in self.junction.connectors}
-        pairs = {(at.lane, at.other) for at in self.conflicts if self._yields(by_lane[at.lane], by_lane[at.other])}
-        return tuple(sorted(pairs))
+        """Pairs of lanes that cross or merge, of which the first yields to the second: one order for every pair whose
+        traffic a signal does not keep apart."""
+        places = {at.lane: i for i, at in enumerate(self.junction.connectors)}
+        found = set()
+        for at in self.conflicts:
+            one, other = (self.junction.connectors[places[lane]] for lane in (at.lane, at.other))
+            if self._are_kept_apart(one, other) or self._gives_way(other, one):
+                continue
+            # Without a rule, as for opposite left turns that cross, the later one in the list yields.
+            if self._gives_way(one, other) or places[at.lane] > places[at.other]:
+                found.add((at.lane, at.other))
+        return tuple(sorted(found))
 
-    def _yields(self, one: Connector, other: Connector) -> bool:
+    def group(self, arm: int, key: str) -> Group:
+        """Which lights the lane `key` before the junction has."""
+        if arm not in self.major:
+            return "minor"
+        return "major_left" if key == "turn_left" and self.has_arrow(arm) else "major"
+
+    def _are_kept_apart(self, one: Connector, other: Connector) -> bool:
+        """Whether the lights of two connectors are green at different times."""
+        if self.control != "signals" or self.junction.is_roundabout:
+            return False
+        return self._group_before(one) != self._group_before(other)
+
+    def _group_before(self, connector: Connector) -> Group:
+        assert connector.from_arm is not None, "lanes of crossings come from arms"
+        lanes = self.junction.arms[connector.from_arm].lanes(incoming=True)
+        return self.group(connector.from_arm, next(lane.key for lane in lanes if lane.name == connector.before[0]))
+
+    def _gives_way(self, one: Connector, other: Connector) -> bool:
+        """Whether a rule of the road says that one yields to the other."""
         if self.junction.is_roundabout:
-            return one.from_arm is not None and other.from_arm is None and other.to_arm is None
+            # To the ring: those who enter it, and those who leave it across its outer lane.
+            is_ring = other.from_arm is None and other.to_arm is None
+            return is_ring and (one.from_arm is not None or one.to_arm is not None)
         assert one.from_arm is not None, "lanes of crossings come from arms"
         assert other.from_arm is not None, "lanes of crossings come from arms"
-        if one.from_arm == other.from_arm:
-            return False
+        ranks = one.from_arm in self.major, other.from_arm in self.major
+        if self.control in ("priority", "stop") and ranks[0] != ranks[1]:
+            return ranks[1]
         arms = self.junction.arms
         angle = (arms[other.from_arm].pose.heading - arms[one.from_arm].pose.heading) % (2 * np.pi)
-        opposite = RIGHT_RAD[1] <= angle <= 2 * np.pi - RIGHT_RAD[1]
-        gives_way = opposite and one.turn == "left" and other.turn != "left"
-        if self.control == "signals":
-            return bool(gives_way) and not self.has_arrow(one.from_arm)
-        if self.control == "equal":
-            return bool(gives_way or RIGHT_RAD[0] < angle < RIGHT_RAD[1])
-        ranks = one.from_arm not in self.major, other.from_arm not in self.major
-        return ranks[0] if ranks[0] != ranks[1] else bool(gives_way)
+        if self.control == "equal" and RIGHT_RAD[0] < angle < RIGHT_RAD[1]:
+            return True
+        is_opposite = RIGHT_RAD[1] <= angle <= 2 * np.pi - RIGHT_RAD[1]
+        return bool(is_opposite and one.turn == "left" and other.turn != "left")
 
     @cached_property
     def ways(self) -> tuple[JunctionWay, ...]:
