@@ -4,9 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
+import shapely
 
 from synth3dlanes.figures.stats import is_fine, scene_statistics
 from synth3dlanes.geometry.motion import host_driven
+from synth3dlanes.ground_truth import label
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, draw_world, sample_scene, world_in_shot
 from synth3dlanes.scene import Scene, from_json, to_json
@@ -54,6 +56,24 @@ def test_every_two_ways_that_meet_have_one_order(junction: str, control: str, in
     own = f"town.junction={junction}", f"town.control={control}", "town.n_more=2", "town.traffic=0", "town.parked=0"
     scene = sample_scene(Scenes(load_params("town", own), 7001), index)
     assert list(order_problems(scene)) == []
+
+
+def test_a_centre_line_names_the_lines_beside_its_near_end() -> None:
+    """Also beside a turn lane that has opened between it and the line of most of its way."""
+    own = "town.junction=crossing", "town.n_lanes=2", "town.turn_lanes=both", "town.traffic=0", "town.control=signals"
+    world = town(3, *own, "town.host_place=before", "town.host_m=8")
+    lanes = {lane.id: lane for lane in label(world, world.view).lanes}
+    named = 0
+    for lane in lanes.values():
+        for other in (lane.left, lane.right) if lane.kind == "centerline" else ():
+            if other is not None:
+                line, points = shapely.LineString(lanes[other].xyz_cam[:, :2]), shapely.points(lane.xyz_cam[:, :2])
+                along_m = shapely.line_locate_point(line, points)
+                beside = np.flatnonzero((along_m > 0) & (along_m < line.length))
+                away_m = shapely.distance(line, points[beside])
+                assert (away_m[:1] < 2.4).all(), (lane.id, other, away_m)
+                named += len(beside) > 0
+    assert named >= 8
 
 
 def test_parked_cars_keep_off_long_vehicles_in_bends() -> None:

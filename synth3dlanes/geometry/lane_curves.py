@@ -1,6 +1,6 @@
 """The curves of lanes along roads: centre lines of paths, and painted lines. World frame, metres."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -14,6 +14,8 @@ from synth3dlanes.labels import Direction, LaneKind, Marking, Pair
 
 # Lengths along a curve of a map are measured in steps of this length.
 KNOT_M = 0.5
+# A neighbour that ends within this of a station is not beside it.
+ENDED_M = 0.01
 
 
 class LinePaint(NamedTuple):
@@ -50,6 +52,20 @@ class Piece:
         return float(np.interp(road_s * self.along, stations * self.along, lengths_m))
 
 
+class Neighbour(NamedTuple):
+    """A line beside a stretch of a curve, from one of its stations to another."""
+
+    id: str
+    is_right: bool
+    start_m: float = -np.inf
+    end_m: float = np.inf
+
+
+def neighbours(left: str | None, right: str | None) -> tuple[Neighbour, ...]:
+    """The lines beside a curve that has the same ones along all of it."""
+    return tuple(Neighbour(name, is_right) for name, is_right in ((left, False), (right, True)) if name is not None)
+
+
 @dataclass(frozen=True)
 class LaneCurve:
     """The centre line of a path through the lanes, or a painted line, from `start_m` to `end_m`; its pieces follow each
@@ -61,8 +77,7 @@ class LaneCurve:
     kind: LaneKind
     road: str
     marking: Marking
-    left: str | None
-    right: str | None
+    neighbours: tuple[Neighbour, ...]
     pieces: tuple[Piece, ...]
     start_m: float = -np.inf
     end_m: float = np.inf
@@ -72,6 +87,13 @@ class LaneCurve:
     connector: bool | None = None
     junction: str | None = None
     paint: LinePaint | None = None
+
+    def beside(self, is_right: bool, from_m: float, known: Container[str]) -> str | None:
+        """The line on a side at a station, or the first that follows; of those that are known."""
+        ahead = [
+            at for at in self.neighbours if at.is_right == is_right and at.end_m > from_m + ENDED_M and at.id in known
+        ]
+        return min(ahead, key=lambda at: at.start_m).id if ahead else None
 
     @property
     def is_measured(self) -> bool:

@@ -157,7 +157,7 @@ class MapNetwork(Network):
         pieces = measured((self.road(lane.road), lane.middle, *lane.driven) for lane in lanes)
         first = lanes[0]
         ends = 0.0, pieces[-1].end_m
-        return LaneCurve(first.id, "centerline", first.road, "none", None, None, pieces, *ends, lanes=tuple(lanes))
+        return LaneCurve(first.id, "centerline", first.road, "none", (), pieces, *ends, lanes=tuple(lanes))
 
     def in_lane(self, lane: str, driven_m: AnyScalars) -> tuple[LaneCurve, AnyScalars]:
         """The centre line along a lane, and the lengths along it at stations of the lane's road."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from synth3dlanes.geometry.lane_curves import LaneCurve, LinePaint, measured
+from synth3dlanes.geometry.lane_curves import LaneCurve, LinePaint, Neighbour, measured
 from synth3dlanes.geometry.roads import NetworkLane, Offset
 from synth3dlanes.geometry.section_road import SectionRoad
 from synth3dlanes.labels import Direction, Marking, Pair
@@ -161,25 +161,19 @@ def _line(parts: list[tuple[PaintedEdge, bool]], lanes: dict[str, NetworkLane], 
     pieces = measured(
         (at.road, at.line, *((at.start_m, at.end_m) if goes_up else (at.end_m, at.start_m))) for at, goes_up in parts
     )
-    lengths_m = [piece.end_m - piece.start_m for piece in pieces]
-
-    def longest(side: int) -> str | None:
-        """The path along the most of a side."""
-        total: dict[str, float] = {}
-        for names, length_m in zip(sides, lengths_m, strict=True):
-            name = names[side]
-            if name is not None:
-                total[path_of[name]] = total.get(path_of[name], 0.0) + length_m
-        return max(total, key=lambda name: total[name]) if total else None
-
+    beside_it = tuple(
+        Neighbour(path_of[name], is_right, piece.start_m, piece.end_m)
+        for names, piece in zip(sides, pieces, strict=True)
+        for name, is_right in zip(names, (False, True), strict=True)
+        if name is not None
+    )
     junctions = {at.road.junction for at, _ in parts}
     return LaneCurve(
         edge.name,
         "delimiter",
         edge.road.id,
         marking,
-        longest(0),
-        longest(1),
+        beside_it,
         pieces,
         0.0,
         pieces[-1].end_m,
@@ -190,25 +184,31 @@ def _line(parts: list[tuple[PaintedEdge, bool]], lanes: dict[str, NetworkLane], 
     )
 
 
-def beside_lanes(drawn: Sequence[tuple[LaneCurve, list[PaintedEdge]]]) -> dict[tuple[str, bool], dict[str, float]]:
-    """The lines, and their lengths, by a lane and whether they are on its right as s grows."""
-    found: dict[tuple[str, bool], dict[str, float]] = {}
+class LineBeside(NamedTuple):
+    """A line beside a lane between two of its road's stations, and whether it is on its right as s grows."""
+
+    id: str
+    is_right: bool
+    start_m: float
+    end_m: float
+
+
+def beside_lanes(drawn: Sequence[tuple[LaneCurve, list[PaintedEdge]]]) -> dict[str, list[LineBeside]]:
+    """The lines beside each lane."""
+    found: dict[str, list[LineBeside]] = {}
     for line, edges in drawn:
         for edge in edges:
-            for lane, on_right in ((edge.left, True), (edge.right, False)):
+            for lane, is_right in ((edge.left, True), (edge.right, False)):
                 if lane is not None:
-                    lengths = found.setdefault((lane, on_right), {})
-                    lengths[line.id] = lengths.get(line.id, 0.0) + edge.end_m - edge.start_m
+                    found.setdefault(lane, []).append(LineBeside(line.id, is_right, edge.start_m, edge.end_m))
     return found
 
 
-def bounded(path: LaneCurve, beside: dict[tuple[str, bool], dict[str, float]]) -> LaneCurve:
-    """A path with the lines along the most of its sides."""
+def bounded(path: LaneCurve, beside: dict[str, list[LineBeside]]) -> LaneCurve:
+    """A path with the lines beside its lanes."""
     found = []
-    for is_right in (False, True):
-        lengths: dict[str, float] = {}
-        for lane, piece in zip(path.lanes, path.pieces, strict=True):
-            for name, length_m in beside.get((lane.id, is_right == (piece.along > 0)), {}).items():
-                lengths[name] = lengths.get(name, 0.0) + length_m
-        found.append(max(lengths, key=lambda name: lengths[name]) if lengths else None)
-    return replace(path, left=found[0], right=found[1])
+    for lane, piece in zip(path.lanes, path.pieces, strict=True):
+        for at in beside.get(lane.id, ()):
+            ends = sorted(piece.station(s) for s in (at.start_m, at.end_m))
+            found.append(Neighbour(at.id, at.is_right == (piece.along > 0), *ends))
+    return replace(path, neighbours=tuple(found))

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.errors import InputError
-from synth3dlanes.geometry.lane_curves import LaneCurve, joined
+from synth3dlanes.geometry.lane_curves import LaneCurve, Neighbour, joined, neighbours
 from synth3dlanes.geometry.roads import NetworkLane, Road, lift
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.host import Camera
@@ -93,16 +93,17 @@ class Network:
 
     def _path(self, named: NetworkLane, lanes: list[NetworkLane]) -> LaneCurve:
         beside = [line for line in self.delimiters if line.end_m >= named.end_m]
-        left = next((line.id for line in beside if line.right == named.id), None)
-        right = next((line.id for line in beside if line.left == named.id), None)
+        left, right = (
+            next((line.id for line in beside if Neighbour(named.id, not is_right) in line.neighbours), None)
+            for is_right in (False, True)
+        )
         pieces = joined((self.road(lane.road), lane.middle, lane.start_m) for lane in lanes)
         return LaneCurve(
             named.id,
             "centerline",
             named.road,
             "none",
-            left,
-            right,
+            neighbours(left, right),
             pieces,
             direction=named.direction,
             lanes=tuple(lanes),

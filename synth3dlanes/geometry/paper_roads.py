@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from synth3dlanes.arrays import AnyScalars
-from synth3dlanes.geometry.lane_curves import LaneCurve, joined
+from synth3dlanes.geometry.lane_curves import LaneCurve, joined, neighbours
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.paper_lines import S_END_M, Displaced, Flips, Opening, Quartic
 from synth3dlanes.geometry.roads import NetworkLane, Offset, Parting, Ramp, Road
@@ -239,7 +239,8 @@ class _Plan:
         facing = (
             {self.line_id("main", 0), self.line_id("oncoming", self.road.n_oncoming)} if self.road.n_oncoming else set()
         )
-        delimiters = tuple(replace(at, is_inner=at.id in facing or (not facing and at.left is None)) for at in lines)
+        facing = facing or {line.id for line in lines if all(at.is_right for at in line.neighbours)}
+        delimiters = tuple(replace(at, is_inner=at.id in facing) for at in lines)
         return Network(self.terrain, roads, delimiters, self.links, self.flips.y)
 
     # -- painted lines
@@ -263,10 +264,10 @@ class _Plan:
         start_m: float = -np.inf,
         end_m: float = np.inf,
     ) -> LaneCurve:
-        left, right = beside[:: int(self.flips.x)]
+        sides = neighbours(*beside[:: int(self.flips.x)])
         road = "exit" if name.startswith("exit") else "main"
         direction: Direction = "oncoming" if name.startswith("oncoming") else "same"
-        return LaneCurve(name, "delimiter", road, marking, left, right, joined(parts), start_m, end_m, direction)
+        return LaneCurve(name, "delimiter", road, marking, sides, joined(parts), start_m, end_m, direction)
 
     def _on_main(self, t_m: float) -> Parts:
         return [(self.main_road, Offset(t_m), -np.inf)]

@@ -129,7 +129,8 @@ def test_what_is_called_left_lies_to_the_left(topology, flip):
         s = 30.0 if curve.id == "stem_line" else 80.0
         if curve.id == "stem_line":
             s = nose_m(network) - 1
-        for side, sign in ((curve.left, -1), (curve.right, 1)):
+        for is_right, sign in ((False, -1), (True, 1)):
+            side = curve.beside(is_right, s, lines)
             if side in lines:
                 gap = x_at(lines[side], s) - x_at(curve, s)
                 assert 0 < sign * gap < 1.2 * width_m(network), (curve.id, side)

@@ -83,7 +83,7 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
     is_wide = sum(map(len, groups.values())) > 1
     far = _far(rules, number) if has_far else None
     over = far or (near if is_wide else None)
-    main = "minor" if "minor" in groups else "major"
+    main: Group = "minor" if "minor" in groups else "major"
 
     def head(at: PlanPose, group: Group, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
         form: LensForm = "left" if group == "major_left" else "ball"

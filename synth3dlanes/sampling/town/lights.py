@@ -21,11 +21,8 @@ class Lights(NamedTuple):
     @classmethod
     def draw(cls, rules: JunctionRules, rng: np.random.Generator) -> "Lights":
         """The lights of a junction."""
-        groups: tuple[Group, ...] = (
-            "major",
-            *(["major_left"] if any(rules.has_arrow(i) for i in rules.major) else []),
-            "minor",
-        )
+        has_arrow = any(rules.has_arrow(i) for i in rules.major)
+        groups: tuple[Group, ...] = ("major", "major_left", "minor") if has_arrow else ("major", "minor")
         green_s = tuple(round(float(rng.uniform(*GREEN_S[group])), 1) for group in groups)
         cycle_s = sum(green_s) + len(groups) * (AMBER_S + CLEAR_S)
         return cls(groups, green_s, round(float(rng.uniform(0, cycle_s)), 1))
