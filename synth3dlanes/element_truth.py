@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, Integer
 from synth3dlanes.arrays import Points3
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.frames import invert, quaternion, transform
+from synth3dlanes.instance_ids import instance_id, thing_of
 from synth3dlanes.labels import CameraLabel, LaneGraph
 from synth3dlanes.object_labels import rectangle_around
 from synth3dlanes.object_truth import rectangles
-from synth3dlanes.settings import FIRST_STRUCTURE_ID
 from synth3dlanes.world import Site, View
 
 # Farther elements have no label.
@@ -29,7 +29,7 @@ def label_elements(site: Site, view: View, camera: CameraLabel, graph: LaneGraph
     """The labels of all traffic elements near a view, in the order of their ids, with the lanes that are in a graph."""
     cam_from_world, found = invert(camera.world_from_cam), []
     known = {segment.id for segment in graph.segments}
-    first, time_s = FIRST_STRUCTURE_ID + site.first_element, view.scene.shot.time_s
+    time_s = view.scene.shot.time_s
     for number, element in enumerate(site.elements):
         cam_from_element = cam_from_world @ element.place.world_from_face
         if np.linalg.norm(cam_from_element[:3, 3]) > NEAR_M:
@@ -37,7 +37,7 @@ def label_elements(site: Site, view: View, camera: CameraLabel, graph: LaneGraph
         inside, whole = rectangles(camera, cam_from_element, element.place.size_m)
         found.append(
             ElementLabel(
-                id=first + number,
+                id=instance_id("structure", site.first_element + number),
                 category=element.category,
                 kind=element.kind,
                 state=element.state(time_s),
@@ -65,7 +65,7 @@ def seen_elements(
         right, bottom = np.ceil(item.box_px[2:]).astype(int)
         shows = instance[top:bottom, left:right] == item.id
         rows, columns = np.nonzero(shows)
-        body = site.structures[item.id - FIRST_STRUCTURE_ID]
+        body = site.structures[thing_of(item.id)[1]]
         corners_cam = transform(invert(camera.world_from_cam), body.corners_world)
         step = max(1, int(np.ceil(np.sqrt(shows.size / MAX_PIXELS))))
         v, u = np.mgrid[top:bottom:step, left:right:step]

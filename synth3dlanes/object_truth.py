@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import Matrix4, Points2, Points3
 from synth3dlanes.assets.catalogue import CarModel
 from synth3dlanes.frames import inside_image, invert, quaternion, transform
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene import Car
 from synth3dlanes.schema import MAX_NUMBER
-from synth3dlanes.settings import FIRST_CAR_ID
 from synth3dlanes.world import View
 
 # Pieces of an edge, which a lens bends, and halvings of the piece that crosses the image's border.
@@ -44,7 +44,7 @@ def _object(view: View, camera: CameraLabel, number: int, placed: tuple[Car, Car
     cam_from_object = invert(camera.world_from_cam) @ world_from_object
     inside, whole = rectangles(camera, cam_from_object, size_m)
     return ObjectLabel(
-        id=FIRST_CAR_ID + number,
+        id=instance_id("car", number),
         category=model.category,
         size_m=size_m,
         center_cam=cam_from_object[:3, 3],

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.assets.catalogue import AssetKind, Assets
 from synth3dlanes.host import Camera, DrivenTrack, Host, Lidar, Shot
+from synth3dlanes.instance_ids import most_of
 from synth3dlanes.road_map import LaneName, RoadMap, Station
 from synth3dlanes.roadside import Roadside
 from synth3dlanes.schema import (
@@ -27,7 +28,7 @@ from synth3dlanes.schema import (
     is_empty,
     parse,
 )
-from synth3dlanes.settings import FIRST_SYMBOL_ID, HOST_ID, JPEG_QUALITY, MAX_SAMPLES
+from synth3dlanes.settings import JPEG_QUALITY, MAX_SAMPLES
 from synth3dlanes.streams import stream
 from synth3dlanes.town import Town
 
@@ -37,7 +38,7 @@ MAX_ASSETS = 9999
 # A narrower median has no room for an edge line at each side.
 MIN_MEDIAN_M = 1.0
 # Instance ids of symbols end where the host's begins.
-MAX_SYMBOLS = HOST_ID - FIRST_SYMBOL_ID
+MAX_SYMBOLS = most_of("symbol")
 # Of a grid of heights.
 MAX_GRID = 200
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]

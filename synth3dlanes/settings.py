@@ -52,20 +52,6 @@ SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, 
 SEMANTIC_IDS |= {"symbol": 7, "barrier": 8, "pole": 9, "sign": 10, "bridge": 11, "building": 12, "kerb": 13, "host": 14}
 SEMANTIC_IDS |= {"signal": 15}
 
-# Instance ids of pixels: thing i of a kind has the kind's first id + i, everything else 0. Delimiters are in the order
-# of the labels, structures stand beside the road, and the host has one bonnet.
-FIRST_IDS = {"car": 1, "delimiter": 200, "tree": 300, "structure": 6000, "symbol": 9000, "bonnet": 10_000}
-FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, FIRST_STRUCTURE_ID, FIRST_SYMBOL_ID, HOST_ID = FIRST_IDS.values()
-
-# Delimiters beyond the hundredth, which only maps have, have this id + i: those before would be those of trees.
-MORE_DELIMITERS_ID = 20_000
-
-
-def delimiter_id(number: int) -> int:
-    """The instance id of a delimiter by its number in the labels, from 0."""
-    return number + (FIRST_DELIMITER_ID if number < FIRST_TREE_ID - FIRST_DELIMITER_ID else MORE_DELIMITERS_ID)
-
-
 # Depth of a pixel that hits nothing.
 NO_HIT_DEPTH_M = float("inf")
 

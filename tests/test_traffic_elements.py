@@ -15,12 +15,12 @@ from synth3dlanes.element_truth import meets_quads, seen_elements
 from synth3dlanes.frames import rotation, transform
 from synth3dlanes.geometry.sign_faces import SIGN_FACES
 from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.params import load_params
 from synth3dlanes.roadside import Crossing, Roadside
 from synth3dlanes.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.scene import Scene, from_json, to_json
 from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import FIRST_STRUCTURE_ID
 from synth3dlanes.shots import Shots
 from synth3dlanes.traffic_elements import LaneSignal, Phase, SignKind, TrafficSign, TrafficSignal
 from synth3dlanes.world import resolve
@@ -38,7 +38,7 @@ def test_a_sign_straight_ahead_is_where_its_numbers_say():
         changed(with_roadside(signs=(sign("stop", 0.0, -20.0),)), camera={"pitch_rad": 0})
     ).traffic_elements
     size_m = np.ptp(SIGN_FACES["stop"][0].outline, axis=0)
-    assert (item.id, item.category, item.kind, item.state) == (FIRST_STRUCTURE_ID + 1, "road_sign", "stop", None)
+    assert (item.id, item.category, item.kind, item.state) == (instance_id("structure", 1), "road_sign", "stop", None)
     assert item.lanes == ("main_3",)
     np.testing.assert_allclose(item.size_m[[0, 2]], size_m)
     assert item.center_cam[0] == pytest.approx(0, abs=1e-9)

@@ -24,15 +24,10 @@ from synth3dlanes.geometry.ground import Ground
 from synth3dlanes.geometry.meshes import Mesh
 from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.scene import Car
 from synth3dlanes.settings import (
-    FIRST_CAR_ID,
-    FIRST_STRUCTURE_ID,
-    FIRST_SYMBOL_ID,
-    FIRST_TREE_ID,
-    HOST_ID,
     SEMANTIC_IDS,
-    delimiter_id,
 )
 from synth3dlanes.world import View, World
 
@@ -159,7 +154,7 @@ def _add_ground(materials: Materials, world: World) -> None:
 
 def _add_structures(materials: Materials, world: World) -> None:
     for i, body in enumerate(world.site.structures):
-        _add_object("structures", structure_mesh(body, materials.structures), FIRST_STRUCTURE_ID + i)
+        _add_object("structures", structure_mesh(body, materials.structures), instance_id("structure", i))
 
 
 def _add_grass(materials: Materials, world: World, view: View) -> None:
@@ -170,7 +165,7 @@ def _add_grass(materials: Materials, world: World, view: View) -> None:
 
 def _add_lights(materials: Materials, world: World) -> None:
     for number, body in world.site.lights(world.scene.shot.time_s).items():
-        _add_object("lights", structure_mesh(body, materials.structures), FIRST_STRUCTURE_ID + number)
+        _add_object("lights", structure_mesh(body, materials.structures), instance_id("structure", number))
 
 
 def _add_lens(studio: Studio, view: View) -> None:
@@ -211,14 +206,14 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if name in strips and len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
-            _add_object("paint", new_mesh(strips[name], [material]), delimiter_id(number))
+            _add_object("paint", new_mesh(strips[name], [material]), instance_id("delimiter", number))
     for number, mesh in enumerate(world.symbols(view)):
-        _add_object("paint", new_mesh(mesh, [materials.symbol]), FIRST_SYMBOL_ID + number)
+        _add_object("paint", new_mesh(mesh, [materials.symbol]), instance_id("symbol", number))
 
 
 def _cars(assets: LoadedAssets, world: World, view: View) -> list[MeshInstance]:
     return [
-        MeshInstance(assets.cars[car.model - 1], pose, car.scale, FIRST_CAR_ID + i)
+        MeshInstance(assets.cars[car.model - 1], pose, car.scale, instance_id("car", i))
         for i, (car, pose) in enumerate(zip(world.scene.cars, view.world_from_cars, strict=True))
     ]
 
@@ -231,14 +226,14 @@ def _trees(assets: LoadedAssets, world: World) -> list[MeshInstance]:
     poses[:, 0, 0], poses[:, 0, 1], poses[:, 1, 0], poses[:, 1, 1] = c, -s, s, c
     poses[:, :3, 3] = world.site.trees_world
     return [
-        MeshInstance(assets.trees[tree.model - 1], pose, tree.scale, FIRST_TREE_ID + i)
+        MeshInstance(assets.trees[tree.model - 1], pose, tree.scale, instance_id("tree", i))
         for i, (tree, pose) in enumerate(zip(trees, poses, strict=True))
     ]
 
 
 def _host(studio: Studio, view: View) -> list[MeshInstance]:
     pose = view.world_from_bonnet
-    return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, HOST_ID)]
+    return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, instance_id("bonnet", 0))]
 
 
 def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:

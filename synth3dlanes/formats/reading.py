@@ -101,8 +101,8 @@ def image_header(path: Path) -> tuple[int, int, str]:
         raise FormatError(f"{path}: expected an image, got {error}") from None
 
 
-def read_mask(path: Path, size_px: tuple[int, int], mode: str) -> Shaped[np.ndarray, "h w ..."]:
-    """The pixels of a PNG file of this width, height and mode of Pillow's."""
+def read_mask(path: Path, size_px: tuple[int, int], *modes: str) -> Shaped[np.ndarray, "h w ..."]:
+    """The pixels of a PNG file of this width, height and one of these modes of Pillow's."""
     if (found := image_size(path)) != size_px:
         raise FormatError(f"{path}: expected the size of its image, {size_px}, got {found}")
     try:
@@ -110,8 +110,8 @@ def read_mask(path: Path, size_px: tuple[int, int], mode: str) -> Shaped[np.ndar
             pixels, found_mode = np.asarray(image), image.mode
     except (OSError, SyntaxError, ValueError, EOFError) as error:
         raise FormatError(f"{path}: expected a mask, got {error}") from None
-    if found_mode != mode:
-        raise FormatError(f"{path}: expected a mask of mode {mode}, got {found_mode}")
+    if found_mode not in modes:
+        raise FormatError(f"{path}: expected a mask of mode {' or '.join(modes)}, got {found_mode}")
     return pixels
 
 

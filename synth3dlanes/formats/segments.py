@@ -7,9 +7,9 @@ from jaxtyping import Float, Shaped
 from PIL import Image
 
 from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.polylines import lengths_along
-from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID
 
 PASSES = ("semantic", "instance")
 STUFF = ("sky", "terrain", "road", "shoulder")
@@ -38,9 +38,9 @@ def png(pixels: Shaped[np.ndarray, "h w ..."]) -> bytes:
 
 
 def delimiter_numbers(instance: Shaped[np.ndarray, "h w"]) -> Shaped[np.ndarray, "h w"]:
-    """1 + i at the paint of delimiter i of the labels, 0 elsewhere."""
-    is_delimiter = (instance >= FIRST_DELIMITER_ID) & (instance < FIRST_TREE_ID)
-    return np.where(is_delimiter, instance - FIRST_DELIMITER_ID + 1, 0).astype(np.uint8)
+    """1 + i at the paint of delimiter i of the labels, 0 elsewhere; 8 bits where they are enough."""
+    numbers = numbers_of("delimiter", instance) + 1
+    return numbers.astype(np.uint8 if numbers.max() <= np.iinfo(np.uint8).max else np.uint16)
 
 
 def line_pixels(lane: Lane, camera: CameraLabel) -> Float[np.ndarray, "_ 2"]:
@@ -55,8 +55,8 @@ def line_pixels(lane: Lane, camera: CameraLabel) -> Float[np.ndarray, "_ 2"]:
     seen = np.interp(fine, knots, lane.terrain_visible.astype(float)) == 1
     uv = camera.project(points_cam[seen & (points_cam[:, 1] > NEAREST_M)])
     uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
-    along_px = lengths_along(uv)[: len(uv)]
     if not len(uv):
         return uv
+    along_px = lengths_along(uv)[: len(uv)]
     _, first = np.unique(along_px // POINT_EVERY_PX, return_index=True)
     return uv[np.unique([*first, len(uv) - 1])]

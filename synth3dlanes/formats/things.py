@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 
 from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample
 from synth3dlanes.formats.segments import STUFF
-from synth3dlanes.settings import FIRST_DELIMITER_ID, SEMANTIC_IDS
+from synth3dlanes.instance_ids import thing_of
+from synth3dlanes.settings import SEMANTIC_IDS
 
 PixelNumbers = Int[np.ndarray, " _"]
 
@@ -37,8 +38,8 @@ def things(truth: SourceSample) -> dict[str, Thing]:
     found = dict[str, Thing]()
     for pair, mask in zip(values.tolist(), masks, strict=True):
         of_class, number = names[pair >> 32], pair & 0xFFFFFFFF
-        line = number - FIRST_DELIMITER_ID
-        is_line = of_class == "marking" and 0 <= line < len(delimiters)
+        kind, line = thing_of(number)
+        is_line = of_class == "marking" and kind == "delimiter" and line < len(delimiters)
         if of_class not in STUFF:
             found[delimiters[line] if is_line else f"{of_class} {number}"] = Thing(of_class, mask)
     return found

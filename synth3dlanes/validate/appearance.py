@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
 
-from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.instance_ids import numbers_of
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
 
@@ -110,9 +111,10 @@ def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[
         return
     at = (evidence.passes["semantic"] == SEMANTIC_IDS["tree"]) & (evidence.passes["depth"] < TERRAIN_M)
     at &= linear.sum(axis=2) > LEAVES_LIGHT * np.median(road.sum(axis=1))
-    at &= (ids >= FIRST_TREE_ID) & (ids < FIRST_TREE_ID + len(scene.trees))
+    numbers = numbers_of("tree", ids)
+    at &= (numbers >= 0) & (numbers < len(scene.trees))
     rows, columns = np.nonzero(at)
-    own = ids[rows, columns] - FIRST_TREE_ID
+    own = numbers[rows, columns]
     models = [scene.assets.tree_models[tree.model - 1] for tree in scene.trees]
     crowns = zip(models, scene.trees, strict=True)
     foot_m = np.array([np.inf if model.name in BARE else model.height_m * tree.scale / 2 for model, tree in crowns])
@@ -129,8 +131,9 @@ def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[
 
 def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[Result]:
     near = evidence.passes["depth"] < PROOF_M
+    numbers = numbers_of("delimiter", evidence.passes["instance"])
     for number, lane in enumerate(lane for lane in evidence.labels.lanes if lane.kind == "delimiter"):
-        at = (evidence.passes["instance"] == FIRST_DELIMITER_ID + number) & near
+        at = (numbers == number) & near
         at = binary_opening(at, np.ones((RESOLVED_PX, RESOLVED_PX), dtype=bool))
         color = lane.color or "white"
         if at.sum() < MIN_PAINT or not evidence.paint.shows or not evidence.paint.stands_out(color):

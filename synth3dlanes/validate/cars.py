@@ -11,8 +11,8 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from synth3dlanes.frames import invert, transform
+from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.labels import CameraLabel
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID
 from synth3dlanes.validate.bodies import ahead, corners_world, covers
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Result
@@ -34,7 +34,8 @@ def check_cars(evidence: Evidence) -> Iterator[Result]:
     """Findings where a car's share does not fit its number of pixels."""
     shares = evidence.labels.car_visible_fraction
     assert shares is not None
-    counts = np.bincount(evidence.passes["instance"].ravel(), minlength=FIRST_DELIMITER_ID)[FIRST_CAR_ID:]
+    numbers = numbers_of("car", evidence.passes["instance"].ravel())
+    counts = np.bincount(numbers + 1, minlength=len(shares) + 1)[1:]
     for i, share in enumerate(shares):
         low, high = _seen_share(evidence, i, int(counts[i]))
         off, near = max(low - share, share - high, 0.0), low if share < low else high

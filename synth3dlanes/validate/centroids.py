@@ -21,9 +21,9 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.interpolate import CubicSpline
 
 from synth3dlanes.arrays import Points3, Scalars
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.labels import MASKS, CameraLabel, Labels, Lane
 from synth3dlanes.polylines import stretches
-from synth3dlanes.settings import FIRST_DELIMITER_ID
 from synth3dlanes.validate.paint import WorldPaint
 
 # Interpolated points per label point: labels are 1 m apart, and a line may bend by millimetres in between.
@@ -102,10 +102,10 @@ def _going_away(lane: Lane) -> Lane:
 
 def paint_offsets(views: Sequence[LineView], instance: Integer[np.ndarray, "h w"]) -> Iterator[PaintOffset]:
     """The offset of every delimiter with visible paint, from instance ids."""
-    for number, view in enumerate(views, start=FIRST_DELIMITER_ID):
+    for number, view in enumerate(views):
         ids = instance[view.row, view.column]
-        is_paint = view.near & (ids == number)
-        is_other = view.near & (ids != number) & (ids != 0)
+        own = ids == instance_id("delimiter", number)
+        is_paint, is_other = view.near & own, view.near & ~own & (ids != 0)
         # Slices without paint pixels count too: of two thin overlapping lines, pixels may hit only one.
         used = ~(is_other | (is_paint & view.edge)).any(axis=1)
         n_px = is_paint.sum(axis=1)[used].astype(float)

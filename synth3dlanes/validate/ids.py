@@ -13,7 +13,8 @@ from scipy.spatial import cKDTree
 from synth3dlanes.arrays import Points3
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_IDS, FIRST_STRUCTURE_ID, SEMANTIC_IDS
+from synth3dlanes.instance_ids import KINDS, kind_indices, numbers_of
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate import boxes
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
@@ -36,7 +37,7 @@ MAX_BONNET = 0.03
 # All structures count as one kind here, the first of SURFACES.
 STRUCTURE, STRUCTURES = SURFACES[0], [SEMANTIC_IDS[name] for name in SURFACES]
 # Semantic names of the kinds of instance ids.
-NAMES = {kind: {"delimiter": "marking", "structure": STRUCTURE, "bonnet": "host"}.get(kind, kind) for kind in FIRST_IDS}
+NAMES = {kind: {"delimiter": "marking", "structure": STRUCTURE, "bonnet": "host"}.get(kind, kind) for kind in KINDS}
 
 
 def check_ids(evidence: Evidence) -> Iterator[Result]:
@@ -55,7 +56,7 @@ def check_ids(evidence: Evidence) -> Iterator[Result]:
 def kind_of(instance: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
     """Kinds that follow from instance ids; 0 for pixels without one."""
     kinds = np.array([0, *(SEMANTIC_IDS[name] for name in NAMES.values())], dtype=np.uint8)
-    return kinds[np.searchsorted(list(FIRST_IDS.values()), instance, side="right")]
+    return kinds[kind_indices(instance) + 1]
 
 
 def _folded(semantic: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
@@ -99,7 +100,7 @@ def _paint(evidence: Evidence) -> Iterator[Result]:
     labelled = [lane.id for lane in evidence.labels.lanes if lane.kind == "delimiter"]
     ids = [*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]
     beyond_m = np.full(len(points), np.inf)
-    number = passes[name][rows, columns].astype(int) - FIRST_DELIMITER_ID
+    number = numbers_of("delimiter", passes[name][rows, columns])
     for i, id_ in enumerate(ids):
         own = number == i if name == "instance" else np.ones(len(points), dtype=bool)
         beyond_m[own] = np.minimum(beyond_m[own], paint.beyond_m(id_, place.at(own)))
@@ -130,8 +131,8 @@ def outside_bodies(
 ) -> Iterator[Finding]:
     """Findings about points seen on cars, trees or structures (keys of THINGS) that are not in the body of their
     instance id, or of none."""
-    thing, first, inside = THINGS[key]
-    own = np.full(len(points_world), -1) if ids is None else ids - first
+    thing, inside = THINGS[key]
+    own = np.full(len(points_world), -1) if ids is None else numbers_of(thing, ids)
     wrong = ~inside(evidence, points_world, own)
     for i in np.unique(own[wrong]):
         n, n_wrong = int((own == i).sum()), int(wrong[own == i].sum())
@@ -191,11 +192,11 @@ def _in_structure(evidence: Evidence, points: Points3, own: Int[np.ndarray, " n"
     return boxes.inside(evidence.structures, points, own)
 
 
-# What has a body: what to call it, its first instance id, and which points are in it.
+# What has a body: the kind of its instance ids, and which points are in it.
 THINGS = {
-    "car": ("car", FIRST_IDS["car"], _in_car),
-    "tree": ("tree", FIRST_IDS["tree"], _in_tree),
-    STRUCTURE: ("structure", FIRST_IDS["structure"], _in_structure),
+    "car": ("car", _in_car),
+    "tree": ("tree", _in_tree),
+    STRUCTURE: ("structure", _in_structure),
 }
 
 
@@ -217,7 +218,7 @@ def _surfaces(evidence: Evidence) -> Iterator[Finding]:
     passes = evidence.passes
     rows, columns = some_pixels(np.isin(passes["semantic"], STRUCTURES) & np.isfinite(passes["depth"]))
     points, semantic = evidence.points_world(rows, columns), passes["semantic"][rows, columns]
-    number = passes["instance"][rows, columns].astype(int) - FIRST_STRUCTURE_ID
+    number = numbers_of("structure", passes["instance"][rows, columns])
     wrong = np.zeros(len(points), dtype=bool)
     for i in np.unique(number[(number >= 0) & (number < len(evidence.world.site.structures))]):
         body = evidence.world.site.structures[i]

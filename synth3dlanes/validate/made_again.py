@@ -32,14 +32,15 @@ from synth3dlanes.dataset.format import (
     read_sweep,
 )
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.instance_ids import END, thing_of
 from synth3dlanes.labels import Labels
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import patience_s
 from synth3dlanes.production.recipe import Recipe, take_picture
 from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import FIRST_IDS, SEMANTIC_IDS, RenderSettings
 from synth3dlanes.settings import PASSES as ALL_PASSES
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.causes import likely_cause
 from synth3dlanes.validate.integrity import Entry, read_sample
 from synth3dlanes.validate.like_documents import unlike
@@ -61,8 +62,7 @@ T = TypeVar("T")
 Members = Mapping[str, bytes]
 # Passes that say what each pixel of a picture is of.
 IDS = ("semantic", "instance")
-SURFACES = 20_000  # numbers of surfaces beside those of objects
-STARTS = {"nothing": 0, **FIRST_IDS}
+SURFACES = END  # numbers of surfaces beyond those of objects
 CLASSES = {number: name for name, number in SEMANTIC_IDS.items()}
 
 
@@ -233,11 +233,11 @@ def _names(labels: Labels, passes: Mapping[str, Raster]) -> dict[int, str]:
     lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
     names = {SURFACES + number: name for number, name in CLASSES.items()}
     for number in np.unique(passes["instance"]).tolist():
-        kind, first = max((first, kind) for kind, first in STARTS.items() if number >= first)[::-1]
+        kind, of_kind = thing_of(number)
         if kind == "structure":
             kind = CLASSES.get(int(np.bincount(passes["semantic"][passes["instance"] == number]).argmax()), kind)
-        is_line = kind == "delimiter" and number - first < len(lines)
-        names[number] = f"line {lines[number - first]}" if is_line else f"{kind} {number - first}"
+        is_line = kind == "delimiter" and of_kind < len(lines)
+        names[number] = f"line {lines[of_kind]}" if is_line else f"{kind} {of_kind}"
     return names
 
 

@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 from synth3dlanes.arrays import Passes, Points2
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.solids import SURFACES
+from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.labels import CameraLabel, Lane
-from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
@@ -131,7 +132,7 @@ def _marked(passes: Passes) -> PaintPixels:
     if "semantic" in passes:
         is_paint = passes["semantic"] == SEMANTIC_IDS["marking"]
     else:
-        is_paint = (passes["instance"] >= FIRST_DELIMITER_ID) & (passes["instance"] < FIRST_TREE_ID)
+        is_paint = numbers_of("delimiter", passes["instance"]) >= 0
     v, u = np.nonzero(is_paint)
     centers = np.column_stack([u, v]) + 0.5
     return PaintPixels(is_paint.shape, centers, cKDTree(centers))
@@ -167,7 +168,7 @@ def _may_be_hidden(
         hidden = _of_objects(passes["semantic"][rows, columns]).any(axis=0)
     else:
         ids = passes["instance"][rows, columns]
-        hidden = (((ids > 0) & (ids < FIRST_DELIMITER_ID)) | (ids >= FIRST_TREE_ID)).any(axis=0)
+        hidden = ((ids > 0) & (numbers_of("delimiter", ids) < 0)).any(axis=0)
     if "depth" in passes:
         hidden |= (passes["depth"][rows, columns] < points_cam[:, 1] / SMOOTH).any(axis=0)
     return hidden

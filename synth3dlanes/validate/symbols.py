@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float
 from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.geometry.roads import Parting, Road
 from synth3dlanes.geometry.symbols import Polygon, SymbolShape, dense, shape
+from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.scene import Symbol
-from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding
 from synth3dlanes.validate.pixels import some_pixels
@@ -49,7 +50,7 @@ def check_symbols(evidence: Evidence) -> Iterator[Finding]:
     margin_m = np.where(passes["semantic"][rows, columns] == SEMANTIC_IDS["marking"], LINE_M, MARGIN_M)
     number = np.where(shown, 0, -1)
     if "instance" in passes:
-        number = passes["instance"][rows, columns].astype(int) - FIRST_SYMBOL_ID
+        number = numbers_of("symbol", passes["instance"][rows, columns])
     # The paint of a map is none of the scene's symbols.
     of_scene = [_beyond_m(world, symbol, place) for symbol in world.scene.symbols]
     beyond_m = np.stack(of_scene or [_beyond_from_above(form, place.xy_world) for form in world.symbol_shapes])

@@ -7,13 +7,14 @@ import pytest
 
 from synth3dlanes.blender.lidar import even_runs
 from synth3dlanes.frames import invert, transform
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import Scenes, sample_scene, with_lidar
 from synth3dlanes.scene import Car
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.lidars import LidarSpec
-from synth3dlanes.settings import FIRST_CAR_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import changed
@@ -53,7 +54,7 @@ def test_points_of_a_car_are_inside_it_and_it_is_on_the_right():
     scene = with_lidar(changed().model_copy(update={"cars": (car,)}), UNEVEN)
     world = resolve(scene)
     points = take_picture(world, ONE_SAMPLE).sweep.points()
-    hit = points.instance == FIRST_CAR_ID
+    hit = points.instance == instance_id("car", 0)
     assert hit.sum() > 20
     assert (points.semantic[hit] == SEMANTIC_IDS["car"]).all()
     xyz_world = transform(world.view.world_from_lidar, points.xyz_lidar[hit])

@@ -15,10 +15,11 @@ from synth3dlanes.blender.render import render, studio
 from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import response
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.roadside import Building, Post
 from synth3dlanes.scene import Car, Tree
-from synth3dlanes.settings import FIRST_STRUCTURE_ID, HOST_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.world import resolve
@@ -172,7 +173,7 @@ def test_signs_and_reflectors_throw_headlights_back_and_backs_of_signs_do_not():
         layers[is_lit] = render(world, world.view, light, label(world, world.view), ALL).layers
     gained = (layers[True].radiance - layers[False].radiance).max(axis=-1)
     # The boards come after all posts.
-    of = [layers[True].instance == FIRST_STRUCTURE_ID + number for number in (3, 4, 2)]
+    of = [layers[True].instance == instance_id("structure", number) for number in (3, 4, 2)]
     is_face = layers[True].semantic == SEMANTIC_IDS["sign"]
     front, back = (gained[ids & is_face] for ids in of[:2])
     assert 3e-4 < np.quantile(front, 0.9) < 2e-3
@@ -212,7 +213,7 @@ def test_the_bonnet_fills_its_share_hides_points_and_is_known_by_its_ids():
     world = resolve(scene)
     shot = take_picture(world, ALL)
     is_host = shot.passes["semantic"] == SEMANTIC_IDS["host"]
-    np.testing.assert_array_equal(is_host, shot.passes["instance"] == HOST_ID)
+    np.testing.assert_array_equal(is_host, shot.passes["instance"] == instance_id("bonnet", 0))
     assert abs(is_host[:, 238:242].sum(axis=0).mean() - 0.3 * 360) <= 2
     assert is_host[-1].all(), "down to the image's edge"
     assert shot.passes["depth"][is_host].max() < 1.7

@@ -14,12 +14,13 @@ from synth3dlanes.frames import project, transform
 from synth3dlanes.geometry.terrain import gradient_at
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.imaging.daylight import daylight
+from synth3dlanes.instance_ids import instance_id, numbers_of
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Car, Tree
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
 from tests.thorough import first
@@ -140,7 +141,7 @@ def test_projected_delimiter_runs_through_the_middle_of_its_rendered_paint(line,
         markings={"left_double": is_double},
         camera=camera,
     )
-    image = emissive_line(scene, FIRST_DELIMITER_ID + line)
+    image = emissive_line(scene, instance_id("delimiter", line))
     labels = ground_truth(scene)
     lane = next(x for x in labels.lanes if x.id == f"main_line_{line}")
     near = lane.visible & (lane.xyz_cam[:, 1] < 40)
@@ -167,7 +168,7 @@ def test_yellow_worn_and_wet_paint_is_the_same_paint_to_every_pass():
     for name in plain.passes:
         np.testing.assert_array_equal(plain.passes[name], odd.passes[name])
     near = plain.passes["depth"] < 20
-    lines = [(plain.passes["instance"] == FIRST_DELIMITER_ID + line) & near for line in (0, 1)]
+    lines = [(plain.passes["instance"] == instance_id("delimiter", line)) & near for line in (0, 1)]
     road = (plain.passes["semantic"] == SEMANTIC_IDS["road"]) & near
 
     def yellowness(image, pixels):
@@ -225,7 +226,7 @@ def test_object_visible_agrees_with_the_instance_pass():
             sample_scene(Scenes(load_params("appendix_i", ["cars.n=20", "trees.n=300"]), 3, "test"), index)
         )
         instance = result.passes["instance"]
-        objects = ((instance >= FIRST_CAR_ID) & (instance < FIRST_DELIMITER_ID)) | (instance >= FIRST_TREE_ID)
+        objects = (instance > 0) & (numbers_of("delimiter", instance) < 0)
         for lane in result.labels.lanes:
             at = lane.in_image & lane.terrain_visible & (lane.xyz_cam[:, 1] < 80)
             u, v = np.floor(project(result.labels.camera.img_from_cam, lane.xyz_cam[at])).astype(int).T
@@ -244,13 +245,13 @@ def test_object_visible_agrees_with_the_instance_pass():
 
 def test_pixels_are_classified_and_sky_has_no_depth():
     result = rendered(sample_scene(Scenes(load_params("appendix_i", ["cars.n=12", "trees.n=200"]), 5, "test"), 2))
-    semantic, depth = result.passes["semantic"], result.passes["depth"]
+    semantic, depth, instance = (result.passes[name] for name in ("semantic", "depth", "instance"))
     assert set(np.unique(semantic)) <= set(SEMANTIC_IDS.values())
     for name in ("sky", "terrain", "road", "shoulder", "marking", "tree"):
         assert (semantic == SEMANTIC_IDS[name]).any(), name
     np.testing.assert_array_equal(np.isinf(depth), semantic == SEMANTIC_IDS["sky"])
-    assert (result.passes["instance"][semantic == SEMANTIC_IDS["marking"]] >= FIRST_DELIMITER_ID).all()
-    assert (result.passes["instance"][semantic == SEMANTIC_IDS["tree"]] >= FIRST_TREE_ID).all()
+    assert (numbers_of("delimiter", instance[semantic == SEMANTIC_IDS["marking"]]) >= 0).all()
+    assert (numbers_of("tree", instance[semantic == SEMANTIC_IDS["tree"]]) >= 0).all()
 
 
 @pytest.mark.thorough
@@ -320,7 +321,7 @@ def test_seen_share_of_long_vehicles_is_that_of_their_pixels(model):
     long, near = Car(**car, model=model, lane="main_2", s_m=0), Car(**car, model=5, lane="main_1", s_m=-33)
     scene = changed(camera={"lane": 1})
     alone, behind = (rendered(scene.model_copy(update={"cars": cars}), ONE_SAMPLE) for cars in ((long,), (long, near)))
-    pixels = [(picture.passes["instance"] == FIRST_CAR_ID).sum() for picture in (alone, behind)]
+    pixels = [(picture.passes["instance"] == instance_id("car", 0)).sum() for picture in (alone, behind)]
     assert alone.labels.car_visible_fraction == (1.0,)
     assert 0.2 < pixels[1] / pixels[0] < 0.9
     assert behind.labels.car_visible_fraction[0] == pytest.approx(pixels[1] / pixels[0], abs=0.06)
@@ -376,8 +377,8 @@ def test_instance_ids_of_paint_follow_the_labels():
         near = lane.visible & (lane.xyz_cam[:, 1] < 25)
         u, v = np.floor(project(result.labels.camera.img_from_cam, lane.xyz_cam[near])).astype(int).T
         ids = instance[np.clip(v, 0, 359), np.clip(u, 0, 479)]
-        painted = ids[ids >= FIRST_DELIMITER_ID]
-        assert (painted == FIRST_DELIMITER_ID + i).all(), lane.id
+        painted = ids[ids >= instance_id("delimiter", 0)]
+        assert (painted == instance_id("delimiter", i)).all(), lane.id
         hits.append(len(painted))
     assert sum(hits) > 30
     assert np.count_nonzero(hits) >= 4, "several lines are hit, or this would say nothing"

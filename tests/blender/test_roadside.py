@@ -8,9 +8,10 @@ import pytest
 
 from synth3dlanes.blender.render import with_object_visibility
 from synth3dlanes.ground_truth import label
+from synth3dlanes.instance_ids import instance_id, numbers_of
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.roadside import Building, Crossing, Post, Rail, Roadside
-from synth3dlanes.settings import FIRST_STRUCTURE_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import FLAT, changed
@@ -60,13 +61,13 @@ def test_every_structure_has_its_ids_where_its_body_is():
     for i, kind in enumerate(KINDS):
         # Boards of signs and gantries have ids of their own.
         own = SEMANTIC_IDS["pole" if kind == "sign" else kind]
-        assert set(semantic[instance == FIRST_STRUCTURE_ID + i].tolist()) == {own}, (i, kind)
-    boards = np.unique(instance[semantic == SEMANTIC_IDS["sign"]]) - FIRST_STRUCTURE_ID
+        assert set(semantic[instance == instance_id("structure", i)].tolist()) == {own}, (i, kind)
+    boards = numbers_of("structure", np.unique(instance[semantic == SEMANTIC_IDS["sign"]]))
     assert len(boards) >= 2
     assert boards.min() >= world.site.first_element == len(KINDS)
     sample = Evidence(world, picture.labels, picture.image, picture.passes)
     assert findings(sample, "ids", "objects") == []
-    swapped = np.where(instance == FIRST_STRUCTURE_ID, FIRST_STRUCTURE_ID + 5, instance)
+    swapped = np.where(instance == instance_id("structure", 0), instance_id("structure", 5), instance)
     found = findings(replace(sample, passes={**picture.passes, "instance": swapped}), "ids")
     assert "pixels of structure 5 within its body" in found[0].reason
 
@@ -103,4 +104,4 @@ def test_structures_of_a_scene_are_gone_in_the_next():
     assert all(lane.object_visible.all() for lane in labels.lanes)
     take_picture(resolve(FLAT.model_copy(update={"roadside": EVERYTHING})), RenderSettings(samples=1))
     take_picture(world, RenderSettings(samples=1))
-    assert all(item.pass_index < FIRST_STRUCTURE_ID for item in bpy.data.objects)
+    assert all(item.pass_index < instance_id("structure", 0) for item in bpy.data.objects)

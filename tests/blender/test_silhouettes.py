@@ -6,12 +6,13 @@ import pytest
 
 from synth3dlanes.blender import build as builder
 from synth3dlanes.blender import render as renderer
+from synth3dlanes.instance_ids import instance_id, numbers_of
 from synth3dlanes.lens import Lens
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.scene import Car
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, RenderSettings
+from synth3dlanes.settings import RenderSettings
 from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
 from tests.thorough import first
@@ -51,7 +52,7 @@ def counted(scene, monkeypatch, least_px=1):
     alone."""
     picture = take_picture(resolve(scene), IDS)
     shares, ids = picture.labels.car_visible_fraction, picture.passes["instance"]
-    seen = np.bincount(ids[ids < FIRST_DELIMITER_ID].ravel(), minlength=FIRST_CAR_ID + len(shares))[FIRST_CAR_ID:]
+    seen = np.bincount(numbers_of("car", ids).ravel() + 1, minlength=len(shares) + 1)[1:]
     build = builder.build
 
     def alone(number):
@@ -59,14 +60,14 @@ def counted(scene, monkeypatch, least_px=1):
             placed = build(*arguments)
             for name in builder.COLLECTIONS:
                 for item in bpy.data.collections[name].objects:
-                    item.hide_render = name != "lens" and item.pass_index != FIRST_CAR_ID + number
+                    item.hide_render = name != "lens" and item.pass_index != instance_id("car", number)
             return placed
 
         with monkeypatch.context() as patch:
             patch.setattr(renderer, "build", bare)
             ids = take_picture(resolve(scene), IDS).passes["instance"]
         renderer.studio().ground = None
-        return int((ids == FIRST_CAR_ID + number).sum())
+        return int((ids == instance_id("car", number)).sum())
 
     numbers = [i for i, n in enumerate(seen) if n >= least_px or (n == 0 and shares[i] > MAX_OFF)]
     return [(i, shares[i], int(seen[i]), alone(i)) for i in numbers]

@@ -24,8 +24,9 @@ from synth3dlanes.dataset.format import (
     write_passes,
     write_sweep,
 )
+from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.scene import Scene
-from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS
+from synth3dlanes.settings import SEMANTIC_IDS
 from tests.validate.faults import with_shares
 from tests.validate.sealing import Members
 
@@ -184,7 +185,7 @@ LAYERS = {
     ),
     "cars and trees swapped": Done(of_pass("semantic", partial(exchanged, "car", "tree")), "car and tree exchanged"),
     "ids of trees one higher": Done(
-        of_pass("instance", lambda i: (i + ((i >= FIRST_TREE_ID) & (i < 6000))).astype(i.dtype)), "instance: .*ids \\+1"
+        of_pass("instance", lambda i: (i + (numbers_of("tree", i) >= 0)).astype(i.dtype)), "instance: .*ids \\+1"
     ),
     "depth rounded to 5 cm": Done(of_pass("depth", partial(rounded, 0.05)), "depth: .*rounded to 5 cm"),
     "depth 1 cm too long": Done(of_pass("depth", lambda d: d + np.float32(0.01)), "depth: .*1 cm more throughout"),
@@ -220,7 +221,7 @@ def rear_turned(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def other_cars_behind(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     ids = channels["instance"]
-    is_car = (ids > 0) & (ids < FIRST_DELIMITER_ID) & is_behind(ids.shape[1])
+    is_car = (numbers_of("car", ids) >= 0) & is_behind(ids.shape[1])
     return {**channels, "instance": np.where(is_car, ids + 1, ids).astype(ids.dtype)}
 
 

@@ -27,9 +27,10 @@ from synth3dlanes.dataset.format import (
     write_passes,
     write_sweep,
 )
+from synth3dlanes.instance_ids import instance_id, numbers_of
 from synth3dlanes.labels import Labels
 from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
+from synth3dlanes.settings import SEMANTIC_IDS
 from tests.validate.faults import Fault, in_samples, of_image, of_json, of_pass, of_passes, swapped, with_shares
 from tests.validate.sealing import Members
 
@@ -88,7 +89,7 @@ def in_other_paint(image: Pixels, passes: dict[str, Pixels], labels: Labels) -> 
     """White lines yellow."""
     lines = [lane for lane in labels.lanes if lane.kind == "delimiter"]
     for i, lane in enumerate(lines):
-        at = passes["instance"] == FIRST_DELIMITER_ID + i
+        at = passes["instance"] == instance_id("delimiter", i)
         if lane.color == "white":
             image[at] = (image[at] * [1, 0.85, 0.35]).astype("u1")
     return image
@@ -174,7 +175,7 @@ def other_cars_behind(sweep: Sweep) -> Sweep:
     ids = sweep.instance.copy()
     behind = np.ones(ids.shape, dtype=bool)
     behind[:, quarter:-quarter] = False
-    at = behind & (sweep.semantic == SEMANTIC_IDS["car"]) & (ids >= FIRST_CAR_ID)
+    at = behind & (sweep.semantic == SEMANTIC_IDS["car"]) & (numbers_of("car", ids) >= 0)
     ids[at] += 1
     return replace(sweep, instance=ids)
 

@@ -8,8 +8,9 @@ from rich.console import Console
 
 from synth3dlanes.frames import project, transform
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.scene import Scene
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, SEMANTIC_IDS
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bias import TESTS, RunningMean, judge
 from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
@@ -42,7 +43,7 @@ def instance_ids(scene: Scene, aside_m: float = 0.0, wider: float = 1.0) -> np.n
         is_inner = 0 < j < road.n_lanes
         on = np.mod(station, markings.dash_cycle_m) < markings.dash_fraction * markings.dash_cycle_m
         with np.errstate(invalid="ignore"):
-            ids[(across_m < markings.width_m / 2) & (on | (not is_inner))] = FIRST_DELIMITER_ID + j
+            ids[(across_m < markings.width_m / 2) & (on | (not is_inner))] = instance_id("delimiter", j)
     return ids
 
 
@@ -82,7 +83,7 @@ def test_lines_near_cars_and_on_the_image_border_are_not_asked_there():
     left_m = -SOLID.road.lane_width_m / 2
     with np.errstate(invalid="ignore"):
         hidden = (x_m > left_m + 0.02) & (x_m < left_m + 1) & (np.arange(360)[:, None] > 250)
-    ids[hidden] = FIRST_CAR_ID
+    ids[hidden] = instance_id("car", 0)
     half = {line.lane.id: line for line in offsets(SOLID, ids)}
     assert half["main_line_1"].n_px.sum() < 0.8 * whole["main_line_1"].n_px.sum()
     assert half["main_line_1"].mean_m == pytest.approx(0.02, abs=4e-3)

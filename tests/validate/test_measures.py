@@ -11,11 +11,12 @@ from PIL import Image
 
 from synth3dlanes.frames import project
 from synth3dlanes.ground_truth import ground_truth, label
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.labels import Labels, Lane
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Car, Scene
-from synth3dlanes.settings import FIRST_CAR_ID, SEMANTIC_IDS
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import NEAR_M, ahead, covers
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import BAND_NAMES, Finding, Measure, RangeHistogram
@@ -257,7 +258,7 @@ def semitrailer_alongside() -> Evidence:
 def test_the_seen_share_of_a_car_that_reaches_behind_the_camera_is_judged_by_its_pixels(share, n_px, is_fault):
     sample = semitrailer_alongside()
     instance = np.zeros((360, 480), np.uint16)
-    instance.ravel()[:n_px] = FIRST_CAR_ID
+    instance.ravel()[:n_px] = instance_id("car", 0)
     labels = sample.labels.with_seen_shares((share,))
     found = reasons(replace(sample, labels=labels, passes={"instance": instance}), "cars")
     assert ("car_visible_fraction: expected" in found) == is_fault

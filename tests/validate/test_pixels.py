@@ -14,13 +14,14 @@ from PIL import Image
 from synth3dlanes.dataset.format import PASSES, decode_image, encode_image, read_passes, write_passes
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.instance_ids import instance_id, numbers_of, thing_of
 from synth3dlanes.labels import Labels, PaintColor
 from synth3dlanes.labels import from_json as labels_from_json
 from synth3dlanes.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
 from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import from_json
-from synth3dlanes.settings import FIRST_CAR_ID, FIRST_DELIMITER_ID, FIRST_TREE_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.ridges import PLACES_M, LineProfiles, check_move
@@ -156,7 +157,7 @@ def test_a_wall_as_bright_as_the_road_with_an_edge_of_its_own_is_no_shift(cars_d
         box = np.s_[20:40, left : left + 40]
         passes["semantic"][box], passes["instance"][box] = SEMANTIC_IDS["car"], 1 + left
         image[20 + cars_down_px : 40 + cars_down_px, left : left + 40] = 150
-    passes["semantic"][80:110], passes["instance"][80:110] = SEMANTIC_IDS["barrier"], 6000
+    passes["semantic"][80:110], passes["instance"][80:110] = SEMANTIC_IDS["barrier"], instance_id("structure", 0)
     image[82:110], image[110:112] = 60, 80
     scene = changed(camera={"width_px": shape[1], "height_px": shape[0]})
     found = reasons(Evidence(resolve(scene), ground_truth(scene), image, passes), "alignment").splitlines()
@@ -252,29 +253,29 @@ def test_passes_of_another_sample_are_found_each(samples):
             assert {"depth": "depth:", "normal": "normal:"}.get(name, "instance: expected ids of the kind") in found
 
 
-def most_seen(sample: Evidence, low: int, high: int) -> list[int]:
-    """Instance ids from low to high, those with most pixels first."""
+def most_seen(sample: Evidence, kind: str) -> list[int]:
+    """Instance ids of a kind, those with most pixels first."""
     ids, n = np.unique(sample.passes["instance"], return_counts=True)
-    is_kind = (ids >= low) & (ids < high)
+    is_kind = numbers_of(kind, ids) >= 0
     return ids[is_kind][np.argsort(-n[is_kind])].tolist()
 
 
 def test_two_lines_with_each_others_ids_are_both_named(samples):
     for sample in samples:
-        first, second, *_ = most_seen(sample, FIRST_DELIMITER_ID, FIRST_TREE_ID)
+        first, second, *_ = most_seen(sample, "delimiter")
         lines = [lane.id for lane in sample.labels.lanes if lane.kind == "delimiter"]
         found = findings(with_pass(sample, "instance", lambda ids, a=first, b=second: swapped(ids, a, b)), "ids")
         named = {finding.lane for finding in found if "expected paint where the line is painted" in finding.reason}
-        assert named == {lines[first - FIRST_DELIMITER_ID], lines[second - FIRST_DELIMITER_ID]}
+        assert named == {lines[thing_of(first)[1]], lines[thing_of(second)[1]]}
 
 
 def test_two_cars_with_each_others_ids_are_both_named(samples):
     n = 0
     for sample in samples:
-        cars = most_seen(sample, FIRST_CAR_ID, FIRST_DELIMITER_ID)[:2]
+        cars = most_seen(sample, "car")[:2]
         if len(cars) == 2 and (sample.passes["instance"] == cars[1]).sum() > 20:
             found = reasons(with_pass(sample, "instance", lambda ids, cars=cars: swapped(ids, *cars)), "ids")
-            assert all(f"pixels of car {car - FIRST_CAR_ID} within its body" in found for car in cars)
+            assert all(f"pixels of car {thing_of(car)[1]} within its body" in found for car in cars)
             n += 1
     assert n
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.format import read_passes, write_passes
+from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes
 from synth3dlanes.scene import from_json
-from synth3dlanes.settings import FIRST_STRUCTURE_ID, FIRST_SYMBOL_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from tests.validate.sealing import Members, check, read_members, seal
 
 pytestmark = [pytest.mark.render, pytest.mark.thorough]
@@ -43,7 +44,7 @@ def test_ids_of_structures_and_symbols_are_in_the_passes(streets):
     for members in read_members(streets).values():
         passes = read_passes(members["passes.exr"], "")
         kinds = {
-            "structure": (passes["instance"] >= FIRST_STRUCTURE_ID) & (passes["instance"] < FIRST_SYMBOL_ID),
+            "structure": numbers_of("structure", passes["instance"]) >= 0,
             "symbol": passes["semantic"] == SEMANTIC_IDS["symbol"],
             "barrier": passes["semantic"] == SEMANTIC_IDS["barrier"],
         }
@@ -59,7 +60,7 @@ def test_structures_of_other_ids_are_found(streets, tmp_path):
         for members in samples.values():
             passes = read_passes(members["passes.exr"], "")
             ids = passes["instance"].astype(int)
-            is_structure = (ids >= FIRST_STRUCTURE_ID) & (ids < FIRST_SYMBOL_ID)
+            is_structure = numbers_of("structure", ids) >= 0
             passes["instance"] = np.where(is_structure, ids + 1, ids).astype(np.uint16)
             members["passes.exr"] = write_passes(passes)
 

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.labels import Labels
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene import Scene, Symbol
-from synth3dlanes.settings import FIRST_SYMBOL_ID, SEMANTIC_IDS, RenderSettings
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import resolve
 from tests.scenes import changed, hill
@@ -70,7 +71,7 @@ def test_symbols_in_place_are_right(name: str, request: pytest.FixtureRequest) -
     clean = request.getfixturevalue(name)
     assert not texts(clean)
     numbers = np.unique(clean.passes["instance"][clean.passes["semantic"] == SEMANTIC_IDS["symbol"]])
-    assert numbers.tolist() == [FIRST_SYMBOL_ID + i for i in range(len(clean.scene.symbols))]
+    assert numbers.tolist() == [instance_id("symbol", i) for i in range(len(clean.scene.symbols))]
 
 
 @pytest.mark.parametrize("without", [(), ("instance",)])
@@ -102,7 +103,7 @@ def test_a_symbol_of_another_lane_or_kind_is_found(crossing: Shot) -> None:
 def test_pixels_of_a_symbol_that_is_missing_or_not_in_the_scene_are_found(crossing: Shot) -> None:
     bare = crossing.scene.model_copy(update={"symbols": ()})
     assert any("expected no symbols as in the scene" in text for text in texts(crossing, bare))
-    is_first = crossing.passes["instance"] == FIRST_SYMBOL_ID
+    is_first = crossing.passes["instance"] == instance_id("symbol", 0)
     ids = {
         "semantic": np.where(is_first, SEMANTIC_IDS["road"], crossing.passes["semantic"]),
         "instance": np.where(is_first, 0, crossing.passes["instance"]),

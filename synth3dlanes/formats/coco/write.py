@@ -12,9 +12,9 @@ from synth3dlanes.formats.coco.convention import CATEGORIES, CLASSES_AT_MOST, ST
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.segments import file_name, image_path, png
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
+from synth3dlanes.instance_ids import thing_of
 from synth3dlanes.labels import Lane
 from synth3dlanes.object_labels import ObjectLabel, object_document
-from synth3dlanes.settings import FIRST_DELIMITER_ID
 
 README = """COCO layout.
 
@@ -85,9 +85,9 @@ def _box(places: Int[np.ndarray, " n"], height_px: int) -> list[int]:
 
 
 def _lane(delimiters: list[Lane], instance: int) -> dict[str, Any]:
-    number = instance - FIRST_DELIMITER_ID
+    kind, number = thing_of(instance)
     # Lines that begin beyond the labels have numbers after those of the labels.
-    if not 0 <= number < len(delimiters):
+    if kind != "delimiter" or number >= len(delimiters):
         return {}
     lane = delimiters[number]
     return {"lane": {"id": lane.id, "marking": lane.marking, "color": lane.color}}

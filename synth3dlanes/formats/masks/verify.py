@@ -13,19 +13,19 @@ from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.masks.write import LEAST_POINTS
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
 from synth3dlanes.formats.things import compare_masks
+from synth3dlanes.instance_ids import END, numbers_of
 from synth3dlanes.labels import CameraLabel, Lane
 from synth3dlanes.polylines import lengths_along
 from synth3dlanes.schema import Excerpt, parse
-from synth3dlanes.settings import FIRST_DELIMITER_ID, FIRST_TREE_ID
 
 # Points have two decimals and lie on straight pieces of a decimetre, which a lens bends.
 RULE = Rule("px", 0.05, spacing=12.0)
-MODES = {"semantic": "L", "instance": "I;16", "lines": "L"}
+MODES = {"semantic": ("L",), "instance": ("I;16",), "lines": ("L", "I;16")}
 STEP_M, NEAREST_M, BORDER_PX = 0.05, 1.0, 2.0
 
 
 class _Line(Excerpt):
-    number: Annotated[int, Field(ge=1, le=255)]
+    number: Annotated[int, Field(ge=1, le=END)]
     id: str
     marking: str
     color: str | None
@@ -44,7 +44,7 @@ def read(out: Path, most_frames: int) -> Iterator[FrameList]:
 def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
     for image in listed_files(path, most_frames):
         name, size_px = image.rpartition(".")[0], image_size(out / "images" / image)
-        masks = {folder: read_mask(out / f"{folder}/{name}.png", size_px, mode) for folder, mode in MODES.items()}
+        masks = {folder: read_mask(out / f"{folder}/{name}.png", size_px, *modes) for folder, modes in MODES.items()}
         where = out / f"lines/{name}.lines.txt"
         yield ReadFrame(f"images/{image}", str(where), f"images/{image}", (masks, *_lines(where)))
 
@@ -73,9 +73,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
         for i, line in enumerate(about)
         if expected.get(line.number) != (line.id, line.marking, line.color)
     )
-    instance = truth.passes["instance"].astype(int)
-    is_line = (instance >= FIRST_DELIMITER_ID) & (instance < FIRST_TREE_ID)
-    numbered = {**truth.passes, "lines": np.where(is_line, instance - FIRST_DELIMITER_ID + 1, 0)}
+    numbered = {**truth.passes, "lines": numbers_of("delimiter", truth.passes["instance"]) + 1}
     for name, found in masks.items():
         if not np.array_equal(found, numbered[name]):
             called = {i: lane for i, (lane, *_) in expected.items()} if name == "lines" else {}

@@ -16,10 +16,9 @@ README = """Masks as PNG files without palette, of the images' size.
 
 - `images/*`: as in the data set. `lists/{train,val,test}.txt`: the names of the images of each part.
 - `semantic/*.png` (8 bits): the classes of `classes.json`.
-- `instance/*.png` (16 bits): the ids of the data set's instance pass (docs/format.md): 1 + i for car i, 200 + i for
-  delimiter i of the labels, and so on; 0 for what has none.
-- `lines/*.png` (8 bits): 1 + i at the visible paint of delimiter i of the labels, gaps between dashes not included.
-  Numbers beyond the labels' are lines that begin more than 110 m ahead.
+- `instance/*.png` (16 bits): the ids of the data set's instance pass (docs/format.md), 0 for what has none.
+- `lines/*.png` (8 bits; 16 where a number is beyond 255): 1 + i at the visible paint of delimiter i of the labels,
+  gaps between dashes not included. Numbers beyond the labels' are lines that begin more than 110 m ahead.
 - `lines/*.lines.txt`, as in CULane: a line of text for each delimiter, x and y in turn, from near to far, about every
   8 pixels, also under cars. `lines/*.json`: the number of each of these lines in `lines/*.png`, its id, its marking and
   its colour. Pixel corners are at whole numbers.

@@ -1,0 +1,80 @@
+"""Instance ids of pixels and lidar points: one rule for all kinds of things.
+
+The things of a kind are numbered from 0: cars, trees and symbols in the order of the scene, delimiters in that of the
+labels, then those that have no points there, structures in that of the site; the host has one bonnet. 0 is nothing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int, Integer
+
+from synth3dlanes.errors import InputError
+
+
+class Room(NamedTuple):
+    """Ids of a kind: thing `first_number` has `first_id`, the next one the next id, up to the next room."""
+
+    first_id: int
+    kind: str
+    first_number: int = 0
+
+
+# In the order of ids. The rooms from 11,000 on go on where the first room of a kind is full, mostly on large maps.
+ROOMS = (
+    Room(1, "car"),
+    Room(200, "delimiter"),
+    Room(300, "tree"),
+    Room(6000, "structure"),
+    Room(9000, "symbol"),
+    Room(10_000, "bonnet"),
+    Room(11_000, "car", 199),
+    Room(12_000, "tree", 5700),
+    Room(20_100, "delimiter", 100),
+    Room(50_000, "structure", 3000),
+)
+# Ids are stored in 16 bits.
+END = 2**16
+KINDS = tuple(dict.fromkeys(room.kind for room in ROOMS))
+
+_FIRST_IDS = np.array([room.first_id for room in ROOMS])
+# Of each room after one for ids of nothing: the index of its kind, and what its ids exceed its numbers by.
+_KIND_INDICES = np.array([-1, *(KINDS.index(room.kind) for room in ROOMS)])
+_OVER = np.array([0, *(room.first_id - room.first_number for room in ROOMS)])
+
+
+def most_of(kind: str) -> int:
+    """How many things of a kind have ids."""
+    ends = [*_FIRST_IDS[1:].tolist(), END]
+    return sum(end - room.first_id for room, end in zip(ROOMS, ends, strict=True) if room.kind == kind)
+
+
+def instance_id(kind: str, number: int) -> int:
+    """The id of a thing of one of KINDS. Raises InputError if its kind has no room for it."""
+    if number >= most_of(kind):
+        raise InputError(f"instance ids: expected at most {most_of(kind)} of the kind {kind}, got {number + 1}")
+    room = max(room for room in ROOMS if room.kind == kind and room.first_number <= number)
+    return room.first_id + number - room.first_number
+
+
+def thing_of(id_: int) -> tuple[str, int]:
+    """The kind and the number of what an id is of; "nothing" and 0 of id 0."""
+    if id_ <= 0:
+        return "nothing", 0
+    room = max(room for room in ROOMS if room.first_id <= id_)
+    return room.kind, id_ - room.first_id + room.first_number
+
+
+def kind_indices(ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """The indices in KINDS of what ids are of; -1 for 0."""
+    return np.asarray(_KIND_INDICES[_rooms(ids)])
+
+
+def numbers_of(kind: str, ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """The numbers of the things of a kind; -1 at ids of other kinds."""
+    rooms = _rooms(ids)
+    return np.where(_KIND_INDICES[rooms] == KINDS.index(kind), ids - _OVER[rooms], -1)
+
+
+def _rooms(ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    return np.searchsorted(_FIRST_IDS, ids, side="right")
