@@ -24,7 +24,6 @@ from .options import (
     json_option,
     lidar_option,
     open_assets,
-    open_map,
     open_params,
     open_shots,
     params_option,
@@ -187,6 +186,7 @@ def generate(
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.sample import Scenes
     from synth3dlanes.sampling.like import read_like
+    from synth3dlanes.sampling.on_map import place_on_map
     from synth3dlanes.settings import RenderSettings
 
     refuse_idle(like is not None, ["spreads"], "without --like")
@@ -200,7 +200,7 @@ def generate(
     refuse_idle_changes((*changes, *spreads), shots)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
     given = read_like(given_scenes(like, params, library.assets), spreads) if like else None
-    place = open_map(map_file, at) if map_file else None
+    place = place_on_map(map_file, at or "") if map_file else None
     scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given, map=place)
     recipe = Recipe(scenes, settings, image_format, library)
     plan = Plan(out, n, recipe, workers, part)

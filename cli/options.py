@@ -20,7 +20,6 @@ from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
 if TYPE_CHECKING:
     from synth3dlanes.assets.catalogue import Library
     from synth3dlanes.params import Params
-    from synth3dlanes.sampling.on_map import MapPlace
     from synth3dlanes.shots import Shots
 
     from .console import OutputConsole
@@ -254,20 +253,6 @@ def open_params(source: str, changes: Sequence[str], library: "Library") -> "Par
     for line in contradictions(params):
         click.echo(line, err=True)
     return params
-
-
-def open_map(path: Path, at: str | None) -> "MapPlace":
-    """What `--map` and `--at` say."""
-    from synth3dlanes.maps.given_map import read_map
-    from synth3dlanes.maps.places import read_place
-    from synth3dlanes.sampling.on_map import MapPlace
-    from synth3dlanes.streams import stream
-
-    given = read_map(path)
-    place = MapPlace(given, read_place(given, at) if at else None)
-    # A map on which no host has a place is refused here, not once for each scene.
-    place.draw(stream(0, "map", 0, "map"))
-    return place
 
 
 def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":

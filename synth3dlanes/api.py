@@ -45,6 +45,7 @@ from synth3dlanes.renderer import STANDARD, one_of, render_settings, several
 from synth3dlanes.sample import Scenes
 from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.sampling.like import read_like
+from synth3dlanes.sampling.on_map import MapPlace, place_on_map
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.camera_files import load_camera as _load_camera
 from synth3dlanes.sensors.cameras import CameraSpec
@@ -117,17 +118,21 @@ def sample_scene(
     rig: Sequence[CameraSpec] = (),
     frames: int = 1,
     fps: float = 10.0,
+    map: str | Path | None = None,
+    at: str = "",
     assets: Library = BUILT_IN,
 ) -> Scene:
     """Draw the scene of sample `index` of a split. Equal arguments give equal scenes.
 
     `camera`, or the cameras of a `rig`, replace the camera of the parameters. With `frames` above 1, samples are frames
-    of clips at `fps` frames per second. Raises InputError for a wrong argument, and if there is no room for the least
-    number of cars or trees in their ranges.
+    of clips at `fps` frames per second. `map` is an OpenDRIVE file whose roads the scene is on, `at` the host's place
+    there as ROAD:s:lane, in place of a random one (docs/maps.md). Raises InputError for a wrong argument, and if there
+    is no room for the least number of cars or trees in their ranges; FormatError for a map that cannot be read.
     """
     _within(0, MAX_SEED, seed=seed)
     _within(0, MAX_SAMPLES - 1, index=index)
-    scenes = Scenes(params, seed, split, assets=assets.assets, shots=_shots(camera, rig, frames, fps))
+    shots, place = _shots(camera, rig, frames, fps), _map_place(map, at)
+    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, map=place)
     return _sample_scene(scenes, index)
 
 
@@ -173,6 +178,8 @@ def generate_dataset(
     workers: int = 0,
     camera: CameraSpec | None = None,
     rig: Sequence[CameraSpec] = (),
+    map: str | Path | None = None,
+    at: str = "",
     like: Sequence[Scene] = (),
     spreads: str | Sequence[str] = (),
     assets: Library = BUILT_IN,
@@ -181,13 +188,14 @@ def generate_dataset(
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL. Samples that are already there are kept.
 
     With `frames` above 1, samples are frames of clips at `fps` frames per second: the first clip is samples 0 to frames
-    - 1. With `like`, scenes that were drawn from the same parameters, every new scene is drawn near one of these;
-    `spreads` sets how near, as shares of the parameters' ranges: `0.1` for all parameters, or `camera.pitch_deg=0.4`
-    for one (docs/like.md). `workers` is the number of processes, 0 for one per core. `notify` is called with every
-    event of the run; `event.message` is a line of text.
+    - 1. `map` is an OpenDRIVE file whose roads the scenes are on, `at` one place there for all of them, as ROAD:s:lane
+    (docs/maps.md). With `like`, scenes that were drawn from the same parameters, every new scene is drawn near one of
+    these; `spreads` sets how near, as shares of the parameters' ranges: `0.1` for all parameters, or
+    `camera.pitch_deg=0.4` for one (docs/like.md). `workers` is the number of processes, 0 for one per core. `notify` is
+    called with every event of the run; `event.message` is a line of text.
 
-    Raises InputError, MissingPackageError or DiskFullError if the run cannot start. A later problem does not raise: see
-    `problem`, `done` and `asked` of the result.
+    Raises InputError, FormatError, MissingPackageError or DiskFullError if the run cannot start. A later problem does
+    not raise: see `problem`, `done` and `asked` of the result.
     """
     _within(0, MAX_SEED, seed=seed)
     settings = render_settings(samples, passes, device)
@@ -196,10 +204,13 @@ def generate_dataset(
         settings = replace(settings, passes=(*settings.passes, "lidar"))
         shots = shots.model_copy(update={"lidar": load_lidar(str(lidar))})
     image_format = one_of("image_format", image_format, IMAGE_FORMATS)
+    if like and map is not None:
+        raise InputError("map: expected none beside like")
     if spreads and not like:
         raise InputError("spreads: expected none without scenes to be like")
     given = read_like(drawn(like, params, assets.assets, "like"), several(spreads)) if like else None
-    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=given)
+    place = _map_place(map, at)
+    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=given, map=place)
     recipe = Recipe(scenes, settings, image_format, assets)
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
@@ -383,6 +394,14 @@ def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fp
     if camera is not None and rig:
         raise InputError("camera: expected none beside a rig")
     return clips(frames, fps, tuple(rig) if camera is None else (camera,))
+
+
+def _map_place(file: str | Path | None, at: str) -> MapPlace | None:
+    if file is not None:
+        return place_on_map(Path(file), at)
+    if at:
+        raise InputError(f"at: expected none without a map, got {at!r}")
+    return None
 
 
 def _at_least(least: int, **arguments: int) -> None:

@@ -1,11 +1,14 @@
 """What `import synth3dlanes` offers is typed, documented, lazy, and equal to what the commands make."""
 
 import ast
+import hashlib
 import json
 import os
 import pkgutil
+import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,9 @@ import pytest
 
 import synth3dlanes
 from synth3dlanes import renderer as of_renderer
+from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.sampling.on_map import place_on_map
+from tests.maps.files import opendrive, plan, road
 
 ROOT = Path(__file__).parents[1]
 
@@ -61,6 +67,58 @@ def test_a_scene_is_that_of_the_data_set(tmp_path: Path) -> None:
     assert json.loads(CliRunner().invoke(main, words).stdout) == scene.model_dump(mode="json")
     synth3dlanes.save_scene(scene, tmp_path / "scene.json")
     assert synth3dlanes.load_scene(str(tmp_path / "scene.json")) == scene
+
+
+def a_map(folder: Path) -> Path:
+    """An OpenDRIVE file with one road of two lanes."""
+    path = folder / "x.xodr"
+    path.write_bytes(opendrive(road(plan(("<line/>", 400.0)))))
+    return path
+
+
+def test_a_scene_on_a_map_is_that_of_the_recipe(tmp_path: Path) -> None:
+    params, path = synth3dlanes.load_params("tiny", "trees.n=0"), a_map(tmp_path)
+    scene = synth3dlanes.sample_scene(params, seed=2, index=5, map=path)
+    assert scene == sample_scene(Scenes(params, 2, "train", map=place_on_map(path)), 5)
+    assert (scene.map.source, scene.map.digest) == ("x.xodr", hashlib.sha256(path.read_bytes()).hexdigest())
+    there = synth3dlanes.sample_scene(params, map=str(path), at="1:30.5:-1")
+    assert (there.map.route, there.camera.y_m) == (("1.0.-1",), 30.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"at": "1:30:-1"}, "at: expected none without a map, got '1:30:-1'"),
+        ({"map": "x.xodr", "at": "1:30"}, "at: expected ROAD:s:lane"),
+        ({"map": "x.xodr", "at": "1:30:-2"}, "at: expected a driving lane of road 1 there"),
+        ({"map": "none.xodr"}, "map none.xodr: cannot read"),
+        ({"map": "bad.xodr"}, "map bad.xodr: expected XML"),
+    ],
+)
+def test_maps_that_are_none_are_refused(
+    options: dict[str, str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    a_map(tmp_path)
+    Path("bad.xodr").write_text("no")
+    params = synth3dlanes.load_params("tiny")
+    for draw in (synth3dlanes.sample_scene, partial(synth3dlanes.generate_dataset, out=tmp_path / "out", n=1)):
+        with pytest.raises((synth3dlanes.InputError, synth3dlanes.FormatError), match=re.escape(message)):
+            draw(params, **options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.render
+def test_a_data_set_on_a_map(tmp_path: Path) -> None:
+    params, path = synth3dlanes.load_params("tiny", ["trees.n=0", "cars.n=1"]), a_map(tmp_path)
+    place = {"map": path, "at": "1:30.5:-1"}
+    report = synth3dlanes.generate_dataset(params, tmp_path / "out", n=2, seed=3, workers=1, **place)
+    assert (report.done, report.problem) == (2, "")
+    reader = synth3dlanes.open_dataset(tmp_path / "out")
+    assert synth3dlanes.read_scene(reader, 1) == synth3dlanes.sample_scene(params, seed=3, index=1, **place)
+    scene = synth3dlanes.read_scene(reader, 0)
+    with pytest.raises(synth3dlanes.InputError, match="map: expected none beside like"):
+        synth3dlanes.generate_dataset(params, tmp_path / "out", n=2, seed=3, like=[scene], **place)
 
 
 def test_changes_and_labels() -> None:

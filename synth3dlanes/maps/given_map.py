@@ -2,10 +2,11 @@
 
 import hashlib
 import math
+import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -68,10 +69,12 @@ class LanePlace(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class GivenMap:
     """A map file, read. `origin` is where (0, 0) lies in the file, `names` are our ids of its roads by its own.
-    `left_out` counts what has no counterpart here, by what it is."""
+    `left_out` counts what has no counterpart here, by what it is. A copy for another process is the `packed` file,
+    which that process reads once."""
 
     source: str
     digest: str
+    packed: bytes
     origin: tuple[float, float]
     names: dict[str, Name]
     roads: dict[Name, MapRoad]
@@ -82,6 +85,9 @@ class GivenMap:
     elements: tuple[GivenElement, ...]
     bodies: tuple[GivenBody, ...]
     left_out: dict[str, int] = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[Callable[[bytes, str, str], "GivenMap"], tuple[bytes, str, str]]:
+        return _read_packed, (self.packed, self.source, f"map {self.source}")
 
     @cached_property
     def lanes(self) -> dict[LaneName, LanePlace]:
@@ -144,12 +150,22 @@ class GivenMap:
 
 
 def read_map(path: Path) -> GivenMap:
-    """Read an OpenDRIVE file. Raises InputError or FormatError with one line for a file that is none, or hostile."""
+    """Read an OpenDRIVE file; the one that was read last is kept. Raises InputError or FormatError with one line for a
+    file that is none, or hostile."""
     try:
         data = read_bounded(path, MAX_FILE_BYTES)
     except OSError as error:
         raise InputError(f"map {path}: cannot read: {error.strerror or error}") from None
-    return read_opendrive(data, path.name, f"map {path}")
+    return _read_packed(_packed(data), path.name, f"map {path}")
+
+
+def _packed(data: bytes) -> bytes:
+    return zlib.compress(data, 1)
+
+
+@lru_cache(maxsize=1)
+def _read_packed(packed: bytes, source: str, where: str) -> GivenMap:
+    return read_opendrive(zlib.decompress(packed), source, where)
 
 
 def read_opendrive(data: bytes, source: str, where: str) -> GivenMap:
@@ -158,12 +174,12 @@ def read_opendrive(data: bytes, source: str, where: str) -> GivenMap:
     if root.tag.rpartition("}")[2].rpartition(":")[2] != "OpenDRIVE":
         raise FormatError(f"{where}: expected an OpenDRIVE file, got one of {shown(root.tag)}")
     try:
-        return _read(root, hashlib.sha256(data).hexdigest(), source, where)
+        return _read(root, hashlib.sha256(data).hexdigest(), _packed(data), source, where)
     except ValidationError as error:
         raise FormatError(validation_problems(error, where)[0]) from None
 
 
-def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
+def _read(root: Element, digest: str, packed: bytes, source: str, where: str) -> GivenMap:
     left_out: Counter[str] = Counter()
     elements = root.findall("road")
     if not 0 < len(elements) <= MAX_MAP_ROADS:
@@ -205,7 +221,7 @@ def _read(root: Element, digest: str, source: str, where: str) -> GivenMap:
         left_out[f"{tag}s"] += len(root.findall(tag))
     counts = {what: n for what, n in left_out.items() if n}
     lying = tuple(paint), tuple(islands)
-    return GivenMap(source, digest, origin, names, roads, links, junctions, *lying, *standing, counts)
+    return GivenMap(source, digest, packed, origin, names, roads, links, junctions, *lying, *standing, counts)
 
 
 def _origin(elements: list[Element], where: str) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,14 +15,15 @@ from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.roads import NetworkLane
 from synth3dlanes.geometry.section_road import CrossSection, Profile
 from synth3dlanes.host import Shot
-from synth3dlanes.maps.given_map import GivenMap
+from synth3dlanes.maps.given_map import GivenMap, read_map
 from synth3dlanes.maps.part import MapPart, part_around
-from synth3dlanes.maps.places import MapStation, draw_place
+from synth3dlanes.maps.places import MapStation, draw_place, read_place
 from synth3dlanes.road_map import LaneName, MapRoad
 from synth3dlanes.sampling.cars import CAR_GAP_M, car_look
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.traffic import CHECK_EVERY_S, SPEED_TRIES
 from synth3dlanes.scene import Car
+from synth3dlanes.streams import stream
 from synth3dlanes.world import World
 
 # Draws of a place for each car; lanes of the host's roads are so many times as likely as others.
@@ -46,6 +48,16 @@ class MapPlace(NamedTuple):
         """The part of `dataset.json` that says which map."""
         at = {} if self.at is None else {"at": {"lane": self.at.lane, "s_m": self.at.s_m}}
         return {"file": self.map.source, "digest": self.map.digest, **at}
+
+
+def place_on_map(path: Path, at: str = "") -> MapPlace:
+    """The map in a file, with the place that `at` (ROAD:s:lane) says, if any. Raises InputError or FormatError in one
+    line for another file, a place that is not there, and a map on which no host has a place."""
+    given = read_map(path)
+    place = MapPlace(given, read_place(given, at) if at else None)
+    # Refused here, not once for each scene.
+    place.draw(stream(0, "map", 0, "map"))
+    return place
 
 
 def host_length(part: MapPart) -> float:

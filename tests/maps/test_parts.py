@@ -1,6 +1,7 @@
 """The part of a map that a scene keeps: the same roads in the world's frame, a route that goes on, and places of the
 host by length or as told."""
 
+import pickle
 from collections import Counter
 from itertools import pairwise
 
@@ -201,3 +202,13 @@ def test_far_roads_are_left_out() -> None:
     given = read_opendrive(opendrive(road(plan(("<line/>", 90.0))), far, near), "x.xodr", "map x.xodr")
     part, *_ = part_around(given, MapStation("1.0.-1", 45.0), np.random.default_rng(1))
     assert {found.id for found in part.roads} == {"1", "near"}
+
+
+def test_a_process_reads_a_map_once_however_often_it_is_sent_to_it() -> None:
+    given = long_map()
+    sent = pickle.dumps(given)
+    assert len(sent) < 3000
+    here, again = pickle.loads(sent), pickle.loads(sent)
+    assert here is again
+    assert (here.text(), here.digest, here.roads, here.links) == (given.text(), given.digest, given.roads, given.links)
+    assert pickle.loads(pickle.dumps(here)) is here
