@@ -9,7 +9,7 @@ from jaxtyping import Float
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.host import Camera, Shot
-from synth3dlanes.scene import Car
+from synth3dlanes.scene import Car, Scene
 
 STEP_M = 0.25
 # The host's speed in single pictures.
@@ -53,6 +53,14 @@ def car_at(network: Network, car: Car, time_s: float) -> Car:
         return car
     way, start_m = network.car_way(car)
     return network.car_on(car, station_after(network, way, start_m, driven_m))
+
+
+def car_speed(scene: Scene, car: Car) -> float:
+    """A car's speed at the instant of a scene. In single pictures simulated traffic alone has speeds: elsewhere cars
+    that are not parked drive at SPEED_M_S, as the host does."""
+    if scene.shot.n_frames > 1 or scene.town is not None:
+        return car.speed_m_s
+    return 0.0 if car.offset_m else SPEED_M_S
 
 
 def host_driven(shot: Shot, time_s: float) -> float:

@@ -13,7 +13,7 @@ from PIL import ImageDraw
 
 from synth3dlanes.arrays import LinearImage
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.motion import host_exposure
+from synth3dlanes.geometry.motion import car_speed, host_exposure
 from synth3dlanes.imaging.lens import points_away
 from synth3dlanes.scene import Scene
 from synth3dlanes.world import View
@@ -22,8 +22,10 @@ from synth3dlanes.world import View
 SHORTEST_S = 0.008
 # Headlights light what falls before the camera: radiance at 1 m per unit of its reflectance.
 LIT_BY_HEADLIGHTS = 4e-3
-# Spray: metres behind the car, height, half widths, and the share of light it takes at most.
-SPRAY_BEHIND_M, SPRAY_UP_M, SPRAY_HALF_M, SPRAY_SHARE = 2.5, 0.5, (1.3, 0.7), 0.6
+# Spray: its middle behind the car and above the road, from where it takes e times less light aside, above and below,
+# the half of its length, and the share of light that it takes at most, from a speed on.
+SPRAY_BEHIND_M, SPRAY_UP_M, SPRAY_ASIDE_M, SPRAY_ABOVE_M, SPRAY_BELOW_M = 2.5, 0.5, 1.3, 0.7, 0.3
+SPRAY_HALF_LENGTH_M, SPRAY_SHARE, SPRAY_FULL_M_S = 2.0, 0.6, 14.0
 FARTHEST_SPRAY_M = 80.0
 OVERSAMPLED = 2
 NEAREST_M = 1.7  # beyond the host's bonnet
@@ -113,22 +115,24 @@ def add_spray(
     it."""
     height_px, width_px = depth_m.shape
     models, cam_from_world = scene.assets.car_models, invert(view.world_from_cam)
-    for car, pose in zip(scene.cars, view.world_from_cars, strict=True):
-        if car.offset_m:  # parked
-            continue
+    for car, pose in zip(view.cars, view.world_from_cars, strict=True):
+        most = SPRAY_SHARE * scene.weather.rain * min(car_speed(scene, car) / SPRAY_FULL_M_S, 1.0)
         behind_m = models[car.model - 1].length_m * car.scale / 2 + SPRAY_BEHIND_M
         place = transform(cam_from_world, transform(pose, np.array([[0.0, -behind_m, SPRAY_UP_M]])))
-        if not 3 < place[0, 1] < FARTHEST_SPRAY_M:
+        if most == 0 or not 3 < place[0, 1] < FARTHEST_SPRAY_M:
             continue
         (u, v), y_m = view.project(place)[0], place[0, 1]
         if np.isnan(u):
             continue
-        half = [half_m * view.camera.fx_px / y_m for half_m in SPRAY_HALF_M]
-        left, right = (int(np.clip(u + side * 2.5 * half[0], 0, width_px)) for side in (-1, 1))
-        top, bottom = (int(np.clip(v + side * 2.5 * half[1], 0, height_px)) for side in (-1, 1))
+        aside, above, below = (m * view.camera.fx_px / y_m for m in (SPRAY_ASIDE_M, SPRAY_ABOVE_M, SPRAY_BELOW_M))
+        left, right = (int(np.clip(u + side * 2.5 * aside, 0, width_px)) for side in (-1, 1))
+        top, bottom = (int(np.clip(v + reach, 0, height_px)) for reach in (-2.5 * above, 2.5 * below))
         at = np.s_[top:bottom, left:right]
-        across = ((np.arange(left, right) + 0.5 - u) / half[0]) ** 2
-        down = ((np.arange(top, bottom) + 0.5 - v) / half[1]) ** 2
-        share = SPRAY_SHARE * scene.weather.rain * np.exp(-across - down[:, None]) * (depth_m[at] > y_m)
+        across = ((np.arange(left, right) + 0.5 - u) / aside) ** 2
+        lower = np.arange(top, bottom) + 0.5 - v
+        down = (lower / np.where(lower > 0, below, above)) ** 2
+        # The part of the spray that is before what the pixel shows.
+        before = np.clip((depth_m[at] - y_m) / (2 * SPRAY_HALF_LENGTH_M) + 0.5, 0, 1)
+        share = most * np.exp(-across - down[:, None]) * before
         linear[at] += share[..., None].astype(np.float32) * (airlight.astype(np.float32) - linear[at])
     return linear

@@ -118,6 +118,19 @@ def test_spray_is_behind_its_car_and_before_what_is_farther():
     assert not add_spray(black.copy(), np.full(SHAPE, 5.0, np.float32), scene, view, np.ones(3)).any()
 
 
+@pytest.mark.parametrize(("speed_m_s", "share"), [(0.0, 0.0), (7.0, 0.5), (14.0, 1.0), (30.0, 1.0)])
+def test_spray_follows_the_speed_of_a_car_and_fades_towards_the_road(speed_m_s: float, share: float) -> None:
+    """Whoever waits throws none, and its lower edge is no step where the road comes near."""
+    car = Car(model=1, scale=1.0, color=(1, 0, 0), gloss=0.5, lane="main_2", s_m=-35, speed_m_s=speed_m_s)
+    scene = changed(weather={"rain": 1.0}, shot={"n_frames": 2, "fps": 10.0}).model_copy(update={"cars": (car,)})
+    view = resolve(scene).view
+    below = np.maximum(np.arange(SHAPE[0]) + 0.5 - SHAPE[0] / 2, 0.01)
+    road = np.broadcast_to((1.6 * 415.7 / below)[:, None], SHAPE).astype(np.float32)
+    spray = add_spray(np.zeros((*SHAPE, 3), np.float32), road, scene, view, np.ones(3))[..., 1]
+    assert abs(spray.max() - 0.58 * share) < 0.04
+    assert np.abs(np.diff(spray, axis=0)).max() <= 0.15 * spray.max()
+
+
 def test_drops_show_the_picture_upside_down_and_leave_the_rest():
     ramp = np.repeat(np.linspace(0, 1, SHAPE[0], dtype=np.float32)[:, None], SHAPE[1], axis=1)
     picture = np.repeat(ramp[..., None], 3, axis=2)

@@ -103,7 +103,7 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
             continue
         k, s_m = route.place_at(moving.track[0][1])
         values = car_look(looks, assets, moving.body.model, moving.body.scale)
-        values |= {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS)}
+        values |= {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS), "speed_m_s": round(moving.speed_m_s, DECIMALS)}
         if len(moving.track) > 1:
             track = _driven(route, moving, terrain)
             values |= {"speed_m_s": _speed(track), "track": track, "route": route.lanes[k + 1 :]}

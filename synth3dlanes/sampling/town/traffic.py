@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
-from synth3dlanes.sampling.town.drive import STEP_S, Driver, Gate, TownTraffic, gates_of
+from synth3dlanes.sampling.town.drive import STANDING, STEP_S, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.sampling.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.lights import Lights
@@ -42,10 +42,12 @@ class CarBody(NamedTuple):
 
 @dataclass(frozen=True)
 class MovingCar:
-    """A car of a scene: its body, its route, and its length along it at times from the scene's instant on."""
+    """A car of a scene: its body, its route, its speed at the scene's instant, and its length along the route at times
+    from then on."""
 
     body: CarBody
     lanes: tuple[str, ...]
+    speed_m_s: float
     track: tuple[tuple[float, float], ...]
 
 
@@ -152,6 +154,7 @@ class _Simulation:
         self.host.at_m = self.at_m
         self._remove_touching([driver.at_m for driver in traffic.drivers])
         tracks = {id(driver): [(0.0, driver.at_m)] for driver in traffic.drivers}
+        speeds = {id(driver): driver.speed if driver.speed > STANDING else 0.0 for driver in traffic.drivers}
         shift_s = traffic.time_s
         for n in range(int(np.ceil(duration_s / STEP_S - 1e-9))):
             traffic.step()
@@ -161,13 +164,13 @@ class _Simulation:
         lights = {
             name: at._replace(shift_s=round((at.shift_s + shift_s) % at.cycle_s, 3)) for name, at in self.lights.items()
         }
-        moving = [self._moving(driver, tracks[id(driver)]) for driver in keep]
+        moving = [self._moving(driver, speeds[id(driver)], tracks[id(driver)]) for driver in keep]
         return TownDrive(moving[0], tuple(moving[1:]), lights)
 
-    def _moving(self, driver: Driver, track: Sequence[tuple[float, float]]) -> MovingCar:
+    def _moving(self, driver: Driver, speed_m_s: float, track: Sequence[tuple[float, float]]) -> MovingCar:
         rounded = tuple((time_s, round(at_m, 4)) for time_s, at_m in track)
         body = self.bodies.get(id(driver), CarBody(0, 1.0, *HOST_SIZE_M))
-        return MovingCar(body, driver.route.lanes, rounded)
+        return MovingCar(body, driver.route.lanes, speed_m_s, rounded)
 
     def _driver(self, lanes: tuple[str, ...], at_m: float, length_m: float, speed: float) -> Driver:
         if lanes not in self._gates:
