@@ -1,4 +1,10 @@
-"""Areas on the ground from above, as polygons: what junctions, islands and walkways cover. World frame, metres."""
+"""Areas on the ground from above, as polygons: what junctions, islands and walkways cover. World frame, metres.
+
+Every area consists of valid polygons alone, and no overlay of areas fails: what GEOS cannot do exactly is done on a
+grid.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import shapely
@@ -7,10 +13,76 @@ from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2
 
+# Grids for the corners of what cannot be done exactly, the finest first.
+GRIDS_M = (1e-4, 1e-3, 1e-2)
 # Smaller holes are filled.
 LEAST_HOLE_M2 = 150.0
 # Smaller parts of an area, and smaller polygons, are slivers and left out.
 SLIVER_M2, LEAST_AREA_M2 = 0.01, 0.02
+NOTHING = shapely.MultiPolygon()
+
+
+def valid(area: BaseGeometry) -> BaseGeometry:
+    """The polygons of what may cross itself."""
+    return _polygons_alone(area) if shapely.is_valid(area) else _on_grids(shapely.set_precision, [area], NOTHING)
+
+
+def ring_area(ring: Points2) -> BaseGeometry:
+    """The area within a ring of points; nothing of one whose numbers are not finite."""
+    return valid(shapely.Polygon(ring)) if len(ring) > 2 and np.isfinite(ring).all() else NOTHING
+
+
+def union(areas: Iterable[BaseGeometry]) -> BaseGeometry:
+    """What any of some areas covers."""
+    parts = list(areas)
+    return _overlay(lambda *some, grid_size: shapely.union_all(some, grid_size=grid_size), parts, NOTHING)
+
+
+def difference(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
+    """What of an area another leaves."""
+    return _overlay(shapely.difference, [area, other], area)
+
+
+def intersection(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
+    """What two areas share."""
+    return _overlay(shapely.intersection, [area, other], NOTHING)
+
+
+def outset(area: BaseGeometry, by_m: float) -> BaseGeometry:
+    """An area with what is so near to it; with a negative distance, what of it is farther inside than that."""
+    return valid(shapely.buffer(area, by_m, join_style="mitre"))
+
+
+def _overlay(
+    operation: Callable[..., BaseGeometry], areas: Sequence[BaseGeometry], otherwise: BaseGeometry
+) -> BaseGeometry:
+    """The polygons of an overlay: exact, or else on a grid."""
+    try:
+        return _polygons_alone(operation(*areas, grid_size=None))
+    except shapely.errors.GEOSException:
+        return _on_grids(operation, areas, otherwise)
+
+
+def _on_grids(
+    operation: Callable[..., BaseGeometry], areas: Sequence[BaseGeometry], otherwise: BaseGeometry
+) -> BaseGeometry:
+    """The polygons of an operation on the finest grid that it can be done on."""
+    for grid_m in GRIDS_M:
+        try:
+            on_grid = [_polygons_alone(shapely.make_valid(shapely.set_precision(area, grid_m))) for area in areas]
+            return _polygons_alone(shapely.make_valid(operation(*on_grid, grid_size=grid_m)))
+        except shapely.errors.GEOSException:
+            continue
+    return otherwise
+
+
+def _polygons_alone(area: BaseGeometry) -> BaseGeometry:
+    """An area without the lines and points that overlays leave where areas touch."""
+    if isinstance(area, shapely.Polygon | shapely.MultiPolygon):
+        return area
+    parts = shapely.get_parts(area)
+    nested = shapely.get_parts(parts)
+    return shapely.MultiPolygon([part for part in nested if isinstance(part, shapely.Polygon)])
 
 
 def signed_distance(area: BaseGeometry, xy_world: AnyPoints2) -> AnyScalars:
@@ -31,9 +103,8 @@ def contains(area: BaseGeometry, xy_world: Points2) -> Bool[np.ndarray, " n"]:
 
 def solid(area: BaseGeometry) -> BaseGeometry:
     """The polygons of an area, without slivers."""
-    parts = shapely.get_parts(shapely.make_valid(area))
-    polygons = [part for part in parts if shapely.get_dimensions(part) == 2 and shapely.area(part) > LEAST_AREA_M2]
-    return shapely.MultiPolygon([at for part in polygons for at in shapely.get_parts(part)])
+    parts = shapely.get_parts(valid(area))
+    return shapely.MultiPolygon([part for part in parts if shapely.area(part) > LEAST_AREA_M2])
 
 
 def polygon_between(left: Points2, right: Points2) -> BaseGeometry:
@@ -43,7 +114,7 @@ def polygon_between(left: Points2, right: Points2) -> BaseGeometry:
     if polygon.is_valid:
         return polygon
     quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
-    return shapely.union_all(shapely.make_valid(quads))
+    return union(map(valid, quads))
 
 
 def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseGeometry:
@@ -52,7 +123,7 @@ def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseG
         return shapely.clip_by_rect(area, *box)
     except shapely.errors.GEOSException:
         # The fast way refuses parts that only touch the box.
-        return shapely.intersection(area, shapely.box(*box))
+        return intersection(area, shapely.box(*box))
 
 
 def polygons_of(area: BaseGeometry) -> list[shapely.Polygon]:
@@ -67,4 +138,4 @@ def filled(area: BaseGeometry) -> BaseGeometry:
         for part in shapely.get_parts(area)
         if isinstance(part, shapely.Polygon)
     ]
-    return shapely.union_all(parts)
+    return union(parts)

@@ -16,7 +16,19 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
-from synth3dlanes.geometry.areas import clipped, contains, filled, polygon_between, polygons_of, signed_distance, solid
+from synth3dlanes.geometry.areas import (
+    clipped,
+    contains,
+    difference,
+    filled,
+    outset,
+    polygon_between,
+    polygons_of,
+    ring_area,
+    signed_distance,
+    solid,
+    union,
+)
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, FINE_M, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import AS_FAR, Junction, MapNetwork
@@ -138,7 +150,7 @@ class MapGround(Ground):
     @cached_property
     def arms(self) -> BaseGeometry:
         """The pavement of all roads outside junctions."""
-        return shapely.union_all([self.strip(road) for road in self.outside])
+        return union(self.strip(road) for road in self.outside)
 
     @property
     def outside(self) -> list[SectionRoad]:
@@ -156,7 +168,7 @@ class MapGround(Ground):
                 found.append(GroundArea(paved, 0.0, "road"))
             found += [GroundArea(part, KERB_M, "walkway") for part in polygons_of(raised)]
         for island in self.islands:
-            polygon = solid(shapely.Polygon(island.outline))
+            polygon = solid(ring_area(np.array(island.outline)))
             found += [GroundArea(part, island.height_m, island.surface) for part in polygons_of(polygon)]
         return found
 
@@ -168,15 +180,15 @@ class MapGround(Ground):
                 for i, lane in enumerate(section.lanes):
                     if lane.kind != "none":
                         (raised if lane.kind in RAISED else lanes).append(self._between(road, section, (i, i + 1)))
-        outline = [shapely.make_valid(shapely.Polygon(at.outline))] if len(at.outline) > 2 else []
-        paved = shapely.difference(filled(shapely.union_all([*lanes, *outline])), self.arms)
-        walkways = shapely.difference(shapely.union_all(raised), shapely.union(paved, self.arms))
+        outline = ring_area(at.outline)
+        paved = difference(filled(union([*lanes, outline])), self.arms)
+        walkways = difference(union(raised), union([paved, self.arms]))
         return paved, walkways
 
     @cached_property
     def pavement(self) -> BaseGeometry:
         """All of the pavement from above, walkways included."""
-        whole = shapely.union_all([self.arms, *(area.polygon for area in self.areas)])
+        whole = union([self.arms, *(area.polygon for area in self.areas)])
         shapely.prepare(whole)
         return whole
 
@@ -221,8 +233,8 @@ class MapGround(Ground):
         """The pavement without raised lanes and islands."""
         raised = [area.polygon for area in self.areas if area.raised_m] + self._raised_strips
         # Rows of strips beside each other differ by less than this.
-        slack = shapely.buffer(shapely.union_all(raised), 0.01, join_style="mitre")
-        return shapely.difference(self.pavement, slack)
+        slack = outset(union(raised), 0.01)
+        return difference(self.pavement, slack)
 
     @cached_property
     def _grass(self) -> BaseGeometry:
@@ -231,7 +243,7 @@ class MapGround(Ground):
             for section in road.sections:
                 medians = [i for i, lane in enumerate(section.lanes) if lane.kind == "median"]
                 found += [self._between(road, section, (i, i + 1)) for i in medians]
-        grass = shapely.union_all(found)
+        grass = union(found)
         shapely.prepare(grass)
         return grass
 
@@ -245,7 +257,7 @@ class MapGround(Ground):
     def _raised(self) -> list[tuple[BaseGeometry, float]]:
         """What is raised over the pavement, by how much: walkways, those of junctions, and islands."""
         walkways = [area.polygon for area in self.areas if area.kind == "walkway"]
-        found = [(shapely.union_all([*self._raised_strips, *walkways]), KERB_M)]
+        found = [(union([*self._raised_strips, *walkways]), KERB_M)]
         found += [(area.polygon, area.raised_m) for area in self.areas if area.raised_m and area.kind != "walkway"]
         for polygon, _ in found:
             shapely.prepare(polygon)

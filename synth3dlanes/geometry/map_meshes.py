@@ -1,20 +1,22 @@
 """The surfaces of a map as vertex and face arrays. World frame.
 
-Roads are strips along their lines; junctions, their walkways and islands are areas; terrain is what these leave.
+Roads are strips along their lines; junctions, their walkways and islands are areas; the terrain is one surface below
+all of these.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from shapely.geometry.base import BaseGeometry
 
-from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.areas import clipped, contains
+from synth3dlanes.arrays import Scalars
+from synth3dlanes.geometry.areas import GRIDS_M, clipped, contains, difference, intersection, outset, union
+from synth3dlanes.geometry.ground import PRESS_M
 from synth3dlanes.geometry.map_ground import GroundArea, MapGround
-from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, facing_up, grid, terrain_axes, terrain_heights
+from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, terrain_axes, terrain_heights
 from synth3dlanes.geometry.section_road import KERB_M, CrossSection, SectionRoad
 from synth3dlanes.road_map import MapLaneKind
 
@@ -22,10 +24,10 @@ from synth3dlanes.road_map import MapLaneKind
 COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 # What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
 SEAM_M, SEAM_FALL_M, FOOT_M = 0.08, 0.006, 0.05
-# The terrain's hole under the pavement is so much smaller.
+# The terrain goes down to its bed so far inside the edges of the pavement.
 UNDER_M = 0.15
-# Smaller parts of a cell are left out.
-LEAST_PART_M2, ASIDE_M = 1e-9, 0.01
+# Columns of cells are cut out a little wider; lines of the terrain's grid keep off corners of the pavement.
+ASIDE_M, HAIR_M = 0.01, 1e-5
 # Pavement farther than this from the host's way is left out.
 REACH_M = 480.0
 SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "median": MEDIAN, "walkway": SHOULDER,
@@ -93,26 +95,23 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     wide = area.polygon
     if not area.raised_m:
         shapely.prepare(area.polygon)
-        seam = shapely.buffer(area.polygon, SEAM_M, join_style="mitre")
-        wide = shapely.union(area.polygon, shapely.intersection(seam, ground.pavement))
+        wide = union([area.polygon, intersection(outset(area.polygon, SEAM_M), ground.pavement)])
     x0, y0, x1, y1 = shapely.bounds(wide)
     away_m = float(ground.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
     cell_m = CELL_M if away_m < FAR_M else FAR_CELL_M
     axes = [np.arange(low - cell_m, high + 2 * cell_m, cell_m) for low, high in ((x0, x1), (y0, y1))]
-    whole, parts = _cut(axes[0], axes[1], wide)
     xs, ys = axes
-    corners = [np.stack([xs[whole[0] + i], ys[whole[1] + j]], -1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    quads = np.concatenate([np.stack(corners, axis=1), _quads(parts)])
+    (column, row), _, parts = _cut(xs, ys, wide)
+    corners = [np.stack([xs[column + i], ys[row + j]], -1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    xy, faces = _merged(np.concatenate([np.stack(corners, axis=1), _triangles(parts)]))
 
-    def lifted(xy: Points2) -> Points3:
-        z = ground.area_height(area, xy)
-        if not area.raised_m:
-            beside = ~contains(area.polygon, xy)
-            beside[beside] = shapely.distance(area.polygon, shapely.points(xy[beside])) > 0.5 * SEAM_M
-            z = z - SEAM_FALL_M * beside
-        return np.column_stack([xy, z])
-
-    found = [_shared(quads, lifted, AREA_SURFACES[area.kind])]
+    z = ground.area_height(area, xy)
+    if not area.raised_m:
+        beside = ~contains(area.polygon, xy)
+        beside[beside] = shapely.distance(area.polygon, shapely.points(xy[beside])) > 0.5 * SEAM_M
+        z = z - SEAM_FALL_M * beside
+    surface = np.full(len(faces), AREA_SURFACES[area.kind])
+    found = [Mesh(np.column_stack([xy, z]), faces, xy, surface)]
     if area.raised_m:
         found.append(_kerb(ground, area))
     return found
@@ -139,38 +138,55 @@ def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
 
 
 def terrain_mesh(ground: MapGround) -> Mesh:
-    """A grid with fine cells near the host, which grow to the horizon, without what lies under the pavement."""
+    """A grid with fine cells near the host, which grow to the horizon. It is one surface: it goes on below the
+    pavement, a little lower at its edges and deeper inside, so that no gap shows the sky."""
     xs, ys = terrain_axes(ground)
-    hole: BaseGeometry = shapely.buffer(ground.pavement, -UNDER_M, join_style="mitre")
-    near = shapely.box(*(ground.way_box(REACH_M - 20.0)))
-    hole = shapely.intersection(hole, near)
+    bed = intersection(outset(ground.pavement, -UNDER_M), shapely.box(*ground.way_box(REACH_M - 20.0)))
+    shapely.prepare(bed)
+    xs, ys = (_beside(axis, at) for axis, at in zip((xs, ys), shapely.get_coordinates(bed).T, strict=True))
     xy = np.stack(np.meshgrid(xs, ys), -1)
-    vertices = np.concatenate([xy, terrain_heights(ground, xy)[..., None]], -1)
-    whole = grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
-    under, parts = _cut(xs, ys, hole, keep_outside=True)
-    n = len(xs) - 1
-    faces = np.delete(whole.faces, under[1] * n + under[0], axis=0)
-    rest = _quads(parts)
-
-    def lifted(at: Points2) -> Points3:
-        z = terrain_heights(ground, at)
-        return np.column_stack([at, z])
-
-    border = _shared(rest, lifted, 0)
-    return Mesh(
-        np.concatenate([whole.vertices_world, border.vertices_world]),
-        np.concatenate([faces, border.faces + len(whole.vertices_world)]),
-        np.concatenate([whole.uv_m, border.vertices_world[:, :2]]),
-        np.zeros(len(faces) + len(border.faces), dtype=int),
-    )
+    z, inside = terrain_heights(ground, xy), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
+    z[inside] -= PRESS_M * ground.cell_scale(xy[inside])
+    whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
+    _, (column, row), parts = _cut(xs, ys, bed)
+    kept = np.delete(whole.faces, row * (len(xs) - 1) + column, axis=0)
+    cells = shapely.box(xs[column], ys[row], xs[column + 1], ys[row + 1])
+    border = _merged(_triangles([*_differences(cells, parts), *parts]))
+    # The corners of cells are those of the grid.
+    at = [np.clip(np.searchsorted(axis, x), 0, len(axis) - 1) for axis, x in zip((xs, ys), border.xy.T, strict=True)]
+    is_corner = (xs[at[0]] == border.xy[:, 0]) & (ys[at[1]] == border.xy[:, 1])
+    number = at[1] * len(xs) + at[0]
+    number[~is_corner] = len(whole.vertices_world) + np.arange((~is_corner).sum())
+    own = border.xy[~is_corner]
+    vertices = np.concatenate([whole.vertices_world, np.column_stack([own, terrain_heights(ground, own)])])
+    faces = np.concatenate([kept, number[border.faces]])
+    return Mesh(vertices, faces, vertices[:, :2].copy(), np.zeros(len(faces), dtype=int))
 
 
-def _cut(
-    xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, keep_outside: bool = False
-) -> tuple[np.ndarray, list[BaseGeometry]]:
-    """The cells of a grid that an area covers, by column and row, and its parts in those that it covers partly. With
-    `keep_outside`: the cells that it meets at all, and what it leaves of them."""
-    columns, rows, cut, whole = [], [], list[BaseGeometry](), list[BaseGeometry]()
+def _beside(axis: Scalars, places: Float[np.ndarray, " m"]) -> Scalars:
+    """The lines of a grid, moved by hairs so that none goes through a place: cells on both sides of a line would differ
+    in whether that is on their edge."""
+    places = np.sort(np.concatenate([places, [-np.inf, np.inf]]))
+    while True:
+        after = np.searchsorted(places, axis)
+        is_near = np.minimum(axis - places[after - 1], places[after] - axis) < HAIR_M
+        if not is_near.any():
+            return axis
+        axis = axis + 2.1 * HAIR_M * is_near
+
+
+class _Cells(NamedTuple):
+    """What an area covers of a grid: the columns and rows of the cells that are wholly in it, those of the cells that
+    its border cuts, and its part in each of these."""
+
+    whole: Int[np.ndarray, "2 n"]
+    cut: Int[np.ndarray, "2 m"]
+    parts: list[BaseGeometry]
+
+
+def _cut(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry) -> _Cells:
+    """The cells of a grid that an area covers."""
+    whole, cut, parts = [], [], list[BaseGeometry]()
     x0, y0, x1, y1 = shapely.bounds(area) if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
     for i in range(max(int(np.searchsorted(xs, x0)) - 1, 0), min(int(np.searchsorted(xs, x1)), len(xs) - 1)):
         # A little wider, so that cells do not touch its sides: these are slow to ask about.
@@ -181,21 +197,36 @@ def _cut(
         j = np.arange(max(int(np.searchsorted(ys, low)) - 1, 0), min(int(np.searchsorted(ys, high)), len(ys) - 1))
         cells = shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1])
         shapely.prepare(column)
-        taken = shapely.contains_properly(column, cells)
-        meets = np.flatnonzero(shapely.intersects(column, cells) & ~taken)
-        pieces = [clipped(column, (xs[i], ys[k], xs[i + 1], ys[k + 1])) for k in j[meets]]
-        is_part = shapely.area(pieces) >= LEAST_PART_M2
-        cut += [piece for piece, is_one in zip(pieces, is_part, strict=True) if is_one]
-        if keep_outside:
-            taken[meets] = is_part
-            whole += cells[meets[is_part]].tolist()
-        columns += [i] * int(taken.sum())
-        rows += j[taken].tolist()
-    parts = shapely.difference(whole, cut).tolist() if keep_outside else cut
-    return np.array([columns, rows], dtype=int).reshape(2, -1), parts
+        inside = shapely.contains_properly(column, cells)
+        met = j[shapely.intersects(column, cells) & ~inside]
+        pieces = [clipped(column, (xs[i], ys[k], xs[i + 1], ys[k + 1])) for k in met]
+        is_part = shapely.area(pieces) > 0
+        parts += [piece for piece, is_one in zip(pieces, is_part, strict=True) if is_one]
+        cut += [(i, k) for k in met[is_part].tolist()]
+        whole += [(i, k) for k in j[inside].tolist()]
+    in_all, in_part = (np.array(at, dtype=int).reshape(-1, 2).T for at in (whole, cut))
+    return _Cells(in_all, in_part, parts)
 
 
-def _triangles(polygons: np.ndarray) -> np.ndarray:
+def _differences(cells: np.ndarray, parts: list[BaseGeometry]) -> list[BaseGeometry]:
+    """What of each cell its part leaves."""
+    try:
+        return list(shapely.difference(cells, parts))
+    except shapely.errors.GEOSException:
+        return [difference(cell, part) for cell, part in zip(cells, parts, strict=True)]
+
+
+def _triangles(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
+    """The triangles of areas, as quads whose last corner is there twice. They have all corners of the areas, and no
+    others: triangles of areas beside each other share these."""
+    pieces = shapely.get_parts(shapely.get_parts(parts))
+    polygons = pieces[shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON]
+    if not len(polygons):
+        return np.zeros((0, 4, 2))
+    return shapely.get_coordinates(_triangulated(polygons)).reshape(-1, 4, 2)[:, [0, 1, 2, 2]]
+
+
+def _triangulated(polygons: np.ndarray) -> np.ndarray:
     """The triangles of polygons; those that are too thin for any are left out."""
     try:
         return np.asarray(shapely.constrained_delaunay_triangles(polygons))
@@ -203,7 +234,7 @@ def _triangles(polygons: np.ndarray) -> np.ndarray:
         pass
     found = []
     for polygon in polygons:
-        for grid_m in (0.0, 1e-4, 1e-2):
+        for grid_m in (0.0, *GRIDS_M):
             try:
                 found.append(shapely.constrained_delaunay_triangles(shapely.set_precision(polygon, grid_m)))
                 break
@@ -212,33 +243,24 @@ def _triangles(polygons: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-def _quads(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
-    """Polygons as quads: triangles, each as three from its corners to its middle."""
-    pieces = shapely.get_parts(parts)
-    polygons = pieces[shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON]
-    if not len(polygons):
-        return np.zeros((0, 4, 2))
-    rings = shapely.get_coordinates(_triangles(polygons)).reshape(-1, 4, 2)[:, :3]
-    areas = np.abs(np.cross(rings[:, 1] - rings[:, 0], rings[:, 2] - rings[:, 0]))
-    rings = rings[areas > 1e-9]
-    after, before = np.roll(rings, -1, axis=1), np.roll(rings, 1, axis=1)
-    middle = np.broadcast_to(rings.mean(axis=1, keepdims=True), rings.shape)
-    return np.stack([rings, (rings + after) / 2, middle, (rings + before) / 2], axis=2).reshape(-1, 4, 2)
+class _Merged(NamedTuple):
+    """Quads from above that share their corners, facing up."""
+
+    xy: Float[np.ndarray, "v 2"]
+    faces: Int[np.ndarray, "f 4"]
 
 
-def _shared(quads: Float[np.ndarray, "q 4 2"], lifted: Callable[[Points2], Points3], surface: int) -> Mesh:
-    """A mesh of quads from above that share their corners, facing up."""
+def _merged(quads: Float[np.ndarray, "q 4 2"]) -> _Merged:
+    """Quads with each corner once."""
     corners = quads.reshape(-1, 2)
     x, y = np.rint(corners * 1e6).astype(int).T
     # As one number each: sorted by rows, they take longer.
     numbers = (x - x.min()) * (np.ptp(y) + 1) + y if len(y) else y
     _, first, which = np.unique(numbers, return_index=True, return_inverse=True)
-    xy = corners[first]
-    vertices = lifted(xy) if len(xy) else np.zeros((0, 3))
     faces = which.reshape(-1, 4)
-    if not len(faces):
-        return Mesh(vertices, faces, xy, np.zeros(0, dtype=int))
-    up = facing_up(vertices[faces].reshape(-1, 3), corners).faces
-    flipped = up[:, 0] != np.arange(0, 4 * len(faces), 4)
-    faces = np.where(flipped[:, None], faces[:, ::-1], faces)
-    return Mesh(vertices, faces, xy, np.full(len(faces), surface))
+    has_area = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[has_area]
+    a, b, c, d = (corners[first][faces[:, i]] for i in range(4))
+    is_down = (c - a)[:, 0] * (d - b)[:, 1] < (c - a)[:, 1] * (d - b)[:, 0]
+    faces[is_down] = faces[is_down][:, [0, 3, 2, 1]]
+    return _Merged(corners[first], faces)

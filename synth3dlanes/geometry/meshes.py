@@ -35,8 +35,8 @@ LEAST_MEDIAN_M = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Quads. `uv_m` is (across, along) in metres, for terrain world (x, y); `material` is the material slot per face:
-    ROAD, SHOULDER or MEDIAN of a pavement, else 0."""
+    """Quads, of which a triangle has its last corner twice. `uv_m` is (across, along) in metres, for terrain world (x,
+    y); `material` is the material slot per face: ROAD, SHOULDER or MEDIAN of a pavement, else 0."""
 
     vertices_world: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 4"]

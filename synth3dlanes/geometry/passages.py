@@ -7,6 +7,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from synth3dlanes.geometry.areas import intersection
 from synth3dlanes.geometry.section_road import SectionRoad
 
 # A road so far above another passes over it, on a deck of this thickness; roads are looked at in such steps first.
@@ -36,7 +37,7 @@ def passages(roads: Sequence[SectionRoad], strip: Callable[[SectionRoad], BaseGe
     for i, j in pairs:
         if i == j or high[j] - low[i] < PASSAGE_M:
             continue
-        area = shapely.intersection(strip(roads[i]), strip(roads[j]))
+        area = intersection(strip(roads[i]), strip(roads[j]))
         if area.area < LEAST_M2:
             continue
         middle = shapely.get_coordinates(shapely.point_on_surface(area))

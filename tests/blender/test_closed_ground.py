@@ -1,0 +1,26 @@
+"""No sky below the ground: in no column of a picture of a town or of roads over each other."""
+
+import numpy as np
+import pytest
+
+from synth3dlanes.params import load_params
+from synth3dlanes.production.recipe import take_picture
+from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.world import World
+
+pytestmark = pytest.mark.render
+
+GROUND = [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking", "symbol")]
+
+
+def sky_below_ground(world: World) -> int:
+    """How many pixels of sky lie below a pixel of ground in their columns."""
+    semantic = take_picture(world, RenderSettings(samples=1, passes=("semantic",))).passes["semantic"]
+    below = np.maximum.accumulate(np.isin(semantic, GROUND), axis=0)
+    return int((below & (semantic == SEMANTIC_IDS["sky"])).sum())
+
+
+@pytest.mark.parametrize("index", [6, 39])
+def test_a_town_has_no_holes(index: int) -> None:
+    assert sky_below_ground(sample_world(Scenes(load_params("town"), 7001), index)) == 0

@@ -1,0 +1,93 @@
+"""Overlays of areas: none fails, whatever the rings, and all areas are valid polygons."""
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given
+from hypothesis import strategies as st
+from shapely.geometry.base import BaseGeometry
+
+import synth3dlanes
+from synth3dlanes.geometry import areas
+from synth3dlanes.geometry.areas import (
+    NOTHING,
+    difference,
+    intersection,
+    outset,
+    polygon_between,
+    ring_area,
+    solid,
+    union,
+)
+
+# Corners on a few places, some a hair beside these: rings that cross, touch and run along themselves and each other.
+AXIS = st.sampled_from([-1e-9, 0.0, 1e-12, 1.0, 1.0 + 1e-10, 2.0, 2.0 - 1e-7, 3.0, 1e3])
+RINGS = st.lists(st.tuples(AXIS, AXIS), min_size=0, max_size=12).map(lambda ring: np.array(ring).reshape(-1, 2))
+LINES = st.integers(2, 6).flatmap(
+    lambda n: st.tuples(*[st.lists(st.tuples(AXIS, AXIS), min_size=n, max_size=n).map(np.array)] * 2)
+)
+
+
+def is_area(area: BaseGeometry) -> bool:
+    """Whether something consists of polygons alone, which are valid up to the finest grid."""
+    on_grid = shapely.set_precision(area, areas.GRIDS_M[0])
+    return isinstance(area, shapely.Polygon | shapely.MultiPolygon) and bool(shapely.is_valid(on_grid))
+
+
+@given(RINGS, RINGS, RINGS, LINES)
+def test_no_overlay_fails(one: np.ndarray, other: np.ndarray, third: np.ndarray, lines: tuple) -> None:
+    a, b, c = map(ring_area, (one, other, third))
+    strip = polygon_between(*lines)
+    whole, shared, left = union([a, b, c, strip]), intersection(a, b), difference(a, union([b, strip]))
+    for area in (a, b, c, strip, whole, shared, left, solid(whole), outset(whole, 0.1), outset(a, -0.1)):
+        assert is_area(area)
+    both = union([a, b])
+    slack_m2 = 0.01 * (1 + both.length)
+    assert both.area == pytest.approx(a.area + b.area - shared.area, abs=slack_m2)
+    assert left.area <= a.area + slack_m2
+
+
+def test_what_has_no_area_is_nothing() -> None:
+    line, point = shapely.LineString([(0, 0), (1, 1)]), shapely.Point(0, 0)
+    square = shapely.box(0, 0, 1, 1)
+    mixed = shapely.GeometryCollection([line, point, square, shapely.MultiPolygon([shapely.box(2, 0, 3, 1)])])
+    for shape in (line, point, shapely.GeometryCollection(), shapely.Polygon()):
+        assert areas.valid(shape).is_empty
+    assert areas.valid(mixed).area == 2
+    assert ring_area(np.array([[0, 0], [1, 0], [np.nan, 1]])).is_empty
+    assert union([]).is_empty
+    assert intersection(square, shapely.box(1, 0, 2, 1)).is_empty, "they share an edge alone"
+    assert union([mixed, NOTHING, square]).area == 2
+
+
+@pytest.mark.parametrize("operation", ["union_all", "difference", "intersection"])
+def test_an_overlay_that_geos_refuses_is_done_on_a_grid(monkeypatch: pytest.MonkeyPatch, operation: str) -> None:
+    exact = getattr(shapely, operation)
+
+    def refuses(*given: object, grid_size: float | None = None) -> BaseGeometry:
+        if grid_size is None or grid_size < 1e-3:
+            raise shapely.errors.GEOSException("TopologyException: side location conflict")
+        return exact(*given, grid_size=grid_size)
+
+    monkeypatch.setattr(shapely, operation, refuses)
+    a, b = shapely.box(0, 0, 2, 2), shapely.box(1, 1, 3, 3)
+    found = union([a, b]) if operation == "union_all" else getattr(areas, operation)(a, b)
+    assert found.area == pytest.approx({"union_all": 7, "difference": 3, "intersection": 1}[operation], abs=0.01)
+
+
+def test_geometry_overlays_areas_here_alone() -> None:
+    """The one place: `areas.py`. Of arrays and lines other modules may ask, with what to do when it fails."""
+    overlays = {"union", "union_all", "difference", "intersection", "buffer", "make_valid", "symmetric_difference"}
+    allowed = {("map_meshes.py", "difference"), ("map_ground.py", "intersection"), ("map_ground.py", "buffer")}
+    package = Path(synth3dlanes.__file__).parent
+    found = {
+        (path.name, node.attr)
+        for path in (package / "geometry").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "shapely"
+        if node.attr in overlays and path.name != "areas.py"
+    }
+    assert found <= allowed
