@@ -28,7 +28,8 @@ def twins(
 
     Each value of the factor becomes a split: OUT/twin_1 has the first value, OUT/twin_2 the second. Sample i shows the
     same scene in all of them; its labels differ only if the factor changes lanes, camera or occlusion. PATH names a
-    value in scene.json, such as camera.pitch_deg, surface.road_texture or cars. Rerun to resume.
+    value in scene.json, such as camera.pitch_deg, surface.road_texture or cars, or a parameter such as weather.daytime,
+    road.n_lanes or cars.n, from which others follow: these are drawn again, the rest stays. Rerun to resume.
     """
     from synth3dlanes.dataset.splits import one_reader
     from synth3dlanes.production.plan import Plan

@@ -13,20 +13,62 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.scene import Scene
+from synth3dlanes.host import Shot
+from synth3dlanes.scene import Car, Scene
 from synth3dlanes.schema import problem_line, shown
 from synth3dlanes.yaml_text import read_yaml
 
 # What pydantic calls the limits of a number.
 LIMITS = ("gt", "ge", "lt", "le")
 MAX_DEG = 1e6
+# Values that only tell how a scene was drawn, and what to change in their place.
+RECORDS = {
+    "split": "another scene has another one: draw it",
+    "index": "another scene has another one: draw it",
+    "town": "change what was drawn from it: map, roadside, cars",
+    "weather.kind": "change air, surface.wetness, weather.rain and the like",
+    "weather.daytime": "change light, sensor and weather.headlights",
+}
+# What may be said of weather and daytime whatever the other values are.
+ANY = "any"
 
 
 def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
     """The scene with every change `path=value` applied; a path is e.g. `camera.pitch_deg` or `cars.0.color`.
 
-    The value is YAML; angles whose key ends in `_deg` are in degrees. Raises InputError with one line per problem.
+    The value is YAML; angles whose key ends in `_deg` are in degrees. Raises InputError with one line per problem, also
+    for a value from which others follow, which would no longer fit it.
     """
+    changed = _changed(scene, changes)
+    problems = [
+        f"changes {path}: the scene was drawn by it, and other values follow from it; {instead}"
+        for path, instead in RECORDS.items()
+        if value_at(changed, path) not in (value_at(scene, path), ANY)
+    ]
+    problems += [
+        f"changes {path}.speed_m_s: follows from {path}.track; change both"
+        for (path, old), (_, new) in zip(_driving(scene), _driving(changed), strict=False)
+        if new.track and new.track == old.track and new.speed_m_s != old.speed_m_s
+    ]
+    if problems:
+        raise InputError(*problems)
+    return changed
+
+
+def _driving(scene: Scene) -> list[tuple[str, Shot | Car]]:
+    """The host and the cars, by their paths."""
+    return [("shot", scene.shot), *((f"cars.{number}", car) for number, car in enumerate(scene.cars))]
+
+
+def value_at(scene: Scene, path: str) -> Any:
+    """The value at a path of groups and keys, such as `weather.kind`."""
+    value: Any = scene
+    for step in path.split("."):
+        value = getattr(value, step)
+    return value
+
+
+def _changed(scene: Scene, changes: Sequence[str]) -> Scene:
     document = scene.model_dump(mode="json")
     problems: list[str] = []
     degrees: dict[str, Any] = {}

@@ -480,18 +480,29 @@ def check_params(sources: Iterable[str], overrides: Sequence[str] = ()) -> None:
         raise InputError(*dict.fromkeys(problems))
 
 
+def is_parameter(group: str, key: str) -> bool:
+    """Whether there is a parameter of this name."""
+    return key in _keys((group,))
+
+
+def fixed(params: Params, group: str, key: str, value: Any) -> Params:
+    """The parameters with one of them constant; raise pydantic's ValidationError for a value that is not legal."""
+    changed: dict[str, Any] = {name: dict(keys) for name, keys in params.groups.items()}
+    changed[group][key] = value
+    return Params.model_validate({**changed, "kept": params.kept})
+
+
 def problems_of(params: Params, path: str, value: Any) -> list[str]:
     """What is wrong with a constant value of the parameter `group.key`, in lines; nothing for other paths."""
     group, _, key = path.partition(".")
-    if key not in _keys((group,)):
+    if not is_parameter(group, key):
         return []
-    changed = {name: dict(keys) for name, keys in params.groups.items()}
-    changed[group][key] = value
     try:
-        Params.model_validate(changed)
+        found = getattr(getattr(fixed(params, group, key, value), group), key)
     except ValidationError as error:
         return [f"{path}: {problem['ctx']['error']}, got {shown(value)}" for problem in error.errors()]
-    return []
+    is_constant = isinstance(found, Choice) and len(found.values) == 1
+    return [] if is_constant else [f"{path}: expected a constant, got {shown(value)}"]
 
 
 def forms(params: Params) -> dict[str, dict[str, Any]]:

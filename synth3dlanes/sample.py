@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any, TypeVar
 
@@ -82,6 +82,12 @@ def sample_world(scenes: Scenes, index: int) -> World:
     place = scenes.shots.place(index)
     draw = draw_world if scenes.shots.per_scene == 1 else _latest
     return world_in_shot(draw(scenes, place.scene), scenes.shots, place)
+
+
+def world_again(scenes: Scenes, scene: Scene) -> World:
+    """Draw and resolve the scene anew that `scene`, a sample of any split of this seed, was drawn for."""
+    index = scenes.shots.index(ShotNumbers(scene.index, scene.shot.frame, scene.shot.camera))
+    return sample_world(replace(scenes, split=scene.split), index)
 
 
 def world_in_shot(world: World, shots: Shots, place: ShotNumbers) -> World:

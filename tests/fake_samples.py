@@ -65,7 +65,7 @@ def make(recipe: Recipe, index: int) -> PackedSample:
 
 def make_labelled(recipe: Recipe, index: int) -> PackedSample:
     """Scene and labels are true, the image is black."""
-    world = sample_world(recipe.scenes, index)
+    world = recipe.world(index)
     black = np.zeros((world.scene.camera.height_px, world.scene.camera.width_px, 3), np.uint8)
     members = encode(Picture(black, label(world, world.view)), scene_module.to_json(world.scene), recipe.image_format)
     return PackedSample(members, {"fake": 0.0})

@@ -169,7 +169,7 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
     values["cars.n"], values["trees.n"] = [len(scene.cars)], [len(scene.trees)]
     for name in ("kind", "daytime"):
         names = getattr(params.weather, name).values
-        if len(names) > 1:
+        if len(names) > 1 and getattr(scene.weather, name) in names:
             values[f"weather.{name}"] = [names.index(getattr(scene.weather, name))]
     for group, parts in (("terrain", scene.terrain.gaussians), ("cars", scene.cars), ("trees", scene.trees)):
         for part in parts:

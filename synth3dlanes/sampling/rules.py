@@ -81,7 +81,8 @@ class ParameterRules:
             unused.add("town.turn_lanes")
         elif town.n_lanes > 1:
             found["town.control"] = None  # only streets of one lane are equal
-        found = {key: form for key, form in found.items() if key not in unused and not key.startswith("road.")}
+        groups = ("road.", "symbols.", "motion.")
+        found = {key: form for key, form in found.items() if key not in unused and not key.startswith(groups)}
         found["town.n_side"] = at_most(declared.n_side, town.n_lanes)
         return found
 

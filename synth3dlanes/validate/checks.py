@@ -23,12 +23,13 @@ from synth3dlanes.validate.structure import check_host, check_labels, check_obje
 from synth3dlanes.validate.surface import check_hills, check_normals, check_pavement
 from synth3dlanes.validate.symbols import check_symbols
 from synth3dlanes.validate.traffic_elements import check_elements
+from synth3dlanes.validate.weather import check_weather
 
 
 class Check(NamedTuple):
     """A check: its name, what it does with evidence, what it finds, and which parts of the evidence it cannot do
-    without: passes by their names, `image`, `lidar`, `row` of the index, and `aim`: points that are in the
-    image where their masks say so."""
+    without: passes by their names, `image`, `lidar`, `row` of the index, `origin` in dataset.json, and `aim`: points
+    that are in the image where their masks say so."""
 
     name: str
     of: Callable[[Evidence], Iterable[Result]]
@@ -46,7 +47,7 @@ def _needs(words: str) -> frozenset[str]:
 
 
 # Parts that the evidence of every whole sample of a data set has.
-ALWAYS = _needs("row image aim")
+ALWAYS = _needs("row image aim origin")
 
 CHECKS = (
     Check("index", _row, "index columns that do not match their sample", _needs("row")),
@@ -67,6 +68,13 @@ CHECKS = (
         "points labelled as hidden with nothing in front of them, or as visible behind the core of a car",
     ),
     Check("roadside", check_roadside, "rails, posts and buildings on a pavement"),
+    Check(
+        "weather",
+        check_weather,
+        "rain, fog, a sun or headlights that do not fit the weather and the time of day of the scene, and are not the "
+        "user's own values",
+        _needs("origin"),
+    ),
     Check("frame", check_frame, "black, white or pink images", _needs("image")),
     Check(
         "standing",

@@ -24,8 +24,8 @@ BORDER_PX = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A sample's labels, image, passes and sweep, the world of its scene, and its place in the index; what may be
-    missing is None or empty."""
+    """A sample's labels, image, passes and sweep, the world of its scene, its place in the index, and the values that
+    weather does not decide (paths, as in `Params.kept`); what may be missing is None or empty."""
 
     world: World
     labels: Labels
@@ -33,6 +33,7 @@ class Evidence:
     passes: Passes = field(default_factory=dict)
     sweep: Sweep | None = None
     entry: Entry | None = None
+    own_values: frozenset[str] | None = None
 
     @property
     def scene(self) -> Scene:
@@ -51,6 +52,7 @@ class Evidence:
             "image": self.image is not None,
             "row": self.entry is not None,
             "lidar": self.sweep is not None,
+            "origin": self.own_values is not None,
             "aim": all((self.inside_px(lane)[lane.in_image] > -BORDER_PX).all() for lane in self.labels.lanes),
         }
         return frozenset(self.passes) | {name for name, is_there in parts.items() if is_there}

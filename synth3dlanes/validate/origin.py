@@ -12,14 +12,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from synth3dlanes import __version__
-from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.production.twins import changed_world
+from synth3dlanes.sample import sample_scene, world_again
 from synth3dlanes.scene import Scene
 from synth3dlanes.schema import Excerpt, validation_problems
-from synth3dlanes.shots import ShotNumbers
 from synth3dlanes.sources import Provenance
 from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
 
@@ -37,15 +36,15 @@ class Derivation(Excerpt):
     values: tuple[str, ...] = ()
     derived: "Derivation | None" = None
 
-    def changes(self, split: str) -> list[str]:
-        """All changes to the scenes of a split since they were drawn, in order; see `change_scene`."""
+    def changes(self, split: str) -> list[tuple[str, str]]:
+        """All changes to the scenes of a split since they were drawn, in order: paths and JSON values."""
         before = self.derived.changes((self.cut or self.of).rpartition("/")[2]) if self.derived else []
         if not self.vary:
             return before
         number = split.removeprefix("twin_")
         if not (number.isdecimal() and 1 <= int(number) <= len(self.values)):
             raise InputError(f"expected splits twin_1 to twin_{len(self.values)}, got {split}")
-        return [*before, f"{self.vary}={self.values[int(number) - 1]}"]
+        return [*before, (self.vary, self.values[int(number) - 1])]
 
 
 class Origin(Provenance):
@@ -67,13 +66,21 @@ class Origin(Provenance):
             return ""
         return some(list(differences(drawn.model_dump(mode="json"), scene.model_dump(mode="json"))))
 
+    def own_values(self, split: str) -> frozenset[str]:
+        """The values of a split that do not follow from its weather: the user's own, and what was changed since."""
+        changes = self.derived.changes(split) if self.derived is not None else []
+        return frozenset(self.params.kept).union(path for path, _ in changes)
+
     def drawn(self, scene: Scene, split: str, index: int) -> Scene:
         """The scene of a sample, drawn again; of derived data sets `scene`, which lies there, says for what it was
         drawn."""
         if self.derived is None:
             return sample_scene(self.scenes(split), index)
-        index = self.shots.index(ShotNumbers(scene.index, scene.shot.frame, scene.shot.camera))
-        return change_scene(sample_scene(self.scenes(scene.split), index), self.derived.changes(split))
+        scenes = self.scenes(scene.split)
+        again = world_again(scenes, scene).scene
+        for path, value in self.derived.changes(split):
+            again = changed_world(again, scenes, path, value).scene
+        return again
 
 
 def read_origin(description: Mapping[str, Any]) -> Origin:
