@@ -5,6 +5,7 @@
 
 import json
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -78,8 +79,10 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     }
     folder = Folder(path.parent)
     folder.remove_unfinished(path.name)
-    with folder.replacing(path.name) as file:
-        torch.save(document, file)
+    # torch ends a write that fails with an error of its own, which names no file.
+    data = BytesIO()
+    torch.save(document, data)
+    folder.write(path.name, data.getvalue())
 
 
 def load(path: Path, own_model: str | None = None) -> Checkpoint:

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from synth3dlanes.arrays import Points3, Polyline2
 from synth3dlanes.figures.colors import INK, KIND_WORDS, KINDS
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, encoded
 from synth3dlanes.frames import project, transform
 from synth3dlanes.labels import Labels, LaneKind
 
@@ -90,10 +90,9 @@ def save_pictures(
     """
     lines = draw(image, img_from_cam, prediction, truth, threshold)
     folder = Folder(stem.parent)
-    with folder.replacing(f"{stem.name}{OVERLAY}") as stream:
-        image.save(stream, "JPEG", quality=92, subsampling=0)
-    with folder.replacing(f"{stem.name}{FIGURE}") as stream:
-        _figure(image, lines, prediction.key, threshold).save(stream, "PNG", compress_level=1)
+    figure = _figure(image, lines, prediction.key, threshold)
+    folder.write(f"{stem.name}{OVERLAY}", encoded(lambda stream: image.save(stream, "JPEG", quality=92, subsampling=0)))
+    folder.write(f"{stem.name}{FIGURE}", encoded(lambda stream: figure.save(stream, "PNG", compress_level=1)))
 
 
 def draw(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.figures.colors import KIND_WORDS, KINDS, hexadecimal
-from synth3dlanes.files import replacing
+from synth3dlanes.files import encoded, write
 from synth3dlanes.words import counted
 
 from .curves import METRIC_Y_M
@@ -155,8 +155,7 @@ def save_curve(rows: dict[str, EvaluationReport], path: Path) -> None:
         axes.minorticks_off()
         axes.grid(alpha=0.3)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
-    with replacing(path) as stream:
-        figure.savefig(stream, dpi=120)
+    write(path, encoded(lambda stream: figure.savefig(stream, dpi=120)))
 
 
 def save_plots(report: EvaluationReport, path: Path) -> None:
@@ -181,8 +180,7 @@ def save_plots(report: EvaluationReport, path: Path) -> None:
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
-    with replacing(path) as stream:
-        figure.savefig(stream, dpi=120)
+    write(path, encoded(lambda stream: figure.savefig(stream, dpi=120)))
 
 
 def _kind_document(kind: KindReport) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from synth3dlanes.files import replacing, write
+from synth3dlanes.files import encoded, write
 from synth3dlanes.settings import PASSES
 from synth3dlanes.words import counted
 
@@ -46,8 +46,8 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
         written["page"] = str(html)
     if out or not html:
         path = out or Path(f"{shown.name}.inspect.png")
-        with replacing(path) as stream:
-            draw_inspect(shown).savefig(stream, format=path.suffix[1:], dpi=100)
+        figure = draw_inspect(shown)
+        write(path, encoded(lambda stream: figure.savefig(stream, format=path.suffix[1:], dpi=100)))
         written["figure"] = str(path)
     if as_json:
         columns = numbers_of(shown.scene, shown.labels)
@@ -97,8 +97,8 @@ def gallery(
     refuse_idle(show != "height", ["lanes"], "with --show height, which is no view of the camera")
     samples = shown_samples(some_samples(folder, n, shuffle, where), show, lanes)
     sheet = draw_gallery(samples, columns, width)
-    with replacing(out) as stream:
-        sheet.save(stream, "PNG" if out.suffix.lower() == ".png" else "JPEG")
+    kind = "PNG" if out.suffix.lower() == ".png" else "JPEG"
+    write(out, encoded(lambda stream: sheet.save(stream, kind)))
     click.echo(f"Gallery: {out}")
 
 

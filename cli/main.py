@@ -14,7 +14,14 @@ import click
 from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
-from synth3dlanes.errors import ClaimedError, InputError, OutageError, Synth3dlanesError, WorkerError
+from synth3dlanes.errors import (
+    ClaimedError,
+    InputError,
+    OutageError,
+    Synth3dlanesError,
+    WorkerError,
+    is_of_environment,
+)
 from synth3dlanes.production.signals import StopSignal, handle, stop
 
 from .assets import assets
@@ -76,12 +83,10 @@ class Commands(click.Group):
             command = error.ctx.command_path if error.ctx else ctx.command_path
             raise BadInput(f"{command}: {error.format_message()}") from error
         except InputError as error:
-            flags, kind = self._flags(ctx), WorkFailure if isinstance(error, ClaimedError) else BadInput
-            raise kind("\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
-        except (OutageError, WorkerError) as error:
-            raise WorkFailure(str(error)) from error
+            flags = self._flags(ctx)
+            raise _failure(error, "\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
         except Synth3dlanesError as error:
-            raise BadInput(str(error)) from error
+            raise _failure(error, str(error)) from error
         except (MemoryError, RuntimeError, ImportError) as error:
             if not is_lack_of_memory(error):
                 raise
@@ -92,7 +97,7 @@ class Commands(click.Group):
             ctx.exit(128 + signal.SIGPIPE)
         except OSError as error:
             place = f"{error.filename}: " if error.filename else ""
-            raise BadInput(f"{place}{error.strerror or error}") from error
+            raise _failure(error, f"{place}{error.strerror or error}") from error
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -115,6 +120,12 @@ class Commands(click.Group):
         command = self.commands.get(ctx.invoked_subcommand or "", self)
         flags = {param.name or "": param.opts[0] for param in command.params if isinstance(param, click.Option)}
         return {**flags, "overrides": "--set"}
+
+
+def _failure(error: Exception, text: str) -> BadInput:
+    """How a command ends after an error."""
+    can_pass = isinstance(error, (ClaimedError, OutageError, WorkerError)) or is_of_environment(error)
+    return (WorkFailure if can_pass else BadInput)(text)
 
 
 def _shortened(line: str) -> str:

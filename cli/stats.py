@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from synth3dlanes.files import replacing
+from synth3dlanes.files import encoded, write
 
 from .idle import refuse_idle, refuse_idle_keys
 from .options import (
@@ -66,8 +66,8 @@ def stats(
         library = open_assets(assets)
         found = dataset_stats(open_params(str(source), changes, library), n=n, seed=seed, assets=library)
     if out:
-        with replacing(out) as stream:
-            draw_statistics(found.scenes, found.labels).savefig(stream, format=out.suffix[1:], dpi=100)
+        figure = draw_statistics(found.scenes, found.labels)
+        write(out, encoded(lambda stream: figure.savefig(stream, format=out.suffix[1:], dpi=100)))
     if as_json:
         click.echo(json.dumps(found.document(), allow_nan=False))
         return

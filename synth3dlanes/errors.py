@@ -14,6 +14,16 @@ Exception
       +-- WorkerError          a worker process crashed, hung or was killed
 """
 
+import errno
+
+# What a disk, a network or the limits of a process do to any call: the same command may well succeed later.
+ENVIRONMENT = {
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO, errno.EBUSY, errno.ETXTBSY, errno.ENODEV),
+    *(errno.ENXIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.ENOLCK, errno.ESTALE, errno.ENOTCONN),
+    *(errno.ETIMEDOUT, errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ECONNRESET),
+    getattr(errno, "EREMOTEIO", errno.EIO),
+}
+
 
 class Synth3dlanesError(Exception):
     """Every error that this library raises on purpose."""
@@ -53,3 +63,12 @@ class MissingPackageError(Synth3dlanesError):
 
 class WorkerError(Synth3dlanesError):
     """A worker process ended without a result; the message has its last words."""
+
+
+def is_of_environment(error: BaseException | None) -> bool:
+    """Whether an error came from the environment, not from what the user gave; also one that was told by another."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in ENVIRONMENT:
+            return True
+        error = error.__cause__ or error.__context__
+    return False

@@ -6,12 +6,13 @@ raises LinkError, and what it points to is not changed.
 
 import errno
 import fcntl
+import io
 import os
 import re
 import secrets
 import shutil
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BufferedRandom, BufferedReader, FileIO
@@ -41,24 +42,29 @@ UNFINISHED = re.compile(r"\..+\.[0-9a-f]{16}\.tmp", re.DOTALL)
 
 @dataclass(frozen=True)
 class Draft:
-    """A file that is being written. Until it is complete it is at `path`, where it can be read."""
+    """A file for `final`. Until it is complete it is at `path`, where it can be read."""
 
     stream: BinaryIO
     path: Path
+    final: Path
+    _file: FileIO
     _temporary: tuple[int, str]
-    _final: tuple[int, str]
+    _place: tuple[int, str]
 
     def sync(self) -> None:
         """Flush the stream's bytes to the disk."""
         self.stream.flush()
-        os.fsync(self.stream.fileno())
+        with _named(self.final):
+            os.fsync(FileIO.fileno(self._file))
 
     def appear(self) -> None:
-        """Move the complete file to its place, in one step. A link that was put there meanwhile is replaced, not
-        followed."""
+        """Move the complete file to its place, in one step; it stays there after a power cut. A link that was put there
+        meanwhile is replaced, not followed."""
         self.sync()
-        (beside, temporary), (folder, name) = self._temporary, self._final
-        os.replace(temporary, name, src_dir_fd=beside, dst_dir_fd=folder)
+        (beside, temporary), (folder, name) = self._temporary, self._place
+        with _named(self.final):
+            os.replace(temporary, name, src_dir_fd=beside, dst_dir_fd=folder)
+            _sync_names(folder)
 
 
 @dataclass(frozen=True)
@@ -78,20 +84,20 @@ class Folder:
 
     def make_in(self, path: str | PurePath) -> None:
         """Make the folder at `path` where it is missing; raise FileNotFoundError where the one above it is."""
-        with suppress(FileExistsError), self._parent(path) as (folder, name):
+        with suppress(FileExistsError), self._place(path) as (folder, name):
             os.mkdir(name, dir_fd=folder)
 
     def exists(self, path: str | PurePath) -> bool:
         """Whether there is anything at `path`."""
         try:
-            with self._parent(path) as (folder, name):
+            with self._place(path) as (folder, name):
                 return _kind(folder, name) is not None
         except FileNotFoundError:
             return False
 
     def is_folder(self, path: str | PurePath) -> bool:
         """Whether there is a folder at `path`; a link to one is none."""
-        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+        with suppress(FileNotFoundError), self._place(path) as (folder, name):
             return _kind(folder, name) == stat.S_IFDIR
         return False
 
@@ -112,9 +118,11 @@ class Folder:
         with self._parent(path) as (folder, name), self._folder(above) as beside:
             self._expect_file(folder, name, path)
             temporary = _temporary(name)
+            at, final = self.root.joinpath(*above, temporary), self.root / path
             try:
-                with _created(beside, temporary, self.root / path) as stream:
-                    yield Draft(stream, self.root.joinpath(*above, temporary), (beside, temporary), (folder, name))
+                file = _created(beside, temporary, final)
+                with BufferedRandom(file) as stream:
+                    yield Draft(stream, at, final, file, (beside, temporary), (folder, name))
             finally:
                 _removed(beside, temporary)
 
@@ -132,24 +140,27 @@ class Folder:
 
     def take(self, path: str | PurePath, source: Path) -> None:
         """Put the file at `source` at `path` too: as a hard link where the file system allows it, else as a copy."""
-        with self._parent(path) as (folder, name):
+        with self._place(path) as (folder, name):
             self._expect_file(folder, name, path)
             temporary = _temporary(name)
             try:
                 os.link(source, temporary, dst_dir_fd=folder)
                 os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
+                _sync_names(folder)
+                return
             except OSError:
-                with self.replacing(path) as stream, source.open("rb") as theirs:
-                    shutil.copyfileobj(theirs, stream)
+                pass
             finally:
                 _removed(folder, temporary)
+        with self.replacing(path) as stream, source.open("rb") as theirs:
+            shutil.copyfileobj(theirs, stream)
 
     def renew(self, path: str | PurePath) -> BinaryIO:
         """A new, empty file that replaces any file there. A writer that is killed leaves a part of it."""
-        with self._parent(path) as (folder, name):
+        with self._place(path) as (folder, name):
             self._expect_file(folder, name, path)
             _removed(folder, name)
-            return _created(folder, name, self.root / path)
+            return BufferedRandom(_created(folder, name, self.root / path))
 
     def append(self, path: str | PurePath) -> BinaryIO:
         """The file at `path`, made if missing, unbuffered, opened for writing at its end. Raises LinkError for a file
@@ -163,12 +174,12 @@ class Folder:
 
     def expect_file(self, path: str | PurePath) -> None:
         """Raise as writing a file at `path` does, where there is anything but a file."""
-        with self._parent(path) as (folder, name):
+        with self._place(path) as (folder, name):
             self._expect_file(folder, name, path)
 
     def link(self, path: str | PurePath, target: str) -> None:
         """Make a link to `target` at `path`. Raises LinkError if anything else is there."""
-        with self._parent(path) as (folder, name):
+        with self._place(path) as (folder, name):
             try:
                 os.symlink(target, name, dir_fd=folder)
             except FileExistsError:
@@ -178,12 +189,12 @@ class Folder:
 
     def remove(self, path: str | PurePath) -> None:
         """Remove the file or link at `path`, if there is one."""
-        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+        with suppress(FileNotFoundError), self._place(path) as (folder, name):
             os.unlink(name, dir_fd=folder)
 
     def remove_empty(self, path: str | PurePath) -> None:
         """Remove the folder at `path`, if there is one with nothing in it."""
-        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+        with suppress(FileNotFoundError), self._place(path) as (folder, name):
             try:
                 os.rmdir(name, dir_fd=folder)
             except OSError as error:
@@ -193,14 +204,14 @@ class Folder:
     def remove_tree(self, path: str | PurePath) -> None:
         """Remove the folder at `path`, if there is one, with its contents. Links in it are removed, not what they point
         to."""
-        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+        with suppress(FileNotFoundError), self._place(path) as (folder, name):
             if _kind(folder, name) == stat.S_IFLNK:
                 raise self._is_link(path)
             shutil.rmtree(name, dir_fd=folder)
 
     def remove_unfinished(self, path: str | PurePath) -> None:
         """Remove the unfinished files that killed writers of `path` left beside it. Those of living writers stay."""
-        with suppress(FileNotFoundError), self._parent(path) as (folder, name):
+        with suppress(FileNotFoundError), self._place(path) as (folder, name):
             for found in os.listdir(folder):
                 if found.startswith(f".{name}.") and found.endswith(".tmp"):
                     _removed_if_left(folder, found)
@@ -214,8 +225,17 @@ class Folder:
 
     def sync(self, path: str | PurePath = "") -> None:
         """Write the names in the folder at `path` to the disk."""
-        with self._folder(_parts(path)) as descriptor:
-            os.fsync(descriptor)
+        with self._folder(_parts(path)) as descriptor, _named(self.root / path):
+            _sync_names(descriptor)
+
+    def sync_file(self, path: str | PurePath) -> None:
+        """Write the contents of the file at `path` to the disk."""
+        with self._place(path) as (folder, name):
+            file = os.open(name, os.O_RDONLY | FILE_FLAGS, dir_fd=folder)
+            try:
+                os.fsync(file)
+            finally:
+                os.close(file)
 
     @contextmanager
     def _parent(self, path: str | PurePath) -> Iterator[tuple[int, str]]:
@@ -223,6 +243,12 @@ class Folder:
         *above, name = _parts(path)
         with self._folder(above) as folder:
             yield folder, name
+
+    @contextmanager
+    def _place(self, path: str | PurePath) -> Iterator[tuple[int, str]]:
+        """As `_parent`, for system calls alone: their errors name the path."""
+        with _named(self.root / path), self._parent(path) as place:
+            yield place
 
     @contextmanager
     def _folder(self, parts: Sequence[str], make: bool = False) -> Iterator[int]:
@@ -233,9 +259,11 @@ class Folder:
                 if make:
                     with suppress(FileExistsError), _named(self.root.joinpath(*parts[:depth])):
                         os.mkdir(part, dir_fd=folder)
+                        _sync_names(folder)
                 try:
                     below = os.open(part, FOLDER_FLAGS, dir_fd=folder)
                 except OSError as error:
+                    error.filename = str(self.root.joinpath(*parts[:depth]))
                     if error.errno not in (errno.ENOTDIR, errno.ELOOP):
                         raise
                     raise self._other_kind(folder, PurePath(*parts[:depth]), "a folder") from None
@@ -247,7 +275,7 @@ class Folder:
 
     def _opened(self, path: str | PurePath, flags: int) -> int:
         """A descriptor of the file of one name at `path`."""
-        with self._parent(path) as (folder, name):
+        with self._place(path) as (folder, name):
             self._expect_file(folder, name, path)
             try:
                 file = os.open(name, flags | FILE_FLAGS, 0o666, dir_fd=folder)
@@ -293,6 +321,13 @@ def write(path: Path, data: bytes) -> None:
         stream.write(data)
 
 
+def encoded(write_into: Callable[[BinaryIO], object]) -> bytes:
+    """What a library writes into a stream. It gets none of a file: libraries do not look whether a disk took all."""
+    stream = io.BytesIO()
+    write_into(stream)
+    return stream.getvalue()
+
+
 def open_regular(path: Path) -> BufferedReader:
     """A stream from a regular file; a link to one is followed. Raises FormatError for any other kind of file, OSError
     like `open`."""
@@ -336,13 +371,13 @@ def _temporary(name: str) -> str:
     return f".{name}.{secrets.token_hex(8)}.tmp"
 
 
-def _created(folder: int, name: str, path: Path) -> BinaryIO:
+def _created(folder: int, name: str, path: Path) -> "_NewFile":
     """A new file, which is or becomes that at `path`, locked as long as it is open: it has a living writer."""
     with _named(path):
         file = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | FILE_FLAGS, 0o666, dir_fd=folder)
     with suppress(OSError):
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    return BufferedRandom(_File(file, "w+b", path))
+    return _NewFile(file, "w+b", path)
 
 
 class _File(FileIO):
@@ -353,9 +388,21 @@ class _File(FileIO):
         self._path = path
 
     def write(self, data: Any) -> int:
-        """Write as a file does."""
+        """Write all of it: a disk that is nearly full takes a part, and says so with the next bytes alone."""
+        left = memoryview(data).cast("B")
+        size = len(left)
         with _named(self._path):
-            return super().write(data)
+            while left:
+                left = left[super().write(left) or 0 :]
+        return size
+
+
+class _NewFile(_File):
+    """A file that hides its descriptor from libraries, which would write to it and not look how much was written."""
+
+    def fileno(self) -> int:
+        """Refuse, as streams without a descriptor do."""
+        raise io.UnsupportedOperation("fileno")
 
 
 @contextmanager
@@ -364,8 +411,17 @@ def _named(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        error.filename = str(path)
+        error.filename, error.filename2 = str(path), None
         raise
+
+
+def _sync_names(folder: int) -> None:
+    """Write the names in a folder to the disk, where its file system can be told to."""
+    try:
+        os.fsync(folder)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
 
 
 def _removed_if_left(folder: int, name: str) -> None:

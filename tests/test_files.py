@@ -2,17 +2,17 @@
 
 import errno
 import os
-import resource
-import signal
 import tracemalloc
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import Folder, read_bounded, write
+from synth3dlanes.files import Folder, encoded, read_bounded, write
+from tests.small_files import small_files
 
 WRITERS: dict[str, Callable[[Folder, str], object]] = {
     "write": lambda folder, path: folder.write(path, b"new"),
@@ -140,18 +140,51 @@ def test_what_a_living_writer_has_begun_stays(tmp_path: Path) -> None:
 def test_a_full_disk_is_told_with_the_file(tmp_path: Path) -> None:
     """Whichever way the file is written, at the latest when it is closed."""
     folder = Folder(tmp_path)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
-    try:
+    with small_files(100):
         for opened in (folder.replacing, folder.renew, folder.append):
             for size in (101, 100_000):
                 with pytest.raises(OSError, match="File too large") as caught, opened("it") as stream:
-                    stream.writelines([bytes(size)] * 2)
+                    stream.write(bytes(size))
                 assert caught.value.filename == str(tmp_path / "it")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_libraries_do_not_get_the_descriptor(tmp_path: Path) -> None:
+    """Pillow writes to it, and does not look how much of a JPEG was written."""
+    image = Image.effect_noise((256, 256), 100)
+    for opened in (Folder(tmp_path).replacing, Folder(tmp_path).renew):
+        with small_files(4096), pytest.raises(OSError, match="File too large"), opened("it.jpg") as stream:
+            image.save(stream, "JPEG")
+    with Folder(tmp_path).replacing("it.jpg") as stream:
+        image.save(stream, "JPEG")
+    assert (tmp_path / "it.jpg").read_bytes() == encoded(lambda stream: image.save(stream, "JPEG"))
+
+
+@pytest.mark.parametrize("call", ["open", "fsync", "replace", "unlink", "mkdir", "rmdir", "symlink"])
+def test_errors_name_the_file_and_not_its_temporary_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    folder = Folder(tmp_path)
+    steps: dict[str, Callable[[], object]] = {
+        "unlink": lambda: folder.remove("it"),
+        "mkdir": lambda: folder.make("it"),
+        "rmdir": lambda: folder.remove_empty("it"),
+        "symlink": lambda: folder.link("it", "there"),
+    }
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.EIO, "Input/output error", ".it.0123.tmp")
+
+    step = steps.get(call, lambda: folder.write("it", b"new"))
+    real = os.open
+    broken = (
+        (lambda path, flags, *a, **k: fail() if flags & os.O_CREAT else real(path, flags, *a, **k))
+        if call == "open"
+        else fail
+    )
+    monkeypatch.setattr(os, call, broken)
+    with pytest.raises(OSError, match="Input/output error") as caught:
+        step()
+    assert (caught.value.filename, caught.value.filename2) == (str(tmp_path / "it"), None)
 
 
 def test_a_name_in_an_open_folder_is_told_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,5 @@
-"""Only `files.py` opens files to be written, replaces and removes them; all others ask its `Folder`."""
+"""Only `files.py` opens files to be written, replaces and removes them; all others ask its `Folder`. Libraries write
+into memory: they do not look whether a disk took all."""
 
 import ast
 from pathlib import Path
@@ -12,15 +13,26 @@ WRITERS |= {"rename", "makedirs", "copyfile", "copytree", "copy2", "move", "mkdt
 WRITERS |= {"TemporaryDirectory", "NamedTemporaryFile"}
 WRITERS_OF_OS = {"replace", "remove", "link", "symlink", "removedirs", "renames"}
 MODES_OF_WRITING = set("wax+")
+# What libraries call that encodes into a stream or a file: of Pillow, matplotlib, torch and numpy; of pyarrow; of json
+# and pickle, OpenEXR, ElementTree and others.
+OF_LIBRARIES = {"save", "savez", "savez_compressed", "savetxt", "savefig", "imsave", "imwrite", "tofile"}
+OF_LIBRARIES |= {"write_table", "write_feather", "write_parquet", "write_csv", "to_parquet", "to_csv"}
+OF_LIBRARIES |= {"json.dump", "pickle.dump", "writePixels", "writestr", "save_file", "save_model", "write_image"}
+# Our own functions of these names, and Blender, which writes into a folder of its own process.
+OWN = {
+    "baseline_model/train.py": {"checkpoints.save", "save"},
+    "baseline_model/run_state.py": {"checkpoints.save"},
+    "synth3dlanes/production/tally.py": {"self._log.save"},
+    "synth3dlanes/blender/example_assets.py": {"save", "image.save"},
+}
 # These write in folders of this process alone, which `scratch` made, or in one that is made anew by the command.
 ALLOWED = {
     "synth3dlanes/files.py": "the one that may",
     "synth3dlanes/scratch.py": "makes the folder of this process",
     "synth3dlanes/blender/__init__.py": "Blender's own temporary folder",
-    "synth3dlanes/blender/quick_copy.py": "copies in the folder of this process",
     "synth3dlanes/blender/example_assets.py": "a folder that was not there before",
     "synth3dlanes/production/workers.py": "what workers print, in the folder of this process, and locks in that of all",
-    "synth3dlanes/video.py": "PyAV writes into a stream that files.py opened",
+    "synth3dlanes/video.py": "PyAV writes into a stream of the caller, whose writes are checked",
     "cli/main.py": "/dev/null",
     "synth3dlanes/production/signals.py": "/dev/null",
     "synth3dlanes/validate/contents.py": "/dev/null",
@@ -45,6 +57,36 @@ def writing_calls(source: str) -> list[str]:
     return found
 
 
+def library_calls(source: str) -> list[str]:
+    """The calls of libraries that may write to a file, as "LINE: CALL": all but those into a `BytesIO` of the same
+    function, and those in an argument of `encoded`."""
+    if not any(f"{word}(" in source for word in OF_LIBRARIES):
+        return []
+    tree, found = ast.parse(source), []
+    safe = {id(node) for call in _calls(tree) if _name(call) == "encoded" for node in ast.walk(call)}
+    for scope in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+        streams = {
+            target.id
+            for node in ast.walk(scope)
+            if isinstance(node, ast.Assign) and ast.unparse(node.value) in ("io.BytesIO()", "BytesIO()")
+            for target in node.targets
+            if isinstance(target, ast.Name)
+        }
+        safe |= {id(call) for call in _calls(scope) if any(ast.unparse(word) in streams for word in call.args)}
+    for call in _calls(tree):
+        if {_name(call), ast.unparse(call.func)} & OF_LIBRARIES and id(call) not in safe:
+            found.append(f"{call.lineno}: {ast.unparse(call.func)}")
+    return found
+
+
+def _calls(tree: ast.AST) -> list[ast.Call]:
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+
+
+def _name(call: ast.Call) -> str:
+    return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+
+
 def programs() -> list[str]:
     folders = ("synth3dlanes", "cli", "baseline_model")
     return sorted(str(path.relative_to(ROOT)) for folder in folders for path in (ROOT / folder).rglob("*.py"))
@@ -66,3 +108,24 @@ def test_nothing_else_writes_by_a_path() -> None:
 def test_the_search_finds(call: str) -> None:
     assert writing_calls(call)
     assert not writing_calls("path.open('rb'); open(path); text.replace('a', 'b'); stream.write(b'')")
+
+
+def test_libraries_write_into_memory() -> None:
+    found = {
+        name: [
+            call
+            for call in library_calls((ROOT / name).read_text(encoding="utf-8"))
+            if call.partition(": ")[2] not in OWN.get(name, ())
+        ]
+        for name in programs()
+    }
+    assert {name: calls for name, calls in found.items() if calls} == {}
+
+
+@pytest.mark.parametrize(
+    "call", ["image.save(stream, 'JPEG')", "np.save(path, a)", "pq.write_table(t, draft.stream)", "json.dump(a, file)"]
+)
+def test_the_search_finds_libraries(call: str) -> None:
+    assert library_calls(f"def f():\n    {call}")
+    assert not library_calls("def f():\n    stream = io.BytesIO()\n    image.save(stream, 'JPEG')")
+    assert not library_calls("write(path, encoded(lambda stream: image.save(stream, 'JPEG')))")

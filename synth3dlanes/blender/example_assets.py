@@ -5,6 +5,7 @@ separate process: it resets Blender for every file.
 """
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -12,6 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 from scipy.ndimage import gaussian_filter
+
+from synth3dlanes.files import encoded, write
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 4.2, 1.7, 1.5
 WHEELBASE_M, TRACK_M, WHEEL_RADIUS_M = 2.6, 1.48, 0.32
@@ -92,7 +95,8 @@ def texture(folder: Path, prefix: str, color: tuple[float, float, float], size_p
 
 def save(path: Path, values: Float[np.ndarray, "..."]) -> None:
     """Write values in 0..1 as an 8-bit picture."""
-    Image.fromarray((255 * np.clip(values, 0, 1)).round().astype(np.uint8)).save(path)
+    picture = Image.fromarray((255 * np.clip(values, 0, 1)).round().astype(np.uint8))
+    write(path, encoded(partial(picture.save, format="PNG")))
 
 
 def sky(path: Path, height_px: int = 256) -> None:

@@ -5,12 +5,13 @@ Decoding JPEG costs 2 % of an image at the default settings. Packing a file into
 
 import hashlib
 import os
-import tempfile
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from PIL import Image
 
+from synth3dlanes.files import Folder, encoded
 from synth3dlanes.settings import SCRATCH
 
 
@@ -22,7 +23,6 @@ def quick_copy(file: Path) -> Path:
         return file
     copy = Path(scratch) / f"{file.stem}-{hashlib.sha256(str(file).encode()).hexdigest()[:16]}.tif"
     if not copy.exists():
-        with suppress(OSError), Image.open(file) as picture, tempfile.TemporaryDirectory(dir=scratch) as folder:
-            picture.save(Path(folder) / copy.name)
-            os.replace(Path(folder) / copy.name, copy)
+        with suppress(OSError), Image.open(file) as picture:
+            Folder(copy.parent).write(copy.name, encoded(partial(picture.save, format="TIFF")))
     return copy if copy.exists() else file

@@ -30,7 +30,7 @@ from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes,
 from synth3dlanes.dataset.index import place_columns, read_index, read_recipe
 from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import Folder, open_regular, read_bounded
+from synth3dlanes.files import Folder, encoded, open_regular, read_bounded
 
 # Only of a shard of this very recipe that was read and found damaged: following it costs nothing that is whole.
 REMEDY = "remove this shard's tar and parquet and run again to make it anew"
@@ -140,15 +140,16 @@ class Shard:
                 tar.stream.write(data)
                 rows.append(row)
             tar.stream.write(tar_end(tar.stream.tell()))
-            pq.write_table(table(rows, self.recipe), index.stream)
+            rows_of = table(rows, self.recipe)
+            index.stream.write(encoded(lambda stream: pq.write_table(rows_of, stream)))
             tar.sync()
             index.sync()
             if rows:
                 # Without its index there is no shard, so nobody meets a tar and an index that do not fit.
                 data_set.remove(self._at("parquet"))
+                data_set.sync(self.folder.name)
                 tar.appear()
                 index.appear()
-                data_set.sync(self.folder.name)
         self.clean()
         return unread
 

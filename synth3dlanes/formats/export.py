@@ -2,7 +2,8 @@
 
 Frames go in chunks. A chunk writes its images and own label files, then its mark in `OUT/.parts`, whose existence
 means that the chunk is done. The files that many frames share (lists, JSON lines, README) are put together from the
-marks at the end, so a run that was killed, or a dataset that has grown, only needs the missing chunks.
+marks at the end, so a run that was killed, or a dataset that has grown, only needs the missing chunks. Unfinished files
+that are renamed when they are whole are in `OUT/.parts` too, from where the next run removes them.
 """
 
 import json
@@ -111,6 +112,7 @@ class Export:
         with _claimed(folder, self.options):
             for stale in set(folder.names(MARKS)) - {chunk.mark for chunk in chunks} - {LOCK_FILE}:
                 _remove(folder, stale)
+            folder.sync(MARKS)
             marks = [folder.root / MARKS / chunk.mark for chunk in chunks]
             waiting = [chunk for chunk, mark in zip(chunks, marks, strict=True) if not mark.exists()]
             total = sum(len(chunk.places) for chunk in chunks)
@@ -125,7 +127,7 @@ class Export:
             _write_shared(folder, marks, foreign)
             summary = summarize(_records(marks), foreign)
             text = readme(self.source, self.format_name, foreign, [chunk.split for chunk in chunks], summary)
-            folder.write("README.md", text.encode())
+            folder.write("README.md", text.encode(), MARKS)
         return summary
 
     def warnings(self, summary: ExportSummary) -> tuple[str, ...]:
@@ -136,7 +138,7 @@ class Export:
 @contextmanager
 def _claimed(folder: Folder, options: dict[str, Any]) -> Iterator[None]:
     """This export's folder, made or checked, while nobody else writes it."""
-    if set(folder.names()) - {MARKS} and not folder.exists("export.json"):
+    if not folder.exists("export.json") and set(folder.names()) - {MARKS}:
         raise InputError(
             f"{folder.root}: expected an empty folder or an unfinished export, got a folder with other files"
         )
@@ -146,7 +148,7 @@ def _claimed(folder: Folder, options: dict[str, Any]) -> Iterator[None]:
             raise ClaimedError(f"{folder.root}: expected no other export at work here, got one; wait until it is done")
         if folder.exists("export.json"):
             _require_options(folder.root, options, "an empty folder or the export")
-        folder.write("export.json", json.dumps(options).encode())
+        folder.write("export.json", json.dumps(options).encode(), MARKS)
         yield
 
 
@@ -178,7 +180,12 @@ def _export_chunk(chunk: Chunk, out: Path, foreign: Format) -> int:
         else write_as_it_is(reader, place, chunk, out, foreign)
         for place in chunk.places
     ]
-    Folder(out).write(f"{MARKS}/{chunk.mark}", "\n".join(map(json.dumps, records)).encode())
+    folder, paths = Folder(out), [path for record in records for path in record.get("files", ())]
+    for path in paths:
+        folder.sync_file(path)
+    for above in {parent for path in paths for parent in PurePath(path).parents}:
+        folder.sync(above)
+    folder.write(f"{MARKS}/{chunk.mark}", "\n".join(map(json.dumps, records)).encode())
     return len(records)
 
 
@@ -260,8 +267,7 @@ def _write_some(folder: Folder, marks: Sequence[Path], foreign: Format, shared: 
         files: dict[str, Draft] = {}
         for path in shared:
             folder.make(PurePath(path).parent)
-            folder.remove_unfinished(path)
-            files[path] = stack.enter_context(folder.draft(path))
+            files[path] = stack.enter_context(folder.draft(path, MARKS))
         for with_lines in (True, False):
             for record in _records(marks):
                 if record["left_out"] or (record["n_lines"] > 0) != with_lines:
@@ -274,6 +280,6 @@ def _write_some(folder: Folder, marks: Sequence[Path], foreign: Format, shared: 
                 draft.appear()
                 continue
             draft.stream.flush()
-            with folder.replacing(path) as document:
+            with folder.replacing(path, MARKS) as document:
                 pieces = foreign.document(path, draft.path)
                 document.writelines(piece.encode() if isinstance(piece, str) else piece for piece in pieces)

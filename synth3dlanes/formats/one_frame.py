@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path, PurePath
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, encoded
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.conditions import conditions
 from synth3dlanes.formats.format import PinholeFormat, SampleFormat, SampleFrame
@@ -52,7 +52,8 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     if annotation is None:
         return _left_out(frame, NO_LINES)
     image = resample(sample.image, sample.labels.camera, pinhole, where)
-    record = _write(out, frame, annotation, lambda stream, _: image.save(stream, "JPEG", quality=JPEG_QUALITY))
+    jpeg = encoded(lambda stream: image.save(stream, "JPEG", quality=JPEG_QUALITY))
+    record = _write(out, frame, annotation, lambda _: jpeg)
     enlarged = pinhole.f_px / float(sample.labels.camera.img_from_cam[0, 0])
     return {**record, "f_px": pinhole.f_px, "enlarged": enlarged}
 
@@ -75,11 +76,11 @@ def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign:
     if annotation is None:
         return _left_out(frame, NO_LINES)
 
-    def write_image(stream: BinaryIO, wanted: str) -> None:
+    def image_as(wanted: str) -> bytes:
         data = reader.member(index, image_format)
-        stream.write(data if wanted == image_format else encode_image(decode_image(data, where), wanted))
+        return data if wanted == image_format else encode_image(decode_image(data, where), wanted)
 
-    return _write(out, frame, annotation, write_image)
+    return _write(out, frame, annotation, image_as)
 
 
 def ended(text: str) -> str:
@@ -118,25 +119,25 @@ def _left_out(frame: ExportFrame, reason: str) -> Record:
     return {"split": frame.split, "part": frame.part, "left_out": reason}
 
 
-def _write(
-    out: Path, frame: ExportFrame, annotation: FrameAnnotation, write_image: Callable[[BinaryIO, str], None]
-) -> Record:
-    """`write_image` writes the image into a stream, in the format that its ending names."""
-    folder = Folder(out)
-    for path in (*annotation.files, *([] if annotation.image is None else [annotation.image])):
+def _write(out: Path, frame: ExportFrame, annotation: FrameAnnotation, image_as: Callable[[str], bytes]) -> Record:
+    """`image_as` gives the image in the format that an ending names."""
+    folder, image = Folder(out), annotation.image
+    files = {
+        path: content if isinstance(content, bytes) else ended(content).encode()
+        for path, content in annotation.files.items()
+    }
+    if image is not None:
+        files = {image: image_as(PurePath(image).suffix.removeprefix(".")), **files}
+    for path, content in files.items():
         folder.make(PurePath(path).parent)
-    for path, content in annotation.files.items():
         with folder.renew(path) as stream:
-            stream.write(content if isinstance(content, bytes) else ended(content).encode())
-    if annotation.image is not None:
-        with folder.renew(annotation.image) as stream:
-            write_image(stream, PurePath(annotation.image).suffix.removeprefix("."))
+            stream.write(content)
     return {
         "split": frame.split,
         "part": frame.part,
         "left_out": None,
         "n_lines": annotation.n_lines,
         "dropped": annotation.dropped,
-        "files": [*([] if annotation.image is None else [annotation.image]), *annotation.files],
+        "files": list(files),
         "shared": annotation.shared,
     }

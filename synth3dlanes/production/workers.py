@@ -76,9 +76,10 @@ class Outcome:
         # Not at the top: the worker's program imports nothing of ours before it is pinned.
         from synth3dlanes.errors import DiskFullError, WorkerError
 
-        error = (DiskFullError if self.status == "full" else WorkerError)(f"{what}: {self.reason}")
+        is_full = self.status == "full"
+        error = (DiskFullError if is_full else WorkerError)(f"{what}: {self.reason}")
         error.add_note(self.stderr)
-        raise error
+        raise error from OSError(errno.ENOSPC, self.reason) if is_full else None
 
 
 @dataclass

@@ -1,7 +1,6 @@
 """The report of a validation: problems, distributions, worst samples; as text, as JSON, and as pictures of samples."""
 
 import heapq
-import io
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ from synth3dlanes.arrays import RgbImage
 from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, encoded
 from synth3dlanes.labels import Labels
 from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, RunningMean, judge
 from synth3dlanes.validate.findings import (
@@ -216,14 +215,13 @@ def draw(image: RgbImage, labels: Labels) -> RgbImage:
 def save_picture(place: str, name: str, picture: RgbImage) -> None:
     """Write a picture into the data set; does nothing if the store or the folder cannot be written."""
     files, root = connect(place)
-    stream, path = io.BytesIO(), f"{FOLDER}/{name}.png"
-    Image.fromarray(picture).save(stream, "PNG")
+    path, png = f"{FOLDER}/{name}.png", encoded(lambda stream: Image.fromarray(picture).save(stream, "PNG"))
     with suppress(FormatError, OutageError, OSError), translate_store_errors(place):
         if isinstance(files, LocalFileSystem):
             Folder(Path(root)).make(PurePath(path).parent)
-            Folder(Path(root)).write(path, stream.getvalue())
+            Folder(Path(root)).write(path, png)
         else:
-            files.pipe_file(f"{root}/{path}", stream.getvalue())
+            files.pipe_file(f"{root}/{path}", png)
 
 
 def remove_pictures(place: str) -> None:

@@ -1,8 +1,11 @@
 """Whole exports of a small dataset: layout, parts, self-check, resuming, what narrow frames and paint become."""
 
+import itertools
 import json
+import os
 import re
 import shutil
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +14,8 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes import files
+from synth3dlanes.errors import ClaimedError, FormatError, InputError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import PinholeFormat
 from synth3dlanes.formats.plan import assign, open_reader, parts_of
@@ -59,6 +63,46 @@ def assert_every_line_ends(out):
     for path in texts:
         text = path.read_text()
         assert not text or (text.endswith("\n") and not text.endswith("\n\n") and not text.startswith("\n")), path
+
+
+def test_leftovers_of_a_kill_go(dataset, tmp_path, monkeypatch):
+    """A kill as any of the files is about to get its name."""
+    Export(str(dataset), tmp_path / "whole", "tusimple").write()
+    kept, out = files._removed, tmp_path / "out"
+    monkeypatch.setattr(files, "_removed", lambda folder, name: None if name.endswith(".tmp") else kept(folder, name))
+    for at in itertools.count():
+        calls = itertools.count()
+
+        def killed(*names, calls=calls, at=at, **folders):
+            if next(calls) == at:
+                raise KeyboardInterrupt
+            os.rename(*names, **folders)
+
+        with monkeypatch.context() as patch, suppress(KeyboardInterrupt):
+            patch.setattr(os, "replace", killed)
+            Export(str(dataset), out, "tusimple").write()
+            break
+        left = list(out.rglob("*.tmp"))
+        assert left
+        assert {path.parent.name for path in left} == {".parts"}
+    assert at > 4
+    assert files_of(out) == files_of(tmp_path / "whole")
+
+
+def test_of_two_exports_the_second_says_so(dataset, tmp_path, monkeypatch):
+    """However far the first has come: before its `export.json` has its name, and while it writes."""
+    told, rename = [], os.replace
+
+    def meanwhile(*names, **folders):
+        monkeypatch.setattr(os, "replace", rename)
+        with pytest.raises(ClaimedError, match="expected no other export at work here, got one; wait"):
+            Export(str(dataset), tmp_path, "tusimple").write()
+        told.append(names)
+        rename(*names, **folders)
+
+    monkeypatch.setattr(os, "replace", meanwhile)
+    Export(str(dataset), tmp_path, "tusimple").write()
+    assert [str(name) for _, name in told] == ["export.json"]
 
 
 def test_files_of_lines_can_be_joined(dataset, tmp_path):

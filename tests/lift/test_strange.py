@@ -20,6 +20,8 @@ from synth3dlanes.lift.run import lifted_frames
 from synth3dlanes.lift.write import lift_to
 from tests.drives import road as made
 from tests.lift import hill
+from tests.power_cut import survive
+from tests.thorough import first
 
 
 def emptied(frame: DriveFrame) -> DriveFrame:
@@ -99,6 +101,12 @@ def test_a_lift_that_is_killed_goes_on_to_the_same_bytes(tmp_path: Path) -> None
         lift_to(drive, tmp_path / out, precision=NO_ERROR)
     tars = [(tmp_path / out / "train/00000.tar").read_bytes() for out in ("killed", "whole")]
     assert tars[0] == tars[1]
+
+
+@pytest.mark.parametrize("n_cuts", first(1, [3, 20]))
+def test_a_lift_comes_to_the_same_bytes_after_a_power_cut(tmp_path: Path, n_cuts: int) -> None:
+    drive = hill.drive(3)
+    survive(lambda out: lift_to(drive, out, precision=NO_ERROR), tmp_path, n_cuts)
 
 
 def test_a_store_gets_the_bytes_of_a_folder(tmp_path: Path) -> None:

@@ -1,0 +1,60 @@
+"""Data sets come to the same bytes after a power cut (tests/power_cut.py)."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from synth3dlanes import files
+from synth3dlanes.dataset.folder import claim
+from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.rearrange import merge, split_dataset
+from synth3dlanes.dataset.write import Shard
+from tests import fake_samples
+from tests.power_cut import survive
+from tests.thorough import first
+
+SIZE = 3
+
+
+def generated(root: Path, indices: range = range(8)) -> Path:
+    """A data set as `generate` makes it, by this process instead of workers."""
+    recipe, n = fake_samples.recipe(), 8
+    numbers = sorted({index // SIZE for index in indices})
+    with claim(root, {**recipe.description(), "shard_size": SIZE}, "train", n, numbers) as folder:
+        for number in numbers:
+            shard = Shard(folder, number, SIZE, recipe.names).claimed()
+            shard.open()
+            for index in sorted(set(shard.missing(n)) & set(indices)):
+                shard.write_part(index, fake_samples.make(recipe, index).members)
+            if shard.needs_join(n):
+                shard.join(n)
+            shard.close()
+    return root
+
+
+def grown(out: Path) -> None:
+    generated(out, range(5))
+    generated(out)
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two parts of a data set; each has a whole shard, and they share one."""
+    root = tmp_path_factory.mktemp("parts")
+    return generated(root / "a", range(5)), generated(root / "b", range(5, 8))
+
+
+COMMANDS: dict[str, Callable[[Path, Path, Path], object]] = {
+    "generate": lambda a, b, out: generated(out),
+    "generate more": lambda a, b, out: grown(out),
+    "merge": lambda a, b, out: merge([str(a), str(b)], str(out)),
+    "split": lambda a, b, out: split_dataset(Reader(f"{a}/train"), {"train": 3, "val": 1}, 0, str(out)),
+    "a named file": lambda a, b, out: files.write(out / "gallery.png", bytes(100_000)),
+}
+
+
+@pytest.mark.parametrize("n_cuts", first(1, [4, 20]))
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_data_set(parts: tuple[Path, Path], tmp_path: Path, command: str, n_cuts: int) -> None:
+    survive(lambda out: COMMANDS[command](*parts, out), tmp_path, n_cuts)
