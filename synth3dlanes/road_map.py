@@ -6,6 +6,7 @@ World frame, metres and radians. Pure data in the terms of OpenDRIVE: a road is 
 """
 
 import math
+import operator
 from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Literal
@@ -18,6 +19,8 @@ from synth3dlanes.schema import DocumentPart, Name, Number, SymbolKind
 MAX_ROADS, MAX_LANES = 2000, 20
 # Pieces of a plan, and roads of linked lanes, end this near to each other.
 MAX_GAP_M = 50.0
+# Where an edge of a lane steps farther aside, or up, it is another line.
+JUMP_M = 0.03
 Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
 GroundPoint = tuple[Number, Number]
@@ -71,13 +74,14 @@ class MapMark(DocumentPart):
 class MapLane(DocumentPart):
     """A lane of a section: its number, and its width by stations of the section. Traffic in a driving lane goes with
     growing s on the right of the reference line where traffic keeps right; `against` says that it goes the other
-    way."""
+    way. A `level` lane of a banked road has across the height of its inner edge."""
 
     number: Annotated[int, Field(ge=-MAX_LANES, le=MAX_LANES)]
     kind: MapLaneKind
     widths: tuple[Polynomial, ...] = ()
     marks: tuple[MapMark, ...] = ()
     against: bool = False
+    level: Annotated[bool, Field(exclude_if=operator.not_)] = False
 
 
 class MapSection(DocumentPart):
@@ -124,6 +128,11 @@ class MapRoad(DocumentPart):
     def length_m(self) -> float:
         """Length of the reference line."""
         return sum(piece.length_m for piece in self.plan)
+
+    def span_m(self, section: int) -> tuple[float, float]:
+        """The stations between which a section holds, by its number."""
+        after = self.sections[section + 1 : section + 2]
+        return self.sections[section].s_m, after[0].s_m if after else self.length_m
 
     @model_validator(mode="after")
     def _has_no_gaps(self) -> "MapRoad":

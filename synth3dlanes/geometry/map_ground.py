@@ -7,6 +7,7 @@ The pavement of roads that connect others in a junction is one area. Terrain mee
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import AS_FAR, Junction, MapNetwork
 from synth3dlanes.geometry.passages import DECK_M, Passage, passages
 from synth3dlanes.geometry.roads import Road
-from synth3dlanes.geometry.section_road import KERB_M, RAISED, CrossSection, SectionRoad
+from synth3dlanes.geometry.section_road import KERB_M, RAISED, SectionRoad
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.road_map import MapIsland
 
@@ -53,6 +54,8 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
+# The edges of a road's pavement.
+EDGES = attrgetter("left"), attrgetter("right")
 # Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
 BERM_M = 1.5
 
@@ -99,23 +102,17 @@ class MapGround(Ground):
         """The stations of the rows of a curve's paint."""
         return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
 
-    def road_rows(self, road: SectionRoad) -> Scalars:
-        """The stations of the rows of a road."""
-        return self._road_rows[road.id]
-
     @cached_property
     def _road_rows(self) -> dict[str, Scalars]:
         found = {}
         for road in self.network.roads:
-            rows = self.rows(road.end_m, partial(self.away_along, road))
-            starts = (section.start_m for section in road.sections)
-            found[road.id] = np.union1d(rows, [start for start in starts if 0 < start < road.end_m])
+            found[road.id] = self.rows(road.end_m, partial(self.away_along, road))
         return found
 
-    def section_rows(self, road: SectionRoad, section: CrossSection) -> Scalars:
-        """The stations of the rows of a section of a road."""
-        s = self.road_rows(road)
-        return np.union1d(s[(s > section.start_m) & (s < section.end_m)], [section.start_m, section.end_m])
+    def stretch_rows(self, stretch: SectionRoad) -> Scalars:
+        """The stations of the rows of a stretch of a road."""
+        s, ends = self._road_rows[stretch.id], [stretch.start_m, stretch.end_m]
+        return np.union1d(s[(s > ends[0]) & (s < ends[1])], ends)
 
     def rows(self, end_m: float, away_m: Callable[[Scalars], Scalars]) -> Scalars:
         """Stations from 0 to an end, closer to each other near the host."""
@@ -144,8 +141,9 @@ class MapGround(Ground):
 
     def strip(self, road: SectionRoad) -> BaseGeometry:
         """The pavement of a road from above."""
-        s = self.road_rows(road)
-        return polygon_between(road.xy(s, road.left(s)), road.xy(s, road.right(s)))
+        rows = [(at, self.stretch_rows(at)) for at in road.stretches]
+        left, right = (np.concatenate([at.xy(s, edge(at)(s)) for at, s in rows]) for edge in EDGES)
+        return polygon_between(left, right)
 
     @cached_property
     def arms(self) -> BaseGeometry:
@@ -176,10 +174,10 @@ class MapGround(Ground):
         """The pavement of a junction, and its raised walkways."""
         lanes, raised = list[BaseGeometry](), list[BaseGeometry]()
         for road in at.roads:
-            for section in road.sections:
-                for i, lane in enumerate(section.lanes):
+            for stretch in road.stretches:
+                for i, lane in enumerate(stretch.sections[0].lanes):
                     if lane.kind != "none":
-                        (raised if lane.kind in RAISED else lanes).append(self._between(road, section, (i, i + 1)))
+                        (raised if lane.kind in RAISED else lanes).append(self._between(stretch, (i, i + 1)))
         outline = ring_area(at.outline)
         paved = difference(filled(union([*lanes, outline])), self.arms)
         walkways = difference(union(raised), union([paved, self.arms]))
@@ -205,20 +203,20 @@ class MapGround(Ground):
     @cached_property
     def _raised_strips(self) -> list[BaseGeometry]:
         """The raised lanes of roads outside junctions."""
-        sections = ((road, section) for road in self.outside for section in road.sections)
-        return [self._between(*at, edges) for at in sections for edges in at[1].raised]
+        stretches = [stretch for road in self.outside for stretch in road.stretches]
+        return [self._between(stretch, edges) for stretch in stretches for edges in stretch.sections[0].raised]
 
-    def _between(self, road: SectionRoad, section: CrossSection, edges: tuple[int, int]) -> BaseGeometry:
-        """The area between two edges of a road's section."""
-        s = self.section_rows(road, section)
-        left, right = (road.xy(s, section.edge(edge, s)) for edge in edges)
+    def _between(self, stretch: SectionRoad, edges: tuple[int, int]) -> BaseGeometry:
+        """The area between two edges of a stretch of a road."""
+        s, (section,) = self.stretch_rows(stretch), stretch.sections
+        left, right = (stretch.xy(s, section.edge(edge, s)) for edge in edges)
         return polygon_between(left, right)
 
     def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
         """Both edges of the pavement of every road within about `reach_m` of a place, those in junctions included."""
         for road in self.network.roads:
-            s = self.road_rows(road)
-            left, right = (road.points(s, edge(s)) for edge in (road.left, road.right))
+            rows = [(at, self.stretch_rows(at)) for at in road.stretches]
+            left, right = (np.concatenate([at.points(s, edge(at)(s)) for at, s in rows]) for edge in EDGES)
             if (np.hypot(*(left[:, :2] - xy_world).T) < AS_FAR * reach_m).any():
                 yield left, right
 
@@ -240,9 +238,9 @@ class MapGround(Ground):
     def _grass(self) -> BaseGeometry:
         found = [area.polygon for area in self.areas if area.kind == "grass"]
         for road in self.outside:
-            for section in road.sections:
-                medians = [i for i, lane in enumerate(section.lanes) if lane.kind == "median"]
-                found += [self._between(road, section, (i, i + 1)) for i in medians]
+            for stretch in road.stretches:
+                medians = [i for i, lane in enumerate(stretch.sections[0].lanes) if lane.kind == "median"]
+                found += [self._between(stretch, (i, i + 1)) for i in medians]
         grass = union(found)
         shapely.prepare(grass)
         return grass
@@ -280,7 +278,7 @@ class MapGround(Ground):
         low, high, paved = np.full(n, -np.inf), np.full(n, np.inf), np.full(n, -np.inf)
         for road, which, s, t in roads:
             own, at = self.network.road(road.id), np.flatnonzero(which)
-            if own.heights is None:
+            if not own.has_heights:
                 continue
             on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
             base = own.base_points(on, across)
@@ -327,7 +325,7 @@ class MapGround(Ground):
 
     @cached_property
     def _has_heights(self) -> bool:
-        return any(road.heights is not None for road in self.network.roads)
+        return any(road.has_heights for road in self.network.roads)
 
     def area_height(self, area: GroundArea, xy_world: Points2) -> Scalars:
         """Height of an area's surface: on the terrain, or between the heights of its roads there."""

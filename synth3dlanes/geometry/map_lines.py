@@ -2,7 +2,7 @@
 World frame, metres; stations are lengths, of a cubic its parameter."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Polyline2
 from synth3dlanes.geometry.reference_line import LineFrames, ReferenceLine, paired
+from synth3dlanes.maps.cubics import SAME_M
 from synth3dlanes.road_map import PlanPiece
 
 # A point's station is looked for among places this far apart.
@@ -28,13 +29,14 @@ LEAST_SPEED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class FiniteLine(ReferenceLine):
-    """A line over the stations [0, length_m]; before and behind them it goes on by its own formula."""
+    """A line over `length_m` of stations from `start_m` on; before and behind them it goes on by its own formula."""
 
     length_m: float
+    start_m: float = field(default=0.0, kw_only=True)
 
     @cached_property
     def _samples(self) -> tuple[Float[np.ndarray, " k"], Polyline2]:
-        s = np.linspace(0, self.length_m, 2 + int(self.length_m / GUESS_STEP_M))
+        s = self.start_m + np.linspace(0, self.length_m, 2 + int(self.length_m / GUESS_STEP_M))
         return s, self.frames(s).points_world
 
     def guess(self, xy_world: AnyPoints2) -> AnyScalars:
@@ -158,12 +160,19 @@ class Chain(FiniteLine):
 
     @cached_property
     def _starts(self) -> Float[np.ndarray, " k"]:
-        return np.cumsum([0.0, *(line.length_m for line in self.lines[:-1])])
+        return np.cumsum([self.start_m, *(line.length_m for line in self.lines[:-1])])
+
+    def within(self, start_m: float, end_m: float) -> "Chain":
+        """The lines between two stations, the outer ones with all their length: at the end, the one before it."""
+        first = max(int(np.searchsorted(self._starts, start_m + SAME_M, side="right")) - 1, 0)
+        last = max(int(np.searchsorted(self._starts, end_m - SAME_M)), first + 1)
+        lines = self.lines[first:last]
+        return Chain(sum(line.length_m for line in lines), lines, start_m=float(self._starts[first]))
 
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
         if len(self.lines) == 1:
-            return self.lines[0].frames(s)
+            return self.lines[0].frames(s - self.start_m)
         starts = self._starts
         which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
         first = int(which.min(initial=len(starts) - 1))

@@ -17,7 +17,7 @@ from synth3dlanes.geometry.areas import GRIDS_M, clipped, contains, difference, 
 from synth3dlanes.geometry.ground import PRESS_M
 from synth3dlanes.geometry.map_ground import GroundArea, MapGround
 from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, terrain_axes, terrain_heights
-from synth3dlanes.geometry.section_road import KERB_M, CrossSection, SectionRoad
+from synth3dlanes.geometry.section_road import KERB_M, SectionRoad
 from synth3dlanes.road_map import MapLaneKind
 
 # Faces of lanes are no wider than this; cells of junctions, near the host and far from it.
@@ -39,9 +39,9 @@ def pavement_meshes(ground: MapGround) -> list[Mesh]:
     """The strips of all roads outside junctions, and the areas of junctions and islands."""
     found = []
     for road in ground.outside:
-        for section in road.sections:
-            if section.end_m > section.start_m and section.lanes:
-                found += _strips(ground, road, section, ground.section_rows(road, section))
+        for stretch in road.stretches:
+            if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
+                found += _strips(ground, stretch)
     for area in ground.areas:
         found += _area_meshes(ground, area)
     near = (_near(ground, mesh) for mesh in found)
@@ -54,8 +54,9 @@ def _near(ground: MapGround, mesh: Mesh) -> Mesh:
     return mesh if kept.all() else replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _strips(ground: MapGround, road: SectionRoad, section: CrossSection, s: Scalars) -> list[Mesh]:
-    """The lanes of a section, raised ones with kerbs on both sides."""
+def _strips(ground: MapGround, stretch: SectionRoad) -> list[Mesh]:
+    """The lanes of a stretch of a road, raised ones with kerbs on both sides."""
+    s, (section,) = ground.stretch_rows(stretch), stretch.sections
     edges, first, last = section.edges(s), *section.paved
     found, i = [], first
     while i < last:
@@ -70,7 +71,7 @@ def _strips(ground: MapGround, road: SectionRoad, section: CrossSection, s: Scal
             across += ((k + share) * ground.network.lane_width_m).tolist()
             surfaces += [SURFACES.get(section.lanes[k].kind, ROAD)] * n
         t = np.stack(columns, axis=1)
-        vertices = road.base_points(np.broadcast_to(s[:, None], t.shape), t)
+        vertices = stretch.base_points(np.broadcast_to(s[:, None], t.shape), t)
         uv = np.stack(np.broadcast_arrays(np.array(across)[None], s[:, None]), -1)
         if run:
             vertices[..., 2] += KERB_M

@@ -154,7 +154,7 @@ class MapNetwork(Network):
 
     def way_through(self, lanes: Sequence[NetworkLane]) -> LaneCurve:
         """The centre line along lanes that follow each other, as their traffic drives."""
-        pieces = measured((self.road(lane.road), lane.middle, *lane.driven) for lane in lanes)
+        pieces = measured((self.road(lane.road).stretch_of(lane), lane.middle, *lane.driven) for lane in lanes)
         first = lanes[0]
         ends = 0.0, pieces[-1].end_m
         return LaneCurve(first.id, "centerline", first.road, "none", (), pieces, *ends, lanes=tuple(lanes))
@@ -251,7 +251,7 @@ class MapNetwork(Network):
     ) -> tuple[Points3, Points3, Points3] | None:
         """A lane's middle, its left and its right edge, as its traffic drives: points i are beside each other. None
         where it is farther from a place than about `reach_m`."""
-        road, (first_m, last_m) = self.road(lane.road), lane.driven
+        road, (first_m, last_m) = self.road(lane.road).stretch_of(lane), lane.driven
         s = np.linspace(first_m, last_m, max(2 + int(abs(last_m - first_m) / LINES_STEP_M), 3))
         middle, low, high = (road.points(s, offset(s)) for offset in road.lines_of(lane))
         if not _is_near(middle, xy_world, reach_m):

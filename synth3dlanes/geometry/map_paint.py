@@ -13,10 +13,10 @@ from synth3dlanes.geometry.lane_curves import LaneCurve, LinePaint, Neighbour, m
 from synth3dlanes.geometry.roads import NetworkLane, Offset
 from synth3dlanes.geometry.section_road import SectionRoad
 from synth3dlanes.labels import Direction, Marking, Pair
-from synth3dlanes.road_map import MapMark, MapRoad
+from synth3dlanes.road_map import JUMP_M, MapMark, MapRoad
 
-# Painted lines that end this close to each other, and turn by less than this, are one if their marks are.
-JOINED_M, JOINED_COS = 0.03, 0.99
+# Painted lines that end within JUMP_M of each other, and turn by less than this, are one if their marks are.
+JOINED_COS = 0.99
 # Markings, and pairs from the inner stripe outwards, by kinds of marks.
 MARKINGS: dict[str, tuple[Marking, bool, Pair | None]] = {
     "solid": ("solid", False, None),
@@ -55,7 +55,8 @@ class PaintedEdge(NamedTuple):
 def edges_of(given: MapRoad, road: SectionRoad) -> Iterator[PaintedEdge]:
     """The stretches of all edges of a road's lanes with one mark."""
     driving = {lane.id for lane in road.lanes}
-    for i, (section, own) in enumerate(zip(given.sections, road.sections, strict=True)):
+    for i, (section, stretch) in enumerate(zip(given.sections, road.stretches, strict=True)):
+        (own,) = stretch.sections
         for lane in section.lanes:
             n = lane.number
             edge = own.n_left if n == 0 else own.lanes.index(lane) + (n < 0)
@@ -67,7 +68,7 @@ def edges_of(given: MapRoad, road: SectionRoad) -> Iterator[PaintedEdge]:
                 if mark.kind != "none" and end_m - start_m > LEAST_LINE_M:
                     name = f"{road.id}.{i}.{n}.line{k or ''}"
                     line, look = own.edge_line(edge), _look(mark, n)
-                    yield PaintedEdge(name, road, line, start_m, end_m, *look, left, right)
+                    yield PaintedEdge(name, stretch, line, start_m, end_m, *look, left, right)
 
 
 def _beside(number: int) -> tuple[int, int]:
@@ -126,7 +127,7 @@ def _follows(edges: Sequence[PaintedEdge]) -> dict[tuple[int, bool], tuple[int, 
             out.append((end - inner) / np.linalg.norm(end - inner))
             keys.append((i, at_end))
     found: dict[int, list[int]] = {}
-    for a, b in scipy.spatial.cKDTree(np.array(points)).query_pairs(JOINED_M):
+    for a, b in scipy.spatial.cKDTree(np.array(points)).query_pairs(JUMP_M):
         (i, i_end), (k, k_end) = keys[a], keys[b]
         is_alike = edges[i].look(i_end) == edges[k].look(not k_end)
         if i != k and is_alike and out[a] @ out[b] < -JOINED_COS:

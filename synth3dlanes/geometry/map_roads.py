@@ -1,10 +1,8 @@
 """A scene's map -> Network: its roads near a place with their sections, lanes, paths and painted lines, and junctions.
 The rules are in docs/network.md; World frame, metres."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -13,13 +11,15 @@ from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.map_network import Junction, MapNetwork
 from synth3dlanes.geometry.map_paint import beside_lanes, bounded, edges_of, lines
 from synth3dlanes.geometry.roads import NetworkLane, Offset
-from synth3dlanes.geometry.section_road import CrossSection, Profile, SectionRoad, Shapes
+from synth3dlanes.geometry.section_road import CrossSection, SectionRoad
 from synth3dlanes.labels import Direction
-from synth3dlanes.road_map import MapRoad, RoadMap
+from synth3dlanes.road_map import JUMP_M, MapRoad, RoadMap
 from synth3dlanes.scene import Terrain
 
 # Roads farther from the host than this are left out.
 AROUND_M = 450.0
+# A path goes on over a gap along it of less than this; its direction is measured over this length.
+GAP_M, TANGENT_M = 1.0, 0.01
 # Lanes that are nowhere wider are none.
 LEAST_WIDTH_M = 0.1
 
@@ -39,7 +39,8 @@ class _Reading:
         near = self._near(at_m)
         lanes = {lane.id: lane for road in near for lane in road.lanes}
         links = [link for link in self.map.links if link[0] in lanes and link[1] in lanes]
-        chains = list(_chains(list(lanes.values()), links))
+        stretches = {lane.id: road.stretch_of(lane) for road in near for lane in road.lanes}
+        chains = list(_chains(list(lanes.values()), links, lambda a, b: _meets(lanes[a], lanes[b], stretches)))
         directions = self._directions(lanes, links, chains)
         lanes = {name: replace(lane, direction=directions[name]) for name, lane in lanes.items()}
         roads = {road.id: replace(road, lanes=tuple(lanes[lane.id] for lane in road.lanes)) for road in near}
@@ -86,17 +87,13 @@ class _Reading:
         return found
 
     def _road(self, road: MapRoad) -> SectionRoad:
-        line, offset = plan_line(road.plan), Profile(road.lane_offsets)
-        starts = [section.s_m for section in road.sections] + [line.length_m]
-        sections = tuple(
-            CrossSection.of(section.lanes, span, offset)
-            for section, span in zip(road.sections, pairwise(starts), strict=True)
-        )
+        line = plan_line(road.plan)
+        sections = tuple(CrossSection.of(road, i) for i in range(len(road.sections)))
         lanes = [
             lane for i, section in enumerate(sections) if section.end_m > section.start_m
             for lane in _lanes(road, i, section, self.route)
         ]  # fmt: skip
-        made = SectionRoad(
+        return SectionRoad(
             road.id,
             line,
             self.terrain,
@@ -108,13 +105,8 @@ class _Reading:
             end_m=line.length_m,
             sections=sections,
             plan=line,
-            heights=Profile(road.heights) if road.heights else None,
-            banks=Profile(road.banks) if road.banks else None,
-            shapes=Shapes(road.shapes) if road.shapes else None,
             junction=road.junction,
-        )
-        left, right = (Offset(0.0, partial(made.paved, side)) for side in (0, 1))
-        return replace(made, left=left, right=right)
+        ).with_edges()
 
     # -- lanes and paths
 
@@ -127,7 +119,7 @@ class _Reading:
         first = lanes[0]
         if first.direction == "oncoming":
             lanes = lanes[::-1]
-        parts = [(roads[lane.road], lane.middle, *lane.driven) for lane in lanes]
+        parts = [(roads[lane.road].stretch_of(lane), lane.middle, *lane.driven) for lane in lanes]
         if first.direction == "oncoming":
             parts = [(road, middle, end_m, start_m) for road, middle, start_m, end_m in parts]
         pieces = measured(parts)
@@ -198,9 +190,23 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
         )
 
 
-def _chains(lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]]) -> Iterator[list[str]]:
+def _meets(lane: NetworkLane, after: NetworkLane, stretches: dict[str, SectionRoad]) -> bool:
+    """Whether the middle of a lane begins where that of another ends: neither aside nor in height, and about along."""
+    (s_end, s_begin), step = (lane.driven[1], after.driven[0]), TANGENT_M if after.ascends else -TANGENT_M
+    (end,), begin = (
+        stretches[at.id].points(s, at.middle(s))
+        for at, s in ((lane, np.array([s_end])), (after, np.array([s_begin, s_begin + step])))
+    )
+    gap_m, ahead = begin[0] - end, (begin[1] - begin[0]) / max(np.linalg.norm(begin[1] - begin[0]), TANGENT_M / 2)
+    along_m = gap_m @ ahead
+    return bool(abs(along_m) < GAP_M and np.linalg.norm(gap_m - along_m * ahead) < JUMP_M)
+
+
+def _chains(
+    lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]], meets: Callable[[str, str], bool]
+) -> Iterator[list[str]]:
     """The lanes of every path, as traffic drives: on through links where a lane has one successor which has one
-    predecessor, up to a junction; through it every connector has a path of its own."""
+    predecessor and which it meets, up to a junction; through it every connector has a path of its own."""
     after: dict[str, list[str]] = {lane.id: [] for lane in lanes}
     before: dict[str, list[str]] = {lane.id: [] for lane in lanes}
     where = {lane.id: lane.junction for lane in lanes}
@@ -210,7 +216,11 @@ def _chains(lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]]) -> I
     goes_on = {
         a: beyond[0]
         for a, beyond in after.items()
-        if len(beyond) == 1 and len(before[beyond[0]]) == 1 and where[a] == where[beyond[0]] and beyond[0] != a
+        if len(beyond) == 1
+        and len(before[beyond[0]]) == 1
+        and where[a] == where[beyond[0]]
+        and beyond[0] != a
+        and meets(a, beyond[0])
     }
     reached, seen = set(goes_on.values()), set[str]()
     for is_ring in (False, True):

@@ -1,8 +1,8 @@
 """Roads of maps: sections of lanes of many kinds, with widths that change, heights and banks of their own. World frame,
 metres; t grows to the right of growing s."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from types import EllipsisType
 
@@ -13,7 +13,8 @@ from synth3dlanes.arrays import AnyPoints3, AnyScalars, Numbers
 from synth3dlanes.geometry.map_lines import Chain
 from synth3dlanes.geometry.roads import NetworkLane, Offset, Road, lift
 from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.road_map import MapLane, MapLaneKind, MapShape, Polynomial
+from synth3dlanes.maps.cubics import holding
+from synth3dlanes.road_map import MapLane, MapLaneKind, MapRoad, MapShape, Polynomial
 
 # Lanes of these kinds are raised over the pavement by so much, but for a seam at edges where they are alone.
 KERB_M, SEAM_M = 0.12, 0.005
@@ -90,18 +91,32 @@ class Shapes:
 
 @dataclass(frozen=True, eq=False)
 class CrossSection:
-    """The lanes of a road between two stations, from the left. Edge i is on the left of lane i."""
+    """A road between two stations: its lanes from the left, edge i on the left of lane i, and what moves and lifts
+    them. What begins at its end does not count here: its values there are those from below."""
 
     start_m: float
     end_m: float
     lanes: tuple[MapLane, ...]
     offset: Profile
+    heights: Profile | None = None
+    banks: Profile | None = None
+    shapes: Shapes | None = None
 
     @classmethod
-    def of(cls, lanes: Sequence[MapLane], span_m: tuple[float, float], offset: Profile) -> "CrossSection":
-        """The section of these lanes of a map, among which is perhaps one of number 0, which has no width."""
-        across = sorted((lane for lane in lanes if lane.number), key=lambda lane: -lane.number)
-        return cls(*span_m, tuple(across), offset)
+    def of(cls, road: MapRoad, number: int) -> "CrossSection":
+        """A section of a road of a map. A lane of number 0, which has no width, is left out."""
+        section, span = road.sections[number], road.span_m(number)
+        offset, heights, banks = (
+            Profile(tuple(holding(cubics, *span))) for cubics in (road.lane_offsets, road.heights, road.banks)
+        )
+        return cls(
+            *span,
+            tuple(sorted((lane for lane in section.lanes if lane.number), key=lambda lane: -lane.number)),
+            offset,
+            heights if road.heights else None,
+            banks if road.banks else None,
+            Shapes(road.shapes) if road.shapes else None,
+        )
 
     @cached_property
     def _widths(self) -> list[Profile]:
@@ -137,6 +152,34 @@ class CrossSection:
     def _middle(self, lane: int, s: AnyScalars) -> AnyScalars:
         return (self.edge(lane, s) + self.edge(lane + 1, s)) / 2
 
+    def height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+        """World height of the surface without raised lanes at places, of a road with heights; before its start and
+        beyond its end the height there."""
+        assert self.heights is not None, "asked only of roads with heights"
+        s, t = np.broadcast_arrays(np.clip(s, self.start_m, self.end_m), t)
+        z = self.heights(s)
+        if self.banks is None and self.shapes is None:
+            return z
+        bank, t = self.banks(s) if self.banks is not None else np.zeros(s.shape), self._banked(s, t)
+        z = z - np.tan(bank) * t
+        if self.shapes is not None:
+            # They lie on the banked plane, and stand on it.
+            z = z + self.shapes(s, -t / np.cos(bank)) / np.cos(bank)
+        return np.asarray(z)
+
+    def _banked(self, s: AnyScalars, t: AnyScalars) -> AnyScalars:
+        """Offsets without the widths of level lanes: these have the height of their inner edge, and what lies beyond
+        the outermost lane goes on as that does."""
+        if not any(lane.level for lane in self.lanes):
+            return t
+        edges, last, found = self.edges(s), len(self.lanes) - 1, np.array(t)
+        for i, lane in enumerate(self.lanes):
+            if lane.level:
+                low = np.full(s.shape, -np.inf) if i == 0 and lane.number > 0 else edges[i]
+                high = np.full(s.shape, np.inf) if i == last and lane.number < 0 else edges[i + 1]
+                found -= np.clip(t, low, high) - (high if lane.number > 0 else low)
+        return found
+
     @cached_property
     def paved(self) -> tuple[int, int]:
         """The numbers of the outermost edges of its pavement."""
@@ -155,14 +198,11 @@ class CrossSection:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SectionRoad(Road):
-    """A road of sections over the stations [0, end_m], on the terrain or at `heights` (world z of its line), turned
-    about that by `banks` (radians, positive where its right side is lower)."""
+    """A road of sections over the stations [start_m, end_m], on the terrain or at the heights of its sections (world z
+    of its line), turned about that by their banks (radians, positive where its right side is lower)."""
 
     plan: Chain
     sections: tuple[CrossSection, ...]
-    heights: Profile | None = None
-    banks: Profile | None = None
-    shapes: Shapes | None = None
     junction: str | None = None
 
     @property
@@ -173,12 +213,37 @@ class SectionRoad(Road):
     @cached_property
     def is_raised(self) -> bool:
         """Whether it leaves the terrain anywhere."""
-        return self.heights is not None or self._has_kerbs
+        return self.has_heights or self._has_kerbs
+
+    @property
+    def has_heights(self) -> bool:
+        """Whether it has heights of its own."""
+        return self.sections[0].heights is not None
+
+    @cached_property
+    def stretches(self) -> tuple["SectionRoad", ...]:
+        """The road within each of its sections. Where one ends, the road itself is as the next one begins."""
+        if len(self.sections) == 1:
+            return (self,)
+        return tuple(
+            replace(self, start_m=at.start_m, end_m=at.end_m, sections=(at,), line=line, plan=line).with_edges()
+            for at in self.sections
+            for line in [self.plan.within(at.start_m, at.end_m)]
+        )
+
+    def with_edges(self) -> "SectionRoad":
+        """The road between the edges of the pavement of its own sections."""
+        left, right = (Offset(0.0, partial(self.paved, side)) for side in (0, 1))
+        return replace(self, left=left, right=right)
+
+    def stretch_of(self, lane: NetworkLane) -> "SectionRoad":
+        """The road within the section of one of its lanes."""
+        return self.stretches[int(lane.id.rsplit(".", 2)[1])]
 
     def lines_of(self, lane: NetworkLane) -> tuple[Offset, Offset, Offset]:
         """The lines of a lane's middle and of its edges, from the left."""
-        _, section, number = lane.id.rsplit(".", 2)
-        across = self.sections[int(section)]
+        number = lane.id.rpartition(".")[2]
+        (across,) = self.stretch_of(lane).sections
         at = next(i for i, given in enumerate(across.lanes) if given.number == int(number))
         return lane.middle, across.edge_line(at), across.edge_line(at + 1)
 
@@ -216,7 +281,7 @@ class SectionRoad(Road):
     def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface without raised lanes."""
         xy = self.xy(s, t)
-        if self.heights is None:
+        if not self.has_heights:
             return lift(self.terrain, xy)
         return np.concatenate([xy, self._own_height(s, t)[..., None]], -1)
 
@@ -227,19 +292,16 @@ class SectionRoad(Road):
     def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
         """Height of its surface over the terrain at places."""
         kerb_m = self.kerb(s, t)
-        if self.heights is None:
+        if not self.has_heights:
             return kerb_m
         return np.asarray(self._own_height(s, t) + kerb_m - height_at(self.terrain, self.xy(s, t)))
 
     def _own_height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
-        assert self.heights is not None, "asked only of roads with heights"
-        inside = np.clip(s, self.start_m, self.end_m)
-        z, bank = self.heights(inside), self.banks(inside) if self.banks is not None else np.zeros(np.shape(s))
-        z = z - np.tan(bank) * t
-        if self.shapes is not None:
-            # They lie on the banked plane, and stand on it.
-            z = z + self.shapes(inside, -t / np.cos(bank)) / np.cos(bank)
-        return np.asarray(z)
+        s, t = np.broadcast_arrays(s, t)
+        found = np.zeros(s.shape)
+        for section, here in self._sections_at(s):
+            found[here] = section.height(s[here], t[here])
+        return found
 
     def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
         """Height of raised lanes over the pavement at places."""

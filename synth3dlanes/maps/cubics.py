@@ -1,22 +1,26 @@
 """Values along a road as cubic pieces: read from a file, moved along the road, subtracted."""
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from operator import attrgetter
+from typing import TypeVar
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from synth3dlanes.maps.document import number
-from synth3dlanes.road_map import Polynomial
+from synth3dlanes.road_map import MapMark, Polynomial
 
 Cubics = tuple[Polynomial, ...]
-# Pieces that begin this close to each other begin at one station.
-SAME_M = 1e-6
+# Stations this near to each other are one: files round them.
+SAME_M = 1e-3
 # Products are told by cubics so long.
 STEP_M = 5.0
+# What holds from a station on.
+Begun = TypeVar("Begun", Polynomial, MapMark)
+BEGIN = attrgetter("s_m")
 
 
 def read_cubics(elements: Iterable[Element], key: str, where: str) -> Cubics:
@@ -41,29 +45,31 @@ def _plain(cubics: Iterable[Polynomial]) -> Cubics:
     return tuple(kept)
 
 
-def piece_at(cubics: Sequence[Polynomial], s_m: float) -> Polynomial | None:
-    """The piece that holds at a station: the last that begins at or before it, the first before that."""
-    if not cubics:
-        return None
-    return cubics[max(0, bisect_right(cubics, s_m + SAME_M, key=attrgetter("s_m")) - 1)]
+def holding(items: Sequence[Begun], from_m: float, to_m: float) -> Sequence[Begun]:
+    """Of what holds from its station on, sorted by these, all that does from one station up to another and there from
+    below: first the last that begins at or before it, or the very first."""
+    begun = bisect_right(items, from_m + SAME_M, key=BEGIN)
+    ends = bisect_left(items, to_m - SAME_M, key=BEGIN)
+    first = max(min(begun, ends) - 1, 0)
+    return items[first : max(ends, first + 1)]
 
 
-def value(cubics: Sequence[Polynomial], s_m: float) -> float:
+def piece_at(cubics: Sequence[Polynomial], s_m: float, end_m: float = math.inf) -> Polynomial | None:
+    """The piece that holds at a station, of those that begin before `end_m`."""
+    begun = bisect_right(cubics, s_m + SAME_M, hi=bisect_left(cubics, end_m - SAME_M, key=BEGIN), key=BEGIN)
+    return cubics[max(begun - 1, 0)] if cubics else None
+
+
+def value(cubics: Sequence[Polynomial], s_m: float, end_m: float = math.inf) -> float:
     """The value at a station; 0 without any piece."""
-    piece = piece_at(cubics, s_m)
-    if piece is None:
-        return 0.0
-    x = s_m - piece.s_m
-    return piece.a + x * (piece.b + x * (piece.c + x * piece.d))
+    piece = piece_at(cubics, s_m, end_m)
+    return 0.0 if piece is None else _begun(piece, s_m)[0]
 
 
-def slope(cubics: Sequence[Polynomial], s_m: float) -> float:
+def slope(cubics: Sequence[Polynomial], s_m: float, end_m: float = math.inf) -> float:
     """The slope at a station; 0 without any piece."""
-    piece = piece_at(cubics, s_m)
-    if piece is None:
-        return 0.0
-    x = s_m - piece.s_m
-    return piece.b + x * (2 * piece.c + x * 3 * piece.d)
+    piece = piece_at(cubics, s_m, end_m)
+    return 0.0 if piece is None else _begun(piece, s_m)[1]
 
 
 def begun_at(piece: Polynomial, s_m: float) -> Polynomial:
@@ -88,30 +94,31 @@ def moved(cubics: Sequence[Polynomial], by_m: float) -> Cubics:
 
 def part(cubics: Sequence[Polynomial], from_m: float, to_m: float) -> Cubics:
     """The pieces that hold between two stations, the first one told from `from_m` on; stations count from there."""
-    first = piece_at(cubics, from_m)
-    if first is None:
-        return ()
-    inside = [piece for piece in cubics if from_m + SAME_M < piece.s_m < to_m - SAME_M]
-    return moved((begun_at(first, from_m), *inside), -from_m)
+    kept = holding(cubics, from_m, to_m)
+    return moved((*(begun_at(first, from_m) for first in kept[:1]), *kept[1:]), -from_m)
 
 
-def times(cubics: Sequence[Polynomial], factor: Callable[[float], float], to_m: float) -> Cubics:
-    """A value times another that changes slowly, from station 0 to `to_m`: cubics with its values and slopes at places
-    STEP_M apart."""
+def times(
+    cubics: Sequence[Polynomial], factor: Callable[[float, float], float], to_m: float, breaks: Iterable[float] = ()
+) -> Cubics:
+    """A value times another that changes slowly but at its `breaks`, from station 0 to `to_m`: cubics with its values
+    and slopes at places STEP_M apart. `factor` takes a station, and where the cubic ends: there it is from below."""
     if not cubics:
         return ()
-    stations = sorted({*np.arange(0.0, to_m, STEP_M).tolist(), to_m, *(p.s_m for p in cubics if 0 < p.s_m < to_m)})
+    steps = np.arange(0.0, to_m, STEP_M).tolist()
+    starts = (*breaks, *(piece.s_m for piece in cubics))
+    stations = sorted({*steps, to_m, *(s_m for s_m in starts if 0 < s_m < to_m)})
     found = []
     for low, high in pairwise(stations):
-        piece, h = begun_at(piece_at(cubics, low) or cubics[0], low), high - low
+        h = high - low
         if h < SAME_M:
             continue
-        ends = []
-        for x in (0.0, h):
-            e = min(1e-3, h / 4)
-            rate = (factor(low + x + e) - factor(low + x - e)) / (2 * e)
-            at, bend = value([piece], low + x), slope([piece], low + x)
-            ends.append((at * factor(low + x), bend * factor(low + x) + at * rate))
+        ends, e = [], min(1e-3, h / 4)
+        for s_m, inward in ((low, e), (high, -e)):
+            here, near, next_to = (factor(s_m + k * inward, high) for k in range(3))
+            rate = (4 * near - next_to - 3 * here) / (2 * inward)
+            at, bend = value(cubics, s_m, high), slope(cubics, s_m, high)
+            ends.append((at * here, bend * here + at * rate))
         (a, b), (end, rise) = ends
         c, d = (3 * (end - a) / h - 2 * b - rise) / h, (b + rise - 2 * (end - a) / h) / h**2
         found.append(Polynomial(s_m=low, a=a, b=b, c=c, d=d))
@@ -122,11 +129,11 @@ def steepened(banks: Sequence[Polynomial], heights: Sequence[Polynomial], to_m: 
     """Banks with their tangents divided (`power` 1) or multiplied (-1) by the cosine of the road's climb. A file's roll
     turns a plane that climbs already, which moves its places along the road: from above its fall is steeper."""
 
-    def factor(s_m: float) -> float:
-        bank, rise = value(banks, s_m), math.hypot(1.0, slope(heights, s_m)) ** power
+    def factor(s_m: float, end_m: float) -> float:
+        bank, rise = value(banks, s_m, end_m), math.hypot(1.0, slope(heights, s_m, end_m)) ** power
         return math.atan(math.tan(bank) * rise) / bank if abs(bank) > 1e-6 else rise
 
-    return times(banks, factor, to_m)
+    return times(banks, factor, to_m, (piece.s_m for piece in heights))
 
 
 def difference(one: Sequence[Polynomial], other: Sequence[Polynomial], sign: float = 1.0) -> Cubics:

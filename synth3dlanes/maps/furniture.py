@@ -13,7 +13,7 @@ from synth3dlanes.maps.cubics import value
 from synth3dlanes.maps.document import number
 from synth3dlanes.maps.links import ascends
 from synth3dlanes.maps.plan import places, plan_points
-from synth3dlanes.road_map import MAX_LANES, MapIsland, MapLane, MapPaint, MapRoad, MapSection
+from synth3dlanes.road_map import MAX_LANES, MapIsland, MapLane, MapPaint, MapRoad
 from synth3dlanes.schema import SymbolKind
 
 # What the name, type or subtype of an object says, in small letters without other characters.
@@ -103,12 +103,17 @@ def section_index(road: MapRoad, s_m: float) -> int:
     return max(0, int(np.searchsorted(starts, s_m + 1e-9, side="right")) - 1)
 
 
-def edges_at(road: MapRoad, section: MapSection, s_m: float) -> Iterator[tuple[MapLane, float, float]]:
-    """The lanes of a section with the t of their inner and outer edges at a station of the road."""
+def edges_at(
+    road: MapRoad, section: int, s_m: float, end_m: float = math.inf
+) -> Iterator[tuple[MapLane, float, float]]:
+    """The lanes of a section by its number, with the t of their inner and outer edges at a station of the road. What
+    begins at the end of the section, or at `end_m`, does not count."""
+    (start_m, last_m), lanes = road.span_m(section), road.sections[section].lanes
+    end_m = min(last_m, end_m)
     for sign in (1, -1):
-        edge = value(road.lane_offsets, s_m)
-        for lane in sorted((at for at in section.lanes if at.number * sign > 0), key=lambda at: abs(at.number)):
-            outer = edge + sign * max(value(lane.widths, s_m - section.s_m), 0.0)
+        edge = value(road.lane_offsets, s_m, end_m)
+        for lane in sorted((at for at in lanes if at.number * sign > 0), key=lambda at: abs(at.number)):
+            outer = edge + sign * max(value(lane.widths, s_m - start_m, end_m - start_m), 0.0)
             yield lane, edge, outer
             edge = outer
 
@@ -122,7 +127,7 @@ def driving_at(item: Element, road: MapRoad, where: str) -> tuple[float, list[La
     i = section_index(road, s)
     found = [
         (f"{road.id}.{i}.{lane.number}", lane, min(inner, outer), max(inner, outer))
-        for lane, inner, outer in edges_at(road, road.sections[i], s)
+        for lane, inner, outer in edges_at(road, i, s)
         if lane.kind == "driving"
     ]
     return s, found

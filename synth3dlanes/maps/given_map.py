@@ -4,9 +4,9 @@ import hashlib
 import math
 import zlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -17,14 +17,15 @@ from pydantic import ValidationError
 from synth3dlanes.arrays import Points2
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
-from synth3dlanes.maps.cubics import is_zero, read_cubics, steepened, times, value
+from synth3dlanes.maps.cubics import is_zero, part, read_cubics, steepened, times, value
 from synth3dlanes.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml
 from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
 from synth3dlanes.maps.furniture import edges_at, read_furniture
-from synth3dlanes.maps.lanes import read_sections
+from synth3dlanes.maps.jumps import divided
+from synth3dlanes.maps.lanes import Section, read_sections
 from synth3dlanes.maps.links import LinkedRoad, ascends, lane_links, read_end
 from synth3dlanes.maps.plan import places, read_plan
-from synth3dlanes.road_map import LaneName, MapIsland, MapJunction, MapLane, MapPaint, MapRoad, MapShape
+from synth3dlanes.road_map import LaneName, MapIsland, MapJunction, MapLane, MapPaint, MapRoad, MapSection, MapShape
 from synth3dlanes.schema import Name, shown, validation_problems
 from synth3dlanes.words import counted
 
@@ -51,8 +52,7 @@ class LanePlace(NamedTuple):
     @property
     def span_m(self) -> tuple[float, float]:
         """The stations of the road between which the lane lies."""
-        after = self.road.sections[self.section + 1 :]
-        return self.road.sections[self.section].s_m, after[0].s_m if after else self.road.length_m
+        return self.road.span_m(self.section)
 
     @property
     def length_m(self) -> float:
@@ -271,43 +271,54 @@ def _road(
 ) -> tuple[MapRoad, LinkedRoad]:
     plan = read_plan(element, where, origin)
     length_m = sum(piece.length_m for piece in plan)
-    sections = read_sections(element, length_m, where, left_out)
     for tag in ("crossfall", "crossSectionSurface"):
         left_out[f"{tag} of lateral profiles"] += len(element.findall(f"lateralProfile/{tag}"))
-    heights = read_cubics(element.iterfind("elevationProfile/elevation"), "s", where)
-    if has_heights and not heights:
-        heights = read_cubics([Element("elevation")], "s", where)
-    banks = read_cubics(element.iterfind("lateralProfile/superelevation"), "s", where)
-    if not is_zero(banks):
-        left_out["level lanes on banked roads"] += sum(at.get("level") in ("true", "1") for at in element.iter("lane"))
+    elevations = element.findall("elevationProfile/elevation") or [Element("elevation")]
+    offsets, heights, banks = (
+        part(read_cubics(elements, "s", where), 0.0, length_m)
+        for elements in (
+            element.iterfind("lanes/laneOffset"),
+            elevations if has_heights else (),
+            element.iterfind("lateralProfile/superelevation") if has_heights else (),
+        )
+    )
+    shapes = tuple(_shape(shape, where) for shape in element.iterfind("lateralProfile/shape"))
+    is_tilted = not is_zero(banks) or bool(shapes)
+    sections = read_sections(element, length_m, is_tilted, where, left_out)
     keeps_left = element.get("rule", "RHT") == "LHT"
     road = MapRoad(
         id=name,
         plan=plan,
-        sections=tuple(section.whole() for section in sections),
-        lane_offsets=read_cubics(element.iterfind("lanes/laneOffset"), "s", where),
-        heights=heights if has_heights else (),
-        banks=banks if has_heights else (),
-        shapes=tuple(_shape(shape, where) for shape in element.iterfind("lateralProfile/shape")),
+        sections=_whole(sections),
+        lane_offsets=offsets,
+        heights=heights,
+        banks=banks,
+        shapes=shapes,
         keeps_left=keeps_left,
     )
-    before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
     _check_sizes(road, where)
+    sections = divided(road, sections)
+    road = road.model_copy(update={"sections": _whole(sections)})
     if not is_zero(banks):
         road = _from_above(road)
+    before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
     return road, LinkedRoad(name, sections, before, after, element.get("junction"), keeps_left)
+
+
+def _whole(sections: Iterable[Section]) -> tuple[MapSection, ...]:
+    return tuple(section.whole() for section in sections)
 
 
 def _check_sizes(road: MapRoad, where: str) -> None:
     """Raise FormatError for a road that is somewhere absurdly wide, high or banked."""
-    ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
-    for section, end_m in zip(road.sections, ends, strict=True):
-        for s_m in np.linspace(section.s_m, end_m, 2 + int((end_m - section.s_m) / CHECK_STEP_M)).tolist():
-            edges = [value(road.lane_offsets, s_m), *(outer for _, _, outer in edges_at(road, section, s_m))]
+    for i in range(len(road.sections)):
+        start_m, end_m = road.span_m(i)
+        for s_m in np.linspace(start_m, end_m, 2 + int((end_m - start_m) / CHECK_STEP_M)).tolist():
+            edges = [value(road.lane_offsets, s_m, end_m), *(outer for _, _, outer in edges_at(road, i, s_m))]
             for what, most, found in (
                 ("edges of lanes", MAX_ASIDE_M, max(map(abs, edges))),
-                ("heights", MAX_HEIGHT_M, abs(value(road.heights, s_m))),
-                ("superelevations", MAX_BANK_RAD, abs(value(road.banks, s_m))),
+                ("heights", MAX_HEIGHT_M, abs(value(road.heights, s_m, end_m))),
+                ("superelevations", MAX_BANK_RAD, abs(value(road.banks, s_m, end_m))),
             ):
                 if not found <= most:
                     raise FormatError(f"{where}: {what}: expected at most {most:g}, got {found:.4g} at s = {s_m:.4g}")
@@ -337,7 +348,7 @@ def _end_of(name: LaneName, leaves: bool, roads: dict[Name, MapRoad]) -> tuple[f
     lane = next(at for at in road.sections[section].lanes if at.number == int(number))
     low, high = LanePlace(road, section, lane).span_m
     s_m = high if ascends(lane, road.keeps_left) == leaves else low
-    t_m = next((a + b) / 2 for at, a, b in edges_at(road, road.sections[section], s_m) if at is lane)
+    t_m = next((a + b) / 2 for at, a, b in edges_at(road, section, s_m) if at is lane)
     x, y = places(road.plan, np.array([s_m]), np.array([t_m]))[0].tolist()
     return x, y
 
@@ -348,23 +359,24 @@ def _shape(element: Element, where: str) -> MapShape:
 
 
 def _from_above(road: MapRoad) -> MapRoad:
-    """A banked road, whose widths in the file lie on its banked plane, with those and the fall seen from above."""
+    """A banked road, whose widths in the file lie on its banked plane but for those of level lanes, with those and the
+    fall seen from above."""
 
-    def seen(s_m: float) -> float:
-        return math.cos(value(road.banks, s_m))
+    def seen(from_m: float, x_m: float, end_m: float) -> float:
+        return math.cos(value(road.banks, from_m + x_m, from_m + end_m))
 
-    sections = []
-    ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
-    for section, end_m in zip(road.sections, ends, strict=True):
-
-        def here(x_m: float, from_m: float = section.s_m) -> float:
-            return seen(from_m + x_m)
-
-        lanes = tuple(
-            lane.model_copy(update={"widths": times(lane.widths, here, end_m - section.s_m)}) for lane in section.lanes
+    breaks, sections = [piece.s_m for piece in road.banks], []
+    for i, section in enumerate(road.sections):
+        from_m, end_m = road.span_m(i)
+        here, breaks_here = partial(seen, from_m), [s_m - from_m for s_m in breaks]
+        lanes = (
+            lane
+            if lane.level
+            else lane.model_copy(update={"widths": times(lane.widths, here, end_m - from_m, breaks_here)})
+            for lane in section.lanes
         )
-        sections.append(section.model_copy(update={"lanes": lanes}))
-    offsets = times(road.lane_offsets, seen, road.length_m)
+        sections.append(section.model_copy(update={"lanes": tuple(lanes)}))
+    offsets = times(road.lane_offsets, partial(seen, 0.0), road.length_m, breaks)
     banks = steepened(road.banks, road.heights, road.length_m, 1)
     return road.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets, "banks": banks})
 

@@ -1,11 +1,14 @@
 """Lane sections of a given map: the kinds, widths and marks of lanes, and the numbers that they are linked to."""
 
+import math
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise, starmap
 from xml.etree.ElementTree import Element
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.maps.cubics import Cubics, difference, moved, read_cubics
+from synth3dlanes.maps.cubics import SAME_M, Cubics, difference, holding, part, read_cubics
 from synth3dlanes.maps.document import number, whole
 from synth3dlanes.maps.marks import read_marks
 from synth3dlanes.road_map import MAX_LANES, MapLane, MapLaneKind, MapSection
@@ -28,8 +31,6 @@ KINDS: dict[str, MapLaneKind] = {
     **dict.fromkeys(RESTRICTED, "restricted"),
 }
 SIDES = {"left": 1, "center": 0, "right": -1}
-# Sections begin within a road's length, this far from its end at least.
-END_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -52,30 +53,63 @@ class Section:
         """Without the links."""
         return MapSection(s_m=self.s_m, lanes=tuple(at.lane for at in self.lanes.values()))
 
+    def between(self, from_m: float, to_m: float) -> "Section":
+        """The section between two stations of its road."""
+        span = from_m - self.s_m, to_m - self.s_m
+        lanes = {n: replace(at, lane=lane_between(at.lane, *span)) for n, at in self.lanes.items()}
+        return Section(from_m, lanes)
 
-def read_sections(road: Element, length_m: float, where: str, left_out: Counter[str]) -> tuple[Section, ...]:
-    """The lane sections of a road. A section for a single side keeps the lanes of the other side."""
+    def divided(self, at_m: Sequence[float], end_m: float) -> Iterator["Section"]:
+        """The parts of the section between stations of its road, from one to the next of which its lanes go on."""
+        ends = [self.s_m, *at_m, end_m]
+        for k, between in enumerate(starmap(self.between, pairwise(ends))):
+            yield replace(
+                between,
+                lanes={
+                    n: replace(at, before=at.before if k == 0 else (n,), after=at.after if k == len(at_m) else (n,))
+                    for n, at in between.lanes.items()
+                },
+            )
+
+
+def lane_between(lane: MapLane, from_m: float, to_m: float) -> MapLane:
+    """A lane between two stations of its section, from the first of which its own count."""
+    marks = (mark for mark in holding(lane.marks, from_m, to_m) if mark.s_m < to_m)
+    return lane.model_copy(
+        update={
+            "widths": part(lane.widths, from_m, to_m),
+            "marks": tuple(mark.model_copy(update={"s_m": max(mark.s_m - from_m, 0.0)}) for mark in marks),
+        }
+    )
+
+
+def read_sections(
+    road: Element, length_m: float, is_tilted: bool, where: str, left_out: Counter[str]
+) -> tuple[Section, ...]:
+    """The lane sections of a road, each with what holds in it, level lanes where the road `is_tilted`. One for a single
+    side keeps the lanes of the other."""
     elements = sorted(road.iterfind("lanes/laneSection"), key=lambda at: number(at, "s", where, 0.0))
     if not elements:
         raise FormatError(f"{where}: expected a lane section, got none")
     found: list[Section] = []
     for element in elements:
         s_m = number(element, "s", where, 0.0)
-        section = Section(s_m if found else 0.0, _lanes(element, f"{where}: laneSection {s_m:g}", left_out))
+        section = Section(s_m if found else 0.0, _lanes(element, is_tilted, f"{where}: laneSection {s_m:g}", left_out))
         if found and element.get("singleSide") == "true":
             section = _with_other_side(section, found[-1])
-        if found and section.s_m - found[-1].s_m < END_M:
+        if found and section.s_m - found[-1].s_m < SAME_M:
             # A section without length: the lanes of the next one follow those before it.
             left_out["lane sections without length"] += 1
             found.pop()
-        if not found or section.s_m < length_m - END_M:
+        if not found or section.s_m < length_m - SAME_M:
             found.append(section)
         else:
             left_out["lane sections without length"] += 1
-    return tuple(found)
+    ends = [section.s_m for section in found[1:]] + [length_m]
+    return tuple(section.between(section.s_m, end_m) for section, end_m in zip(found, ends, strict=True))
 
 
-def _lanes(section: Element, where: str, left_out: Counter[str]) -> dict[int, SectionLane]:
+def _lanes(section: Element, is_tilted: bool, where: str, left_out: Counter[str]) -> dict[int, SectionLane]:
     found = {0: SectionLane(MapLane(number=0, kind="none"))}
     borders: dict[int, Cubics] = {}
     for side, sign in SIDES.items():
@@ -88,7 +122,7 @@ def _lanes(section: Element, where: str, left_out: Counter[str]) -> dict[int, Se
             name = f"{where}: lane {at}"
             widths = read_cubics(element.iterfind("width"), "sOffset", name)
             borders[at] = () if widths else read_cubics(element.iterfind("border"), "sOffset", name)
-            found[at] = SectionLane(_lane(element, at, widths, name, left_out), *_linked(element, name))
+            found[at] = SectionLane(_lane(element, at, widths, is_tilted, name, left_out), *_linked(element, name))
     if borders:
         found |= _by_borders(found, borders)
     found = {at: found[at] for at in sorted(found, reverse=True)}
@@ -98,7 +132,7 @@ def _lanes(section: Element, where: str, left_out: Counter[str]) -> dict[int, Se
     return found
 
 
-def _lane(element: Element, at: int, widths: Cubics, where: str, left_out: Counter[str]) -> MapLane:
+def _lane(element: Element, at: int, widths: Cubics, is_tilted: bool, where: str, left_out: Counter[str]) -> MapLane:
     name = element.get("type", "none")
     if at and name not in KINDS:
         left_out[f"the type {name} of lanes"] += 1
@@ -113,6 +147,7 @@ def _lane(element: Element, at: int, widths: Cubics, where: str, left_out: Count
         widths=widths if at else (),
         marks=read_marks(element, at, where, left_out),
         against=direction == "reversed",
+        level=is_tilted and at != 0 and element.get("level") in ("true", "1"),
     )
 
 
@@ -143,20 +178,7 @@ def _by_borders(found: dict[int, SectionLane], borders: dict[int, Cubics]) -> di
 def _with_other_side(section: Section, before: Section) -> Section:
     """A section with the lanes of the one before on the side of which it has none."""
     own = {(at > 0) - (at < 0) for at in section.lanes if at}
-    by_m = before.s_m - section.s_m
-    kept = {
-        at: SectionLane(
-            lane.lane.model_copy(
-                update={
-                    "widths": moved(lane.lane.widths, by_m),
-                    "marks": tuple(m.model_copy(update={"s_m": m.s_m + by_m}) for m in lane.lane.marks),
-                }
-            ),
-            (at,),
-            lane.after,
-        )
-        for at, lane in before.lanes.items()
-        if at and (at > 0) - (at < 0) not in own
-    }
+    gone_on = before.between(section.s_m, math.inf).lanes
+    kept = {at: replace(lane, before=(at,)) for at, lane in gone_on.items() if at and (at > 0) - (at < 0) not in own}
     lanes = section.lanes | kept
     return Section(section.s_m, {at: lanes[at] for at in sorted(lanes, reverse=True)})

@@ -30,14 +30,15 @@ ONE_M = 0.02
 
 
 def read_marks(lane: Element, number_of_lane: int, where: str, left_out: Counter[str]) -> tuple[MapMark, ...]:
-    """The marks of a lane by the stations of its section; of those at one station the last one holds."""
+    """The marks of a lane by the stations of its section; of those at one station the last one holds. One told from
+    before the section is that where it begins."""
     marks = [_mark(mark, number_of_lane, where, left_out) for mark in lane.iterfind("roadMark")]
     by_station = {mark.s_m: mark for mark in marks}
     return tuple(by_station[station] for station in sorted(by_station))
 
 
 def _mark(mark: Element, number_of_lane: int, where: str, left_out: Counter[str]) -> MapMark:
-    station = number(mark, "sOffset", where, 0.0)
+    station = max(number(mark, "sOffset", where, 0.0), 0.0)
     name, color = mark.get("type", "none").lower().replace("_", " "), mark.get("color", "standard").lower()
     kind, is_named = KINDS.get(name, "none"), name in KINDS or name in UNPAINTED
     width_m = number(mark, "width", where, 0.0)

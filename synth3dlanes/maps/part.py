@@ -10,16 +10,16 @@ import numpy as np
 from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
-from synth3dlanes.maps.cubics import SAME_M, moved, part, rounded, value
+from synth3dlanes.maps.cubics import SAME_M, part, rounded, value
 from synth3dlanes.maps.elements import GivenBody, GivenElement
 from synth3dlanes.maps.given_map import GivenMap
+from synth3dlanes.maps.lanes import lane_between
 from synth3dlanes.maps.places import MapStation, draw_route
 from synth3dlanes.maps.plan import plan_points
 from synth3dlanes.road_map import (
     MAX_ROADS,
     GroundPoint,
     LaneName,
-    MapLane,
     MapPaint,
     MapRoad,
     MapSection,
@@ -187,15 +187,8 @@ def _begun(section: MapSection, from_m: float) -> MapSection:
     """A section with stations from `from_m` on."""
     if section.s_m >= from_m:
         return section.model_copy(update={"s_m": section.s_m - from_m})
-    by_m = section.s_m - from_m
-
-    def lane(at: MapLane) -> MapLane:
-        marks = tuple(mark.model_copy(update={"s_m": mark.s_m + by_m}) for mark in at.marks)
-        begun = [mark for mark in marks if mark.s_m <= 0][-1:]
-        marks = (*(mark.model_copy(update={"s_m": 0.0}) for mark in begun), *(mark for mark in marks if mark.s_m > 0))
-        return at.model_copy(update={"widths": part(moved(at.widths, by_m), 0.0, math.inf), "marks": marks})
-
-    return MapSection(s_m=0.0, lanes=tuple(lane(at) for at in section.lanes))
+    lanes = (lane_between(lane, from_m - section.s_m, math.inf) for lane in section.lanes)
+    return MapSection(s_m=0.0, lanes=tuple(lanes))
 
 
 def _rounded(section: MapSection) -> MapSection:

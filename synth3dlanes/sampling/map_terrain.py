@@ -1,15 +1,13 @@
 """The ground of a given map with heights: smooth, at the heights of its roads near these, with the hills of the
 parameters beyond. World frame."""
 
-from itertools import pairwise
-
 import numpy as np
 import scipy
 from jaxtyping import Float
 
 from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.geometry.map_lines import plan_line
-from synth3dlanes.geometry.section_road import CrossSection, Profile
+from synth3dlanes.geometry.section_road import CrossSection
 from synth3dlanes.geometry.terrain import grid_weights, height_at
 from synth3dlanes.road_map import MapRoad, RoadMap
 from synth3dlanes.scene import HeightGrid, Terrain
@@ -42,14 +40,14 @@ def terrain_of(roads: RoadMap, hills: Terrain) -> Terrain:
 
 def road_points(road: MapRoad) -> Points3:
     """Places of a road's surface: on its line and at both edges of its pavement."""
-    line, heights, banks = plan_line(road.plan), Profile(road.heights), Profile(road.banks)
-    offset, found = Profile(road.lane_offsets), []
-    starts = [section.s_m for section in road.sections] + [line.length_m]
-    for section, (start_m, end_m) in zip(road.sections, pairwise(starts), strict=True):
-        s = np.linspace(start_m, end_m, 2 + int(max(end_m - start_m, 0.0) / ALONG_M))
-        edges = CrossSection.of(section.lanes, (start_m, end_m), offset).edges(s)
+    line, found = plan_line(road.plan), []
+    for i in range(len(road.sections)):
+        section = CrossSection.of(road, i)
+        length_m = max(section.end_m - section.start_m, 0.0)
+        s = np.linspace(section.start_m, section.end_m, 2 + int(length_m / ALONG_M))
+        edges, own = section.edges(s), line.within(section.start_m, section.end_m)
         for t in (edges[0], 0 * s, edges[-1]):
-            found.append(np.column_stack([line.xy(s, t), heights(s) - np.tan(banks(s)) * t]))
+            found.append(np.column_stack([own.xy(s, t), section.height(s, t)]))
     return np.concatenate(found)
 
 

@@ -13,7 +13,7 @@ from synth3dlanes.geometry.lane_curves import KNOT_M, LaneCurve
 from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.map_network import MapNetwork
 from synth3dlanes.geometry.roads import NetworkLane
-from synth3dlanes.geometry.section_road import CrossSection, Profile
+from synth3dlanes.geometry.section_road import CrossSection
 from synth3dlanes.host import Shot
 from synth3dlanes.maps.given_map import GivenMap, read_map
 from synth3dlanes.maps.part import MapPart, part_around
@@ -73,15 +73,15 @@ def host_length(part: MapPart) -> float:
 def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
     """The length of a lane's middle as its traffic drives, to its end or to a station."""
     _, section, number = lane.rsplit(".", 2)
-    ends = [at.s_m for at in road.sections] + [road.length_m]
-    low, high = ends[int(section)], ends[int(section) + 1]
-    of = CrossSection.of(road.sections[int(section)].lanes, (low, high), Profile(road.lane_offsets))
+    of = CrossSection.of(road, int(section))
+    low, high = of.start_m, of.end_m
     at = next(i for i, here in enumerate(of.lanes) if here.number == int(number))
     ascends = (int(number) < 0) ^ road.keeps_left ^ of.lanes[at].against
     if to_m is not None:
         low, high = (low, to_m) if ascends else (to_m, high)
     s = np.linspace(low, high, 2 + int((high - low) / KNOT_M))
-    steps = np.diff(plan_line(road.plan).xy(s, of.middle_line(at)(s)), axis=0)
+    line = plan_line(road.plan).within(of.start_m, of.end_m)
+    steps = np.diff(line.xy(s, of.middle_line(at)(s)), axis=0)
     return float(np.hypot(*steps.T).sum())
 
 

@@ -80,7 +80,7 @@ def surface(road: MapRoad, s: float) -> dict[int, np.ndarray]:
     """(x, y, z) of the outer edge of every lane."""
     z = value(road.heights, s)
     found = {}
-    for at, _, outer in edges_at(road, road.sections[section_index(road, s)], s):
+    for at, _, outer in edges_at(road, section_index(road, s), s):
         found[at.number] = np.append(places(road.plan, np.array([s]), np.array([outer]))[0], z)
     return found
 

@@ -57,7 +57,7 @@ def test_a_map_far_from_its_origin_is_read_relative_to_a_round_place() -> None:
 def edges(found: GivenMap, s: float) -> dict[int, tuple[float, float]]:
     """The inner and outer t of every lane of the only road at a station."""
     only = found.roads["1"]
-    at = [part for part in only.sections if part.s_m <= s][-1]
+    at = max(i for i, part in enumerate(only.sections) if part.s_m <= s)
     return {here.number: (inner, outer) for here, inner, outer in edges_at(only, at, s)}
 
 

@@ -42,10 +42,9 @@ def middle(place: LanePlace) -> Points3:
     """Points of the middle of a lane of a map."""
     low, high = place.span_m
     s = np.linspace(low, high, 3 + int(high - low))
-    section = place.road.sections[place.section]
     t = np.array(
         [
-            next((a + b) / 2 for at, a, b in edges_at(place.road, section, x) if at.number == place.lane.number)
+            next((a + b) / 2 for at, a, b in edges_at(place.road, place.section, x) if at.number == place.lane.number)
             for x in s.tolist()
         ]
     )

@@ -15,6 +15,7 @@ from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.maps.cubics import steepened, times, value
+from synth3dlanes.maps.furniture import edges_at
 from synth3dlanes.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
 from synth3dlanes.world import World
 
@@ -238,7 +239,7 @@ def _add_piece(view: Element, piece: PlanPiece, s: float) -> None:
         add(geometry, "line")
 
 
-def _add_heights(element: Element, road: MapRoad, own: Road) -> Callable[[float], float] | None:
+def _add_heights(element: Element, road: MapRoad, own: Road) -> Callable[[float, float, float], float] | None:
     """The heights and the rolls of a road; returns the share of widths on its plane that are seen from above, by
     station, None where it is level across."""
     profile, lateral = add(element, "elevationProfile"), add(element, "lateralProfile")
@@ -275,13 +276,9 @@ def _add_heights(element: Element, road: MapRoad, own: Road) -> Callable[[float]
     return partial(_share, banks)
 
 
-def _share(banks: tuple[Polynomial, ...], s_m: float) -> float:
-    return 1 / math.cos(value(banks, s_m))
-
-
-def _from(share: Callable[[float], float], from_m: float, x_m: float) -> float:
-    """A value by stations of a section that begins at `from_m`."""
-    return share(from_m + x_m)
+def _share(banks: tuple[Polynomial, ...], from_m: float, x_m: float, end_m: float) -> float:
+    """By stations of a section that begins at `from_m`, up to one where it ends."""
+    return 1 / math.cos(value(banks, from_m + x_m, from_m + end_m))
 
 
 def _polynomials(s: Scalars, values: Scalars, tolerance: float) -> Iterable[Polynomial]:
@@ -299,9 +296,9 @@ def _add_cubics(parent: Element, tag: str, cubics: Iterable[Polynomial], key: st
 
 
 def _add_lanes(
-    element: Element, road: MapRoad, touches: list[LaneJoint], roll: Callable[[float], float] | None
+    element: Element, road: MapRoad, touches: list[LaneJoint], roll: Callable[[float, float, float], float] | None
 ) -> None:
-    offsets = times(road.lane_offsets, roll, road.length_m) if roll else road.lane_offsets
+    offsets = times(road.lane_offsets, partial(roll, 0.0), road.length_m) if roll else road.lane_offsets
     _add_cubics(element, "laneOffset", offsets or [Polynomial(s_m=0.0, a=0.0)])
     ends = [section.s_m for section in road.sections[1:]] + [road.length_m]
     for i, (section, end_m) in enumerate(zip(road.sections, ends, strict=True)):
@@ -312,13 +309,13 @@ def _add_lanes(
             group = add(part, side) if lanes else part
             for lane in sorted(lanes, key=lambda at: -at.number):
                 widths = lane.widths
-                if roll and widths:
-                    widths = times(widths, partial(_from, roll, section.s_m), end_m - section.s_m)
+                if roll and widths and not lane.level:
+                    widths = times(widths, partial(roll, section.s_m), end_m - section.s_m)
                 _add_lane(group, road, i, lane.model_copy(update={"widths": widths}), touches)
 
 
 def _add_lane(group: Element, road: MapRoad, i: int, lane: MapLane, touches: list[LaneJoint]) -> None:
-    element = add(group, "lane", id=str(lane.number), type=KINDS[lane.kind], level="false")
+    element = add(group, "lane", id=str(lane.number), type=KINDS[lane.kind], level=str(lane.level).lower())
     if lane.against:
         element.set("direction", "reversed")
     link = add(element, "link")
@@ -349,7 +346,7 @@ def _add_paint(element: Element, road: MapRoad, roads: RoadMap) -> None:
         name = f"p{count}"
         if paint.lane is not None and paint.lane.rsplit(".", 2)[0] == road.id:
             _, i, number = _key(paint.lane)
-            inner, outer = _edges(road, i, number, paint.s_m)
+            inner, outer = next(edges for lane, *edges in edges_at(road, i, paint.s_m) if lane.number == number)
             kind = {"stop_line": "StopLine", "give_way_line": "YieldLine"}.get(paint.kind)
             place = {"s": paint.s_m, "t": (inner + outer) / 2, "zOffset": 0.0, "hdg": 0.0}
             ascends = _ascends(road, i, number)
@@ -367,16 +364,6 @@ def _add_paint(element: Element, road: MapRoad, roads: RoadMap) -> None:
         _add_outline(at, start, island.outline)
     if not len(objects):
         element.remove(objects)
-
-
-def _edges(road: MapRoad, i: int, number: int, s_m: float) -> tuple[float, float]:
-    """t of the edges of a lane."""
-    section, sign = road.sections[i], 1 if number > 0 else -1
-    inner = outer = value(road.lane_offsets, s_m)
-    for at in range(sign, number + sign, sign):
-        lane = next(lane for lane in section.lanes if lane.number == at)
-        inner, outer = outer, outer + sign * max(value(lane.widths, s_m - section.s_m), 0.0)
-    return inner, outer
 
 
 def _add_outline(element: Element, start: PlanPiece, corners: Iterable[tuple[float, float]]) -> None:

@@ -12,7 +12,7 @@ from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.opendrive.convention import USER_DATA
 from synth3dlanes.formats.opendrive.xml import Element
 from synth3dlanes.formats.reading import read_text
-from synth3dlanes.geometry.section_road import Shapes
+from synth3dlanes.geometry.section_road import CrossSection
 from synth3dlanes.maps.document import parse_xml
 from synth3dlanes.maps.given_map import GivenMap, LanePlace, read_opendrive
 from synth3dlanes.maps.plan import places, plan_points
@@ -70,16 +70,11 @@ def _segments(root: Element, given: GivenMap) -> dict[str, str]:
 
 def _middle(place: LanePlace) -> Points3:
     """Points of the middle of a lane in the direction of its traffic."""
-    road, section, number = place.road, place.road.sections[place.section], place.lane.number
-    low, high = place.span_m
-    s = np.linspace(low, high, 2 + int((high - low) / STEP_M))
-    widths = [_values(lane.widths, s - low) for lane in section.lanes if 0 < lane.number / number < 1]
-    t = _values(road.lane_offsets, s) + np.sign(number) * (sum(widths) + _values(place.lane.widths, s - low) / 2)
-    bank = _values(road.banks, s)
-    z = _values(road.heights, s) + np.tan(bank) * t
-    if road.shapes:
-        z += Shapes(road.shapes)(s, t / np.cos(bank)) / np.cos(bank)
-    return np.column_stack([places(road.plan, s, t), z])[:: 1 if place.ascends else -1]
+    road, section = place.road, CrossSection.of(place.road, place.section)
+    s = np.linspace(section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / STEP_M))
+    t = section.middle_line(next(i for i, lane in enumerate(section.lanes) if lane is place.lane))(s)
+    z = section.height(s, t) if road.heights else 0 * s
+    return np.column_stack([places(road.plan, s, -t), z])[:: 1 if place.ascends else -1]
 
 
 def _values(cubics: Sequence[Polynomial], s: Scalars) -> Scalars:

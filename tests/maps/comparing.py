@@ -1,0 +1,95 @@
+"""Labels of scenes on given maps against the file's own numbers, read as `standard` does."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from synth3dlanes.frames import transform
+from synth3dlanes.geometry.map_network import MapNetwork
+from synth3dlanes.labels import Labels
+from synth3dlanes.maps.given_map import GivenMap
+from synth3dlanes.world import World
+from tests.maps.standard import KERB_M, Road
+
+# Labels reach less far from any point of a line; lines are looked at in such steps first.
+REACH_M, COARSE_M = 240.0, 10.0
+
+
+class Apart(NamedTuple):
+    """The farthest that points of labels are from the file's lines, from above and in height (NaN of a map without
+    heights), and the longest step between neighbours of one line aside of its direction."""
+
+    plan_m: float
+    height_m: float
+    jump_m: float
+    n_points: int
+
+
+def apart(world: World, labels: Labels, given: GivenMap, roads: Mapping[str, Road]) -> Apart:
+    """All points of the labels of a scene on a map."""
+    part, network = world.scene.map, world.network
+    assert part is not None
+    assert part.given_frame is not None
+    assert isinstance(network, MapNetwork)
+    files = {name: road_id for road_id, name in given.names.items()}
+    own = {road.id: road for road in part.roads}
+    curves = {curve.id: curve for curve in network.curves}
+    x, y, z, turn = part.given_frame
+    cos, sin = np.cos(turn), np.sin(turn)
+
+    def in_file(xyz_world: np.ndarray) -> np.ndarray:
+        return xyz_world @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + [x, y, z]
+
+    plan, height, jump = [np.zeros(1)], [np.zeros(1)], [0.0]
+    for label in labels.lanes:
+        points, curve = in_file(transform(labels.camera.world_from_cam, label.xyz_cam)), curves[label.id]
+        lines = []
+        for k, piece in enumerate(curve.pieces):
+            road = own[piece.road.id]
+            lengths_m = np.linspace(piece.start_m, piece.end_m, 2 + int((piece.end_m - piece.start_m) / COARSE_M))
+            away_m = np.hypot(*(in_file(curve.points_world(lengths_m)) - points[len(points) // 2])[:, :2].T)
+            near = np.flatnonzero(away_m < REACH_M)
+            if not near.size:
+                continue
+            ends = lengths_m[[max(near[0] - 1, 0), min(near[-1] + 1, len(lengths_m) - 1)]]
+            stations = sorted(piece.on(ends) + road.given_from_m)
+            edges = list(roads[files[road.id]].edges(*stations))
+            if label.kind == "centerline":
+                number = int(curve.lanes[k].id.rpartition(".")[2])
+                lines.append(next(edge.middle for edge in edges if edge.number == number))
+            else:
+                middle = in_file(curve.points_world(np.array([ends.mean()])))
+                own_edge = min(edges, key=lambda edge: float(_off(middle, edge.edge)[0, 0]))
+                lines.append(own_edge.edge + np.array([0, 0, KERB_M * own_edge.is_raised]))
+        off = np.stack([_off(points, line) for line in lines])
+        best = off[off[..., 0].argmin(axis=0), np.arange(len(points))]
+        plan.append(best[:, 0])
+        height.append(best[:, 1])
+        jump.append(_jump(points))
+    has_heights = any(road.heights for road in part.roads)
+    height_m = float(np.max(np.concatenate(height))) if has_heights else np.nan
+    return Apart(float(np.max(np.concatenate(plan))), height_m, max(jump), sum(map(len, plan)) - 1)
+
+
+def _off(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """The distance of each point from a line from above, and its height over the nearest place of it."""
+    a, step = line[:-1], np.diff(line, axis=0)
+    found = []
+    for point in points:
+        to = point - a
+        share = np.clip((to[:, :2] * step[:, :2]).sum(1) / np.maximum((step[:, :2] ** 2).sum(1), 1e-18), 0, 1)
+        off = to - share[:, None] * step
+        away = np.hypot(*off[:, :2].T)
+        i = int(np.argmin(np.hypot(away, 0.1 * off[:, 2])))
+        found.append((away[i], abs(off[i, 2])))
+    return np.array(found)
+
+
+def _jump(points: np.ndarray) -> float:
+    """The farthest that a point lies aside or above of where the two before it lead to, and those behind it too."""
+    if len(points) < 4:
+        return 0.0
+    before = points[2:-1] - 2 * points[1:-2] + points[:-3]
+    behind = points[1:-2] - 2 * points[2:-1] + points[3:]
+    return float(np.minimum(np.linalg.norm(before, axis=1), np.linalg.norm(behind, axis=1)).max(initial=0.0))
