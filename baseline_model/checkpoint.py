@@ -67,8 +67,8 @@ class _Stored(Excerpt):
 
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint. A killed process leaves either the old or the new file; earlier unfinished files are
-    removed."""
+    """Write a checkpoint. A killed process and a failed write leave the old file or the new one, whole; earlier
+    unfinished files are removed."""
     document = {
         "format": FORMAT,
         "version": VERSION,

@@ -1,9 +1,13 @@
 """The output of a training run: a progress line, `history.jsonl`, TensorBoard."""
 
+import importlib.util
 import json
+import os
 import time
 from contextlib import ExitStack
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
+from fractions import Fraction
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +16,15 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, read_bounded
 
 from .metrics import EvaluationReport
 from .report import summary_line, to_document
 
 WRITE_EVERY_S = 2.0
 LINE_EVERY_S = 30.0
+MOST_HISTORY = 1 << 30
+"""Bytes of `history.jsonl`: a line of 300 every two seconds for months."""
 
 
 class ProgressLine(ExitStack):
@@ -68,10 +74,8 @@ class TrainingLog(ExitStack):
         self.n_steps, self.steps_per_epoch = n_steps, steps_per_epoch
         self._loss: Float[Tensor, ""] | None = None
         self._steps_of_loss = 0
+        self.board = _tensorboard(out_dir, step) if is_shown else None
         self.line = self.enter_context(ProgressLine("step", n_steps, step, is_shown=is_shown))
-        self.board = _tensorboard(out_dir) if is_shown else None
-        if self.board is not None:
-            self.callback(self.board.close)
         self.first_step, self.started_at, self.written_at = step, time.monotonic(), 0.0
 
     def step(self, step: int, learning_rate: float, terms: dict[str, Float[Tensor, ""]]) -> None:
@@ -128,15 +132,66 @@ class TrainingLog(ExitStack):
         with Folder(self.out_dir).append("history.jsonl") as file:
             file.write(f"{json.dumps(document)}\n".encode())
         if self.board is not None:
-            for name, value in scalars.items():
-                self.board.add_scalar(name, value, step)
+            self.board.add(scalars, step)
 
 
-def _tensorboard(out_dir: Path) -> Any:
-    """A writer, or None if tensorboard is not installed; `history.jsonl` has the same numbers."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
+def trim_history(out_dir: Path, step: int, scale: Fraction) -> None:
+    """Keep of `history.jsonl` what was written up to the step, of the batch before, from which a run goes on. A killed
+    run leaves later lines, and a part of one. `scale` are steps of now per step of then."""
+    folder = Folder(out_dir)
+    if not folder.exists("history.jsonl"):
+        return
+    folder.expect_file("history.jsonl")
+    kept = dict[tuple[int, bool], bytes]()
+    data = read_bounded(out_dir / "history.jsonl", MOST_HISTORY)
+    for line in data.splitlines():
+        try:
+            entry = json.loads(line)
+            found, is_validation = int(entry["step"]), "val" in entry
+        except (ValueError, TypeError, KeyError, RecursionError):
+            continue
+        if found <= step:
+            entry["step"] = int(found * scale)
+            kept[entry["step"], is_validation] = f"{json.dumps(entry)}\n".encode()
+    trimmed = b"".join(kept.values())
+    if trimmed != data:
+        folder.write("history.jsonl", trimmed)
+
+
+class Board:
+    """A log for TensorBoard, written as it is told, in records of TensorFlow's format."""
+
+    def __init__(self, out_dir: Path, step: int) -> None:
+        from tensorboard.compat.proto import event_pb2
+
+        self._pb, self._folder = event_pb2, Folder(out_dir)
+        self._folder.make("tensorboard")
+        now = datetime.now(UTC).timestamp()
+        self._path = f"tensorboard/events.out.tfevents.{now:.0f}.{os.uname().nodename}.{os.getpid()}"
+        self._add(file_version="brain.Event:2")
+        if step:
+            # What an earlier process told of later steps does not hold.
+            self._add(step=step + 1, session_log=event_pb2.SessionLog(status=event_pb2.SessionLog.START))
+
+    def add(self, scalars: dict[str, float], step: int) -> None:
+        """Log values."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        values = [Summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
+        self._add(step=step, summary=Summary(value=values))
+
+    def _add(self, **content: Any) -> None:
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        record = BytesIO()
+        event = self._pb.Event(wall_time=datetime.now(UTC).timestamp(), **content)
+        RecordWriter(record).write(event.SerializeToString())
+        with self._folder.append(self._path) as file:
+            file.write(record.getvalue())
+
+
+def _tensorboard(out_dir: Path, step: int) -> Board | None:
+    """A log, or None if tensorboard is not installed; `history.jsonl` has the same numbers."""
+    if importlib.util.find_spec("tensorboard") is None:
         return None
-    Folder(out_dir).make("tensorboard")
-    return SummaryWriter(str(out_dir / "tensorboard"))
+    return Board(out_dir, step)

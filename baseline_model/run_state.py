@@ -1,6 +1,8 @@
 """The state of a training run: processes, model, optimiser, `last.pt`."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,7 +10,9 @@ from typing import Any
 import torch
 from torch import nn
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.dataset.locks import locks
+from synth3dlanes.errors import ClaimedError, FormatError, InputError
+from synth3dlanes.files import Folder
 
 from . import checkpoint as checkpoints
 from .config import CustomModel, TrainConfig
@@ -41,6 +45,9 @@ class TrainingRun:
     step: int = 0
     best: float = -1.0
     history: list[dict[str, Any]] = field(default_factory=list)
+    saved_step: int = 0
+    saved_batch: int = 0
+    """The step of `last.pt`, and the batch of the steps before it."""
 
 
 def start_process(config: TrainConfig) -> Process:
@@ -75,6 +82,34 @@ def save(trainee: TrainingRun, out_dir: Path, about: dict[str, Any]) -> None:
     }
     weights = trainee.average.model.state_dict()
     checkpoints.save(out_dir / "last.pt", checkpoints.Checkpoint(trainee.config, about, weights, resume))
+
+
+def last_saved(out_dir: Path) -> tuple[int, int] | None:
+    """What tells whether another process has written `last.pt` since; None where there is none."""
+    try:
+        found = os.lstat(out_dir / "last.pt")
+    except FileNotFoundError:
+        return None
+    return found.st_ino, found.st_mtime_ns
+
+
+@contextmanager
+def claimed(out_dir: Path, process: Process, read: tuple[int, int] | None) -> Iterator[None]:
+    """The folder of a run, made if missing, while no other training writes it; `read` is what `last_saved` was when the
+    state of the run was read. Raises ClaimedError."""
+    folder = Folder(out_dir)
+    folder.make()
+    if process.rank != 0:
+        yield
+        return
+    with locks(folder, ".") as held:
+        if not held.take(0):
+            raise ClaimedError(
+                f"out {out_dir}: expected no other training at work here, got one; wait until it is done"
+            )
+        if last_saved(out_dir) != read:
+            raise ClaimedError(f"out {out_dir}: another training has just been at work here; run it again to resume")
+        yield
 
 
 def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[str, Any]) -> TrainingRun:
@@ -128,7 +163,8 @@ def _resume(trainee: TrainingRun, found: checkpoints.Checkpoint, out_dir: Path) 
         trainee.average.model.load_state_dict(found.model)
         trainee.optimizer.load_state_dict(state["optimizer"])
         trainee.schedule = Schedule(**state["schedule"])
-        trainee.step = state["step"] * found.config.batch // config.batch
+        trainee.saved_step, trainee.saved_batch = int(state["step"]), found.config.batch
+        trainee.step = trainee.saved_step * found.config.batch // config.batch
         trainee.best, trainee.history = float(state["best"]), list(state["history"])
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else str(error).partition("\n")[0]

@@ -6,6 +6,7 @@ All randomness in step s follows from (seed, s), so that a killed run resumes wi
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,9 @@ from .inference import Detector, choose_device
 from .loading import ANNOTATIONS, Decoding, Process, decoding_of, open_examples, training_batches
 from .metrics import EvaluationReport, MetricConfig
 from .model import LaneNet
-from .progress import TrainingLog
+from .progress import TrainingLog, trim_history
 from .report import to_document
-from .run_state import TrainingRun, prepare, save, start_process
+from .run_state import TrainingRun, claimed, last_saved, prepare, save, start_process
 from .sources import describe, focal_lengths, training_and_validation
 from .task import Terms, task_of
 
@@ -87,8 +88,20 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
         "val": {"n_images": len(val_samples)},
         "torch": str(torch.__version__),
     }
+    found = last_saved(out_dir)
     trainee = prepare(config, process, out_dir, about)
-    Folder(out_dir).make()
+    with claimed(out_dir, process, found):
+        _run(trainee, train_samples, val_samples, out_dir, about)
+    if process.world > 1:
+        torch.distributed.destroy_process_group()
+    return out_dir / "best.pt"
+
+
+def _run(
+    trainee: TrainingRun, train_samples: Samples, val_samples: Samples, out_dir: Path, about: dict[str, Any]
+) -> None:
+    """The steps that are left of a run, in its own folder."""
+    config, process = trainee.config, trainee.process
     decoding = decoding_of(len(train_samples), config, process)
     examples = open_examples(train_samples, decoding, config, process, out_dir)
     length = RunLength.of(config, len(examples))
@@ -117,13 +130,13 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
                 log.epoch(trainee.step, report)
     if process.world > 1:
         torch.distributed.barrier()
-        torch.distributed.destroy_process_group()
     Folder(out_dir).remove(ANNOTATIONS)
-    return out_dir / "best.pt"
 
 
 def _log(out_dir: Path, length: RunLength, trainee: TrainingRun) -> TrainingLog:
     is_shown = trainee.process.rank == 0
+    if is_shown:
+        trim_history(out_dir, trainee.saved_step, Fraction(trainee.saved_batch, trainee.config.batch))
     return TrainingLog(
         out_dir, length.n_steps, length.steps_per_epoch, trainee.step, trainee.config.batch, is_shown=is_shown
     )

@@ -45,7 +45,7 @@ class _Worker:
             made = _read(self.pipe)
         except EOFError:
             _mourn(self.process)
-        if isinstance(made, Synth3dlanesError):
+        if isinstance(made, (Synth3dlanesError, OSError)):
             raise made
         return made
 
@@ -56,7 +56,8 @@ def made_ahead(
     """`make` of each list of indices, in order, by so many processes, or by this one if there are none. Tensors in
     named tuples come in page-locked memory if the device is a GPU.
 
-    Raises the errors of ours that `make` raises, and WorkerError where a worker ends before its work is done.
+    Raises the errors of ours and of the system that `make` raises, and WorkerError where a worker ends before its work
+    is done.
     """
     if not n_workers:
         yield from map(make, order)
@@ -112,7 +113,7 @@ def _work(
         for indices in islice(order, number, None, n_workers):
             try:
                 _write(stream, make(indices))
-            except Synth3dlanesError as error:
+            except (Synth3dlanesError, OSError) as error:
                 _write(stream, error)
             except MemoryError:
                 _write(stream, WorkerError(f"workers: a loader's worker found no memory; {ADVICE}"))
