@@ -5,7 +5,6 @@
 
 import json
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from pydantic import ConfigDict, ValidationError
 from torch import Tensor, nn
 
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import Folder
+from synth3dlanes.files import Folder, encoded
 from synth3dlanes.schema import Excerpt, Positive, validation_problems
 
 from .config import CustomModel, ModelConfig, TrainConfig, changed, parse
@@ -79,10 +78,7 @@ def save(path: Path, checkpoint: Checkpoint) -> None:
     }
     folder = Folder(path.parent)
     folder.remove_unfinished(path.name)
-    # torch ends a write that fails with an error of its own, which names no file.
-    data = BytesIO()
-    torch.save(document, data)
-    folder.write(path.name, data.getvalue())
+    folder.write(path.name, encoded(lambda stream: torch.save(document, stream)))
 
 
 def load(path: Path, own_model: str | None = None) -> Checkpoint:

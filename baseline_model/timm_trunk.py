@@ -4,6 +4,7 @@ timm says neither where its features lie nor does it share a layout of layers, s
 """
 
 import copy
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,10 @@ MOST_WEIGHTS = 8 << 30
 """Size of the image in which lattices are measured: what a feature in its middle sees is hardly cut off."""
 
 
+class UnevenError(ValueError):
+    """The features of a map have no place in the image that is the same for all sizes."""
+
+
 class TimmPathway(nn.Module):
     """The maps of a timm network at strides 2, 4, 8, 16. Images are normalised as for most of timm's weights."""
 
@@ -36,8 +41,13 @@ class TimmPathway(nn.Module):
         self.name = config.backbone.removeprefix(TIMM)
         self.indices = _indices(self.name)[:n_stages]
         self.trunk = _create(self.name, out_indices=self.indices)
+        self.dropped = drop_unused(self.trunk)
         self.channels: tuple[int, ...] = tuple(self.trunk.feature_info.channels())
-        self.lattices = measured_lattices(self.trunk, config.image_height_px, config.image_width_px)
+        size_px = config.image_height_px, config.image_width_px
+        try:
+            self.lattices = measured_lattices(self.trunk, *size_px)
+        except UnevenError as error:
+            raise InputError(f"model.backbone: {_symmetric(self.name, *size_px) or error}") from None
         self.mean: Tensor
         self.std: Tensor
         self.register_buffer("mean", torch.tensor(IMAGE_MEAN)[:, None, None], persistent=False)
@@ -69,7 +79,30 @@ class TimmPathway(nn.Module):
                 raise FormatError(f"{path}: {name}: expected shape {expected} for {self.name}, got {got}")
         source = {"state_dict": state, "custom_load": False}
         loaded = _create(self.name, out_indices=self.indices, pretrained=True, pretrained_cfg_overlay=source)
+        drop_unused(loaded)
         self.trunk.load_state_dict(loaded.state_dict())
+
+
+@torch.enable_grad()
+def drop_unused(trunk: nn.Module) -> tuple[str, ...]:
+    """Remove what no map depends on, as stages behind the last map; return the names of these parts. They would take
+    time, and DistributedDataParallel waits for their gradients."""
+    was_training = trunk.training
+    maps = trunk.eval()(torch.zeros(1, 3, 64, 64))
+    total = torch.stack([features.sum() for features in maps]).sum()
+    weights = dict(trunk.named_parameters())
+    gradients = torch.autograd.grad(total, list(weights.values()), allow_unused=True)
+    used = {name for name, gradient in zip(weights, gradients, strict=True) if gradient is not None}
+    dropped: list[str] = []
+    for name, module in list(trunk.named_modules()):
+        if isinstance(module, nn.Sequential | nn.ModuleList | nn.ModuleDict):
+            continue  # a forward pass may go through its parts
+        own = {f"{name}.{inner}" for inner, _ in module.named_parameters()}
+        if name and own and not own & used and not name.startswith(tuple(f"{part}." for part in dropped)):
+            trunk.set_submodule(name, nn.Identity())
+            dropped.append(name)
+    trunk.train(was_training)
+    return tuple(f"trunk.{name}." for name in dropped)
 
 
 @torch.enable_grad()
@@ -99,7 +132,7 @@ def measured_lattices(trunk: nn.Module, height_px: int, width_px: int) -> list[L
             offsets.append(middle_px - stride * (index + 0.5))
         offset = round(2 * offsets[0]) / 2
         if max(abs(found - offset) for found in offsets) > 0.1:
-            raise InputError(f"model.backbone: expected features at whole or half pixels, got offsets {offsets}")
+            raise UnevenError(f"expected features at whole or half pixels, got offsets {offsets}")
         lattices.append(Lattice(stride, offset))
     return lattices
 
@@ -128,6 +161,18 @@ def _indices(name: str) -> tuple[int, ...]:
             f"model.backbone: expected a network with maps at strides 2, 4, 8, 16, got {strides} of {name}"
         )
     return tuple(max(i for i, found in enumerate(strides) if found == stride) for stride in STRIDES)
+
+
+def _symmetric(name: str, height_px: int, width_px: int) -> str | None:
+    """What to take in the place of a network that pads as TensorFlow does; None for others."""
+    if not name.startswith("tf_"):
+        return None
+    same = name.removeprefix("tf_").partition(".")[0]
+    instead = "; a network with symmetric padding is timm:efficientnet_lite0"
+    with suppress(InputError, UnevenError):
+        measured_lattices(_create(same, out_indices=_indices(same)), height_px, width_px)
+        instead = f"; the same with symmetric padding is timm:{same}"
+    return f"expected a network with symmetric padding, got {name}, which pads as TensorFlow does{instead}"
 
 
 def _create(name: str, *, features_only: bool = True, pretrained: bool = False, **settings: Any) -> Any:

@@ -1,29 +1,47 @@
 """Trunks of timm: where their features lie, their weights from files, and a network around them."""
 
+import os
+import socket
+import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
+from synth3dlanes_baseline import checkpoint
 from synth3dlanes_baseline.backbone import ImagePathway
 from synth3dlanes_baseline.config import MODELS, PAPER, train_config
 from synth3dlanes_baseline.layers import PIXELS, lattice_after
 from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.pretrained import load_pretrained
+from synth3dlanes_baseline.tensors import load_weights
 from synth3dlanes_baseline.timm_trunk import TimmPathway, measured_lattices
+from synth3dlanes_baseline.train import train_on
 from torch import nn
 
 from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+from tests.baseline.conftest import drawn_samples
+from tests.baseline.test_workers import run
+from tests.thorough import first
 
 
-@pytest.fixture(scope="module")
-def timm():
-    """timm, also beside a CPU build of torch, where torchvision, which it imports, may lack two operators."""
+def operators():
+    """What torchvision, which timm imports, may lack beside a CPU build of torch."""
     library = torch.library.Library("torchvision", "FRAGMENT")
     for name in ("nms", "qnms"):
         if not hasattr(torch.ops.torchvision, name):
             library.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-    return pytest.importorskip("timm")
+    return library
+
+
+@pytest.fixture(scope="module")
+def timm():
+    """timm, also beside a CPU build of torch."""
+    library = operators()
+    yield pytest.importorskip("timm")
+    del library
 
 
 def _config(backbone, **changes):
@@ -126,6 +144,76 @@ def test_a_network_around_a_trunk_learns_and_its_checkpoint_rebuilds_it(timm):
     early = LaneNet(_config("timm:resnet18", **{"model.variant": "early_ipm", "model.pose_target": "fixed"}))
     assert len(early.image.channels) == 1
     assert early(image, intrinsics).x_m.isfinite().all()
+
+
+@pytest.mark.parametrize("variant", ["full", "early_ipm"])
+@pytest.mark.parametrize("name", first(2, ["mobilenetv3_small_100", "mobilenetv4_conv_small_035", "mobilenetv2_050"]))
+def test_every_parameter_has_a_gradient(timm, name, variant):
+    """DistributedDataParallel waits for all of them; stages behind the last map belong to no network of ours."""
+    fixed = {"model.pose_target": "fixed"} if variant == "early_ipm" else {}
+    model = LaneNet(_config(f"timm:{name}", **{"model.variant": variant, **fixed}))
+    output = model(torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]] * 2))
+    sum(value.square().sum() for value in (output.x_m, output.z_m, output.logit, output.pose)).backward()
+    assert [key for key, value in model.named_parameters() if value.grad is None] == []
+    # The maps are those of the whole network, also with its weights from a file or from a checkpoint of before.
+    whole = timm.create_model(name, pretrained=False, features_only=True, out_indices=model.image.indices).eval()
+    image = torch.rand(1, 3, 120, 160)
+    own = {key: value for key, value in model.state_dict().items() if not key.startswith("image.trunk.")}
+    before = own | {f"image.trunk.{key}": value for key, value in whole.state_dict().items()}
+    assert len(before) > len(model.state_dict())
+    load_weights(model, before, "init", "x.pt")
+    pathway = model.image.eval()
+    with torch.no_grad():
+        for mine, its in zip(pathway(image), whole((image - pathway.mean) / pathway.std), strict=True):
+            assert mine.equal(its)
+
+
+def train_as_one_of_two(out):
+    """A step of a training whose other half another process makes."""
+    library = operators()
+    samples = drawn_samples(np.random.default_rng(0), 4, (160, 120))
+    settings = {
+        "batch": 4,
+        "epochs": 1.0,
+        "device": "cpu",
+        "workers": 0,
+        "model.backbone": "timm:mobilenetv3_small_100",
+    }
+    train_on(train_config("tiny", settings), samples, samples, Path(out))
+    assert library
+
+
+@pytest.mark.thorough
+def test_two_processes_train_a_network_around_a_trunk(timm, tmp_path):
+    script = "from tests.baseline.test_timm import train_as_one_of_two; train_as_one_of_two(sys.argv[1])"
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        where = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1]), "WORLD_SIZE": "2"}
+    ranks = [
+        {**os.environ, **where, "RANK": str(rank), "LOCAL_RANK": str(rank), "LOCAL_WORLD_SIZE": "2"} for rank in (0, 1)
+    ]
+    command = [*run(script=script), str(tmp_path)]
+    both = [subprocess.Popen(command, env=env, stderr=subprocess.PIPE, text=True) for env in ranks]
+    told = [process.communicate(timeout=240)[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], told
+    assert checkpoint.load(tmp_path / "best.pt").about["step"] == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "instead"),
+    [
+        *first(1, [("tf_efficientnet_lite0", "the same with symmetric padding is timm:efficientnet_lite0")]),
+        *first(0, [("tf_mobilenetv3_small_100", "the same with symmetric padding is timm:mobilenetv3_small_100")]),
+        *first(0, [("tf_efficientnet_es", "a network with symmetric padding is timm:efficientnet_lite0")]),
+        *first(
+            0, [("tf_mobilenetv3_small_minimal_100", "a network with symmetric padding is timm:efficientnet_lite0")]
+        ),
+    ],
+)
+def test_a_trunk_with_the_padding_of_tensorflow_names_one_that_works(timm, name, instead):
+    with pytest.raises(InputError, match=rf"^model\.backbone: .*got {name}, which pads as TensorFlow does; {instead}$"):
+        LaneNet(_config(f"timm:{name}"))
+    LaneNet(_config(instead.rpartition(" ")[2]))
 
 
 def test_wrong_trunks_and_files_are_refused(timm, tmp_path):
