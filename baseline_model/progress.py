@@ -162,7 +162,7 @@ class Board:
     """A log for TensorBoard, written as it is told, in records of TensorFlow's format."""
 
     def __init__(self, out_dir: Path, step: int) -> None:
-        from tensorboard.compat.proto import event_pb2
+        from tensorboard.compat.proto import event_pb2  # type: ignore[import-untyped,import-not-found,unused-ignore]
 
         self._pb, self._folder = event_pb2, Folder(out_dir)
         self._folder.make("tensorboard")
@@ -175,13 +175,13 @@ class Board:
 
     def add(self, scalars: dict[str, float], step: int) -> None:
         """Log values."""
-        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore[import-untyped,import-not-found,unused-ignore]
 
         values = [Summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
         self._add(step=step, summary=Summary(value=values))
 
     def _add(self, **content: Any) -> None:
-        from tensorboard.summary.writer.record_writer import RecordWriter
+        from tensorboard.summary.writer.record_writer import RecordWriter  # type: ignore[import-untyped,import-not-found,unused-ignore]
 
         record = BytesIO()
         event = self._pb.Event(wall_time=datetime.now(UTC).timestamp(), **content)
