@@ -5,6 +5,7 @@ grid.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -85,12 +86,28 @@ def _polygons_alone(area: BaseGeometry) -> BaseGeometry:
     return shapely.MultiPolygon([part for part in nested if isinstance(part, shapely.Polygon)])
 
 
-def signed_distance(area: BaseGeometry, xy_world: AnyPoints2) -> AnyScalars:
-    """Distance of points from an area, negative in it."""
-    flat = shapely.points(xy_world.reshape(-1, 2))
-    inside = shapely.contains_properly(area, flat)
-    distance = np.where(inside, -shapely.distance(shapely.boundary(area), flat), shapely.distance(area, flat))
-    return np.asarray(distance.reshape(xy_world.shape[:-1]))
+class Outlined(NamedTuple):
+    """An area and a tree of the sides of its outline."""
+
+    area: BaseGeometry
+    sides: shapely.STRtree
+
+
+def outlined(area: BaseGeometry) -> Outlined:
+    """An area, to be asked for distances."""
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_parts(shapely.boundary(area))]
+    sides = [np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings]
+    return Outlined(area, shapely.STRtree(shapely.linestrings(np.concatenate(sides)) if sides else []))
+
+
+def signed_distance(of: Outlined, xy_world: AnyPoints2) -> AnyScalars:
+    """Distance of points from an area, negative in it; infinite from an empty one."""
+    places = xy_world.reshape(-1, 2)
+    flat, distance = shapely.points(places), np.full(len(places), np.inf)
+    (at, _), found = of.sides.query_nearest(flat, return_distance=True, all_matches=False)
+    distance[at] = found
+    distance[shapely.contains_properly(of.area, flat)] *= -1
+    return distance.reshape(xy_world.shape[:-1])
 
 
 def contains(area: BaseGeometry, xy_world: Points2) -> Bool[np.ndarray, " n"]:

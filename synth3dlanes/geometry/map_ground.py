@@ -18,10 +18,12 @@ from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.geometry.areas import (
+    Outlined,
     clipped,
     contains,
     difference,
     filled,
+    outlined,
     outset,
     polygon_between,
     polygons_of,
@@ -369,9 +371,17 @@ class MapGround(Ground):
         z[inside] = self.under(flat[inside]) - UNDER_FALL_M * self.cell_scale(flat[inside])
         return z.reshape(xy_world.shape[:-1])
 
+    @cached_property
+    def _outlined(self) -> Outlined:
+        return outlined(self.pavement)
+
+    @cached_property
+    def _carriageways_outlined(self) -> Outlined:
+        return outlined(self.carriageways)
+
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement, negative on it."""
-        return signed_distance(self.pavement, xy_world)
+        return signed_distance(self._outlined, xy_world)
 
     def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are farther than so much from any pavement."""
@@ -385,7 +395,7 @@ class MapGround(Ground):
 
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""
-        return signed_distance(self.carriageways, xy_world)
+        return signed_distance(self._carriageways_outlined, xy_world)
 
     def shows(self, curve: LaneCurve) -> bool:
         """Whether a line's paint is near enough to be drawn."""

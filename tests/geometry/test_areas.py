@@ -16,9 +16,11 @@ from synth3dlanes.geometry.areas import (
     NOTHING,
     difference,
     intersection,
+    outlined,
     outset,
     polygon_between,
     ring_area,
+    signed_distance,
     solid,
     union,
 )
@@ -91,3 +93,16 @@ def test_geometry_overlays_areas_here_alone() -> None:
         if node.attr in overlays and path.name != "areas.py"
     }
     assert found <= allowed
+
+
+@given(st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), min_size=1, max_size=20))
+def test_distances_are_those_of_shapely_itself(points: list[tuple[float, float]]) -> None:
+    island = shapely.Polygon([(-5, -5), (5, -5), (5, 5), (-5, 5)])
+    area = shapely.union_all([shapely.Point(0, 0).buffer(20).difference(island), shapely.box(22, 0, 25, 4)])
+    xy, places = np.array(points), shapely.points(points)
+    outside, inside = shapely.distance(area, places), shapely.distance(shapely.boundary(area), places)
+    expected = np.where(shapely.contains_properly(area, places), -inside, outside)
+    # On the outline 0 may have either sign.
+    np.testing.assert_array_equal(np.abs(signed_distance(outlined(area), xy)), np.abs(expected))
+    np.testing.assert_array_equal(signed_distance(outlined(area), xy) < 0, expected < 0)
+    assert np.isinf(signed_distance(outlined(shapely.MultiPolygon()), xy)).all()
