@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
 
+from synth3dlanes.arrays import Scalars
+from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
@@ -38,6 +40,8 @@ MAX_YELLOW = 0.12
 BRIGHTER, AROUND_PX = 1.05, 4
 # Pavement whose lighter parts have so many times the light of its darker ones lies partly in a shadow.
 MOST_UNEVEN = 3
+# Rough roads glare so far about the mirrored sun.
+GLARE_RAD = 0.6
 # A road of more light than this, of 1 for white, leaves paint no room to be brighter.
 MAX_LIGHT = 0.6
 # Share of a picture, without sky, that may be black: at most 0.0007 in 120.
@@ -135,6 +139,7 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
     for number, lane in enumerate(lane for lane in evidence.labels.lanes if lane.kind == "delimiter"):
         at = (numbers == number) & near
         at = binary_opening(at, np.ones((RESOLVED_PX, RESOLVED_PX), dtype=bool))
+        at[at] = ~_may_glare(evidence, at)
         color = lane.color or "white"
         if at.sum() < MIN_PAINT or not evidence.paint.shows or not evidence.paint.stands_out(color):
             continue
@@ -146,7 +151,8 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
             yield Bounded("appearance.yellow", float(red - blue), most=MAX_YELLOW)
         if color == "white" and red - blue > MAX_YELLOW:
             yield Finding(lane.id, f"image: expected white paint, got yellow ({red - blue:+.2f} of red over blue)")
-        times = brighter(linear[at], beside, evidence.paint.contrast(color))
+        # In red, of which yellow paint has as much as white one.
+        times = brighter(linear[at][:, 0], beside[:, 0], evidence.paint.contrast("white"))
         if np.isinf(times):
             continue
         yield Bounded("appearance.brighter", times, BRIGHTER)
@@ -163,11 +169,18 @@ def _pavement_beside(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np
     return np.asarray(binary_dilation(at, iterations=AROUND_PX) & paved)
 
 
-def brighter(paint: Float[np.ndarray, "n 3"], beside: Float[np.ndarray, "m 3"], contrast: float) -> float:
+def _may_glare(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
+    """Which of these pixels of a road may mirror the sun or the sky about it."""
+    rows, columns = np.nonzero(at)
+    rays = evidence.camera.rays(np.column_stack([columns, rows]) + 0.5) @ evidence.camera.world_from_cam[:3, :3].T
+    return np.asarray((rays * [1, 1, -1]) @ sun_direction(evidence.scene.light) > np.cos(GLARE_RAD))
+
+
+def brighter(paint: Scalars, beside: Scalars, contrast: float) -> float:
     """How many times brighter paint is than the pavement beside it; infinite in glare, which whitens both, and where
     the edge of a shadow may run along the line: paint that is `contrast` times as bright in equal light may be as dark
     there as the road."""
-    dark, of_road, light = np.quantile(beside.mean(axis=1), (0.2, 0.5, 0.8))
+    dark, of_road, light = np.quantile(beside, (0.2, 0.5, 0.8))
     if of_road >= MAX_LIGHT or light > min(MOST_UNEVEN, contrast / BRIGHTER) * dark:
         return np.inf
-    return float(np.median(paint.mean(axis=1)) / max(float(of_road), 1e-6))
+    return float(np.median(paint) / max(float(of_road), 1e-6))

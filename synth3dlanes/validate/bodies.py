@@ -20,8 +20,8 @@ LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
 # Margin for soft shadow edges and for mirrors.
 ROOM_PX = 3.0
 
-# Of a body in the field of a lens.
-MIN_CORNERS = 3
+# Of a body in the field of a lens; places along a line that it bends.
+MIN_CORNERS, BENDS = 3, 9
 # Mirrors and twigs may extend beyond the nominal boxes.
 ROOM = 1.15
 # Trunks go on underground, where they hide points behind a hill.
@@ -51,8 +51,19 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Points2, within_m: floa
     for points in _bodies(world):
         points_cam = transform(invert(camera.world_from_cam), points)
         if points_cam[:, 1].min() <= within_m:
-            hidden[~hidden] = covers(camera.project(ahead(points_cam)), uv[~hidden], ROOM_PX)
+            hidden[~hidden] = covers(outline(camera, points_cam), uv[~hidden], ROOM_PX)
     return hidden
+
+
+def outline(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "_ 2"]:
+    """Places in the image whose convex hull contains what the camera sees of the convex hull of points. A lens bends
+    the lines between these, and may see some of them behind the camera."""
+    if camera.lens.is_pinhole:
+        return camera.project(ahead(points_cam))
+    one, other = np.triu_indices(len(points_cam))
+    share = np.linspace(0, 1, BENDS)[:, None, None]
+    uv = camera.project((points_cam[one] + share * (points_cam[other] - points_cam[one])).reshape(-1, 3))
+    return uv[np.isfinite(uv).all(axis=1)]
 
 
 def ahead(points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
@@ -63,15 +74,15 @@ def ahead(points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     return np.concatenate([front, (front[:, None] + share * (back - front[:, None])).reshape(-1, 3)])
 
 
-def covers(outline: Float[np.ndarray, "k 2"], uv: Points2, room_px: float) -> Bool[np.ndarray, " n"]:
-    """Which pixels are inside the convex hull of an outline or at most so far beside it; none without an area."""
+def covers(corners: Float[np.ndarray, "k 2"], uv: Points2, room_px: float) -> Bool[np.ndarray, " n"]:
+    """Which pixels are inside the convex hull of corners or at most so far beside it; none without an area."""
     covered = np.zeros(len(uv), dtype=bool)
-    outline = outline[np.isfinite(outline).all(axis=1)]
-    if len(outline) < MIN_CORNERS or not np.ptp(outline, axis=0).all():
+    corners = corners[np.isfinite(corners).all(axis=1)]
+    if len(corners) < MIN_CORNERS or not np.ptp(corners, axis=0).all():
         return covered
-    near = ((uv > outline.min(axis=0) - room_px) & (uv < outline.max(axis=0) + room_px)).all(axis=1)
+    near = ((uv > corners.min(axis=0) - room_px) & (uv < corners.max(axis=0) + room_px)).all(axis=1)
     if near.any():
-        sides = ConvexHull(outline).equations
+        sides = ConvexHull(corners).equations
         covered[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < room_px).all(axis=1)
     return covered
 

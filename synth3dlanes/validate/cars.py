@@ -1,6 +1,6 @@
 """Check `car_visible_fraction`: the share of the pixels that a car would fill, were it alone, in which it is seen.
 
-A car's box in the image bounds the pixels that it would fill. It is cut off at the camera, so that long vehicles
+A car's box in the image bounds the pixels that it would fill. What the camera sees of it counts, so that long vehicles
 alongside are judged too.
 """
 
@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.labels import CameraLabel
-from synth3dlanes.validate.bodies import ahead, corners_world, covers
+from synth3dlanes.validate.bodies import corners_world, covers, outline
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Result
 
@@ -56,17 +56,14 @@ def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
     corners_cam, outer_cam = (
         transform(invert(camera.world_from_cam), foot + room * (corners - foot)) for room in (1.0, MIRROR_ROOM)
     )
-    uv, outer = camera.project(ahead(corners_cam)), camera.project(ahead(outer_cam))
-    if np.isnan(outer).any():
-        # Out of the lens's field.
-        return 0.0, 1.0
+    uv, outer = outline(camera, corners_cam), outline(camera, outer_cam)
     if not _n_pixels(outer, camera):
         return 0.0, float(n_px > 0)
     box_px = _n_pixels(uv, camera)
     if not box_px:
         return 0.0, 1.0
-    is_wide = corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)
-    if is_wide.any() or not ((uv > 0) & (uv < [camera.width_px, camera.height_px])).all():
+    is_wide = (corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)).any()
+    if is_wide or not camera.shows(corners_cam).all():
         # It may show a sliver only; but one without any pixel is not seen.
         return max(n_px - SLACK_PX, 0) / box_px, 1.0 if n_px else min(SLACK_PX / (SLIVER * box_px), 1.0)
     least, most = OWN_FILL if world.scene.assets.cars else FILL
@@ -74,14 +71,14 @@ def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
     return n_px / (most * box_px), min((n_px + SLACK_PX) / (least * hull_px), 1.0)
 
 
-def _n_pixels(outline: Float[np.ndarray, "n 2"], camera: CameraLabel) -> int:
-    """The number of the image's pixels whose centres, or whose neighbours', are inside the hull of an outline."""
-    if not len(outline):
+def _n_pixels(corners: Float[np.ndarray, "n 2"], camera: CameraLabel) -> int:
+    """The number of the image's pixels whose centres, or whose neighbours', are inside the hull of corners."""
+    if not len(corners):
         return 0
     size = np.array([camera.width_px, camera.height_px])
-    low, high = (np.clip(edge, 0, size).astype(int) for edge in (outline.min(axis=0) - 1, outline.max(axis=0) + 2))
+    low, high = (np.clip(edge, 0, size).astype(int) for edge in (corners.min(axis=0) - 1, corners.max(axis=0) + 2))
     uv = np.stack(np.meshgrid(*(np.arange(*ends) for ends in zip(low, high, strict=True))), axis=-1).reshape(-1, 2)
-    return int(covers(outline, uv + 0.5, EDGE_PX).sum())
+    return int(covers(corners, uv + 0.5, EDGE_PX).sum())
 
 
 def _error(share: float) -> float:

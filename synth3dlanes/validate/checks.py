@@ -20,7 +20,7 @@ from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.standing import check_roadside, check_standing
 from synth3dlanes.validate.structure import check_host, check_labels, check_objects
-from synth3dlanes.validate.surface import check_hills, check_normals, check_pavement
+from synth3dlanes.validate.surface import check_hills, check_holes, check_normals, check_pavement
 from synth3dlanes.validate.symbols import check_symbols
 from synth3dlanes.validate.traffic_elements import check_elements
 from synth3dlanes.validate.weather import check_weather
@@ -126,6 +126,7 @@ CHECKS = (
         _needs("aim depth semantic"),
     ),
     Check("hills", check_hills, "hills that do not match the scene", _needs("aim depth semantic")),
+    Check("holes", check_holes, "holes in the ground, through which the sky shows", _needs("aim semantic")),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
     Check("ids", check_ids, "ids of another car, tree, structure, surface or line, or of another kind", _needs("aim")),
     Check("cars", check_cars, "a `car_visible_fraction` that does not match the car's pixels", _needs("aim instance")),
@@ -138,7 +139,8 @@ CHECKS = (
         "elements",
         check_elements,
         "signals and signs that are not those of the scene, not where their pixels are, without a label, in another "
-        "state than their lights show, or over another lane than they govern",
+        "state than their lights show, over another lane than they govern, or seen by another share than their pixels "
+        "show",
     ),
     Check(
         "moving",

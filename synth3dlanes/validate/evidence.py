@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.arrays import Passes, Points3, RgbImage
 from synth3dlanes.frames import transform
@@ -18,6 +18,8 @@ from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.pixels import luma
 from synth3dlanes.world import World
 
+# Cosine of the angle between the viewing direction and a pixel's ray, of a lens, from which on depth tells a place.
+LEAST_AHEAD = 0.05
 # Points this close to the image's border may be on either side of it after rounding.
 BORDER_PX = 0.2
 
@@ -87,6 +89,17 @@ class Evidence:
     def luma(self) -> Float[np.ndarray, "h w"]:
         """The image's brightness."""
         return luma(self.picture)
+
+    @cached_property
+    def has_points(self) -> Bool[np.ndarray, "h w"]:
+        """Which pixels' depths say where a point is: where something is hit, and not at a right angle to the viewing
+        direction, where a fisheye may see and depth is 0 at any distance."""
+        hit = np.isfinite(self.passes["depth"])
+        if self.camera.lens.is_pinhole:
+            return hit
+        rows, columns = np.indices(hit.shape)
+        rays = self.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+        return np.asarray(hit & (np.abs(rays[..., 1]) > LEAST_AHEAD))
 
     def points_cam(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points3:
         """The points that the depth pass has at the centres of pixels. Camera frame."""

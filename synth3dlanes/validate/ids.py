@@ -91,7 +91,7 @@ def _paint(evidence: Evidence) -> Iterator[Result]:
     world, paint, passes = evidence.world, evidence.paint, evidence.passes
     name = "instance" if "instance" in passes else "semantic"
     kind = kind_of(passes["instance"]) if name == "instance" else passes["semantic"]
-    rows, columns = some_pixels((kind == SEMANTIC_IDS["marking"]) & np.isfinite(passes["depth"]))
+    rows, columns = some_pixels((kind == SEMANTIC_IDS["marking"]) & evidence.has_points)
     points_cam = evidence.points_cam(rows, columns)
     points, used = on_road(world, evidence.camera, points_cam)
     used &= points_cam[:, 1] < PROOF_M
@@ -121,7 +121,7 @@ def _bodies(evidence: Evidence) -> Iterator[Finding]:
     kind = kind_of(passes["instance"]) if "instance" in passes else _folded(passes["semantic"])
     name = "instance" if "instance" in passes else "semantic"
     for key in THINGS:
-        rows, columns = some_pixels((kind == SEMANTIC_IDS[key]) & np.isfinite(passes["depth"]))
+        rows, columns = some_pixels((kind == SEMANTIC_IDS[key]) & evidence.has_points)
         numbers = passes[name][rows, columns].astype(int) if name == "instance" else None
         yield from outside_bodies(evidence, name, key, evidence.points_world(rows, columns), numbers)
 
@@ -216,7 +216,7 @@ def check_bonnet(evidence: Evidence) -> Iterator[Result]:
 def _surfaces(evidence: Evidence) -> Iterator[Finding]:
     """Compare the semantic ids of structures with the faces that these have: a pole's is not a sign's."""
     passes = evidence.passes
-    rows, columns = some_pixels(np.isin(passes["semantic"], STRUCTURES) & np.isfinite(passes["depth"]))
+    rows, columns = some_pixels(np.isin(passes["semantic"], STRUCTURES) & evidence.has_points)
     points, semantic = evidence.points_world(rows, columns), passes["semantic"][rows, columns]
     number = numbers_of("structure", passes["instance"][rows, columns])
     wrong = np.zeros(len(points), dtype=bool)

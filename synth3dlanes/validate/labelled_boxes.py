@@ -63,7 +63,7 @@ def by_pixels(evidence: Evidence, id_: int, cam_from_box: Matrix4, least: int) -
     if not {"depth", "instance"} <= evidence.has or np.linalg.norm(cam_from_box[:3, 3]) > PROOF_M:
         return None
     at = evidence.passes["instance"] == id_
-    rows, columns = np.nonzero(at & np.isfinite(evidence.passes["depth"]))
+    rows, columns = np.nonzero(at & evidence.has_points)
     if len(rows) < least:
         return None
     points_cam, box_from_cam = evidence.points_cam(rows, columns), invert(cam_from_box)

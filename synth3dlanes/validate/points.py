@@ -191,6 +191,7 @@ def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> list[Meas
             raised = semantic == SEMANTIC_IDS["shoulder"]
             smooth &= raised.all(axis=0) | ~raised.any(axis=0)
             smooth &= ~(semantic == SEMANTIC_IDS["terrain"]).any(axis=0)
+    smooth &= np.isfinite(error)
     y_m, error = y_m[smooth], error[smooth]
     gap_m = np.abs(error) * across_m[smooth]
     return [Measure("depth_m", y_m, np.abs(error * y_m)), Measure("surface_m", y_m, gap_m)]

@@ -133,7 +133,7 @@ def _through(evidence: Evidence) -> Iterator[Result]:
     """Finding for pixels that show terrain where the scene has pavement."""
     ground, passes = evidence.world.ground, evidence.passes
     depth_m, semantic = passes["depth"][::STEP, ::STEP], passes["semantic"][::STEP, ::STEP]
-    v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M))
+    v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M) & evidence.has_points[::STEP, ::STEP])
     points = evidence.points_world(STEP * v, STEP * u)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
     inside &= ~ground.is_grass(points[:, :2], INSIDE_M)

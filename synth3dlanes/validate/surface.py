@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.arrays import Ids, Passes, Points3, Scalars
+from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.geometry.terrain import gradient_at, height_at
 from synth3dlanes.labels import CameraLabel
@@ -86,7 +87,7 @@ def pavement_at(
 def check_pavement(evidence: Evidence) -> Iterator[Result]:
     """Findings about depth, semantic ids and normals on the road, and measure `pavement_m`: distances from the road."""
     passes = evidence.passes
-    rows, columns = _pixels_of_pavement(passes)
+    rows, columns = _pixels_of_pavement(evidence)
     y_m = passes["depth"][rows, columns].astype(float)
     eye_world, points = evidence.camera.world_from_cam[:3, 3], evidence.points_world(rows, columns)
     firm = places(evidence.world.ground, points[:, :2]).is_firm()
@@ -104,7 +105,7 @@ def check_pavement(evidence: Evidence) -> Iterator[Result]:
 def check_hills(evidence: Evidence) -> Iterator[Result]:
     """Finding if the terrain's height differs from the scene's."""
     passes, ground = evidence.passes, evidence.world.ground
-    is_terrain = (passes["semantic"] == SEMANTIC_IDS["terrain"]) & (passes["depth"] < HILLS_M)
+    is_terrain = (passes["semantic"] == SEMANTIC_IDS["terrain"]) & (passes["depth"] < HILLS_M) & evidence.has_points
     points = evidence.points_world(*some_pixels(is_terrain, MAX_HILLS))
     raised_m = EMBANKMENT_SLOPE * max([road.ramp.height_m for road in ground.network.roads if road.ramp], default=0.0)
     beside_m = VERGES * VERGE_M * ground.cell_scale(points[:, :2]) + raised_m
@@ -121,6 +122,27 @@ def check_hills(evidence: Evidence) -> Iterator[Result]:
             f"depth: expected terrain within {MAX_MEDIAN_M} m of the scene's in the median, got {median_m:.3f} m, "
             f"at {len(points)} pixels",
         )
+
+
+def check_holes(evidence: Evidence) -> Iterator[Result]:
+    """Finding where the sky shows through the ground: at pixels that look down and whose line of sight is below the
+    terrain where this ends, so that it must meet ground before."""
+    rows, columns = np.nonzero(evidence.passes["semantic"] == SEMANTIC_IDS["sky"])
+    rays = evidence.camera.rays(np.column_stack([columns, rows]) + 0.5) @ evidence.camera.world_from_cam[:3, :3].T
+    down = rays[:, 2] < 0
+    rows, columns, rays = rows[down], columns[down], rays[down]
+    xs, ys = meshes.terrain_axes(evidence.world.ground)
+    eye_world, last = evidence.camera.world_from_cam[:3, 3], np.array([[xs[0], ys[0]], [xs[-1], ys[-1]]])
+    with np.errstate(divide="ignore"):
+        way_m = np.abs((last[(rays[:, :2] > 0).astype(int), [0, 1]] - eye_world[:2]) / rays[:, :2]).min(axis=1)
+    ends = eye_world + way_m[:, None] * rays
+    is_hole = ends[:, 2] < terrain_height(evidence.world.ground, ends[:, :2])
+    n = int(is_hole.sum())
+    yield Bounded("surface.holes", n, most=0)
+    if n:
+        u, v = columns[is_hole], rows[is_hole]
+        place = f"u {u.min()}-{u.max()}, v {v.min()}-{v.max()}"
+        yield Finding("", f"semantic: expected ground below the horizon, got sky at {n} pixels ({place})")
 
 
 def check_normals(evidence: Evidence) -> Iterator[Finding]:
@@ -148,12 +170,13 @@ def check_normals(evidence: Evidence) -> Iterator[Finding]:
                 yield Finding("", f"normal: expected it to face the camera, got {share} turned away")
 
 
-def _pixels_of_pavement(passes: Passes) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+def _pixels_of_pavement(evidence: Evidence) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Rows and columns of pixels that show road or shoulder."""
-    semantic, depth = passes["semantic"], passes["depth"]
+    semantic, depth = evidence.passes["semantic"], evidence.passes["depth"]
     step = int(np.ceil(np.sqrt(semantic.size / MAX_PIXELS)))
     first = step // 2
-    paved = np.isin(semantic[first::step, first::step], PAVEMENT) & (depth[first::step, first::step] < RANGE_M)
+    some = np.s_[first::step, first::step]
+    paved = np.isin(semantic[some], PAVEMENT) & (depth[some] < RANGE_M) & evidence.has_points[some]
     rows, columns = (first + step * index for index in np.nonzero(paved))
     return rows, columns
 

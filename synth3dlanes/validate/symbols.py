@@ -37,7 +37,7 @@ GROUND = [SEMANTIC_IDS[name] for name in ("road", "shoulder", "marking", "symbol
 def check_symbols(evidence: Evidence) -> Iterator[Finding]:
     """Findings about the pixels of symbols, from depth and semantic ids, and from instance ids if there are any."""
     world, passes = evidence.world, evidence.passes
-    near = passes["depth"] < PROOF_M
+    near = (passes["depth"] < PROOF_M) & evidence.has_points
     is_symbol = passes["semantic"] == SEMANTIC_IDS["symbol"]
     if not world.symbol_shapes:
         if is_symbol.sum() > MAX_SINGLE:

@@ -9,8 +9,10 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.arrays import Points2
 from synth3dlanes.element_labels import ElementLabel, element_document
-from synth3dlanes.frames import transform
+from synth3dlanes.frames import invert, transform
+from synth3dlanes.instance_ids import thing_of
 from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Result, some
@@ -19,6 +21,9 @@ from synth3dlanes.validate.labelled_boxes import MIN_SEEN, SideLimit, against_bo
 # Share of the pixels that may be outside a box; how far before a side they may end, and which part of the distance
 # between two pixels.
 MAX_OUTSIDE, MAX_GAP_M, MAX_PART = 0.01, 0.03, 1.0
+# How far a share may be from that of its pixels, and how many of them may be on the other side of an edge. Labels ask
+# at most so many pixels, in a grid; bodies that reach nearer to the camera's plane are left out.
+MAX_SHARE_OFF, EDGE_PIXELS, MAX_ASKED, AHEAD_M = 0.02, 2, 1_000, 0.2
 # Elements of fewer pixels are not judged by these.
 MIN_PIXELS = 60
 # Pixels without a label: more than these, at most so far away.
@@ -82,10 +87,45 @@ def judge(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
     if item.visible_fraction is not None and (item.visible_fraction > 0) != (n_pixels > 0) and n_pixels != 1:
         reason = f"expected a share of its {n_pixels} pixels, got {item.visible_fraction:g}"
         yield Finding("", f"{label}.visible_fraction: {reason}")
+    yield from _share(evidence, item, label)
     seen = by_pixels(evidence, item.id, item.cam_from_element, MIN_PIXELS)
     if seen is not None:
         sides = _sides(item, seen.apart_m) if _is_whole(item) else ()
         yield from against_box(label, "elements", item.size_m / 2, seen, MAX_OUTSIDE, sides)
+
+
+def _share(evidence: Evidence, item: ElementLabel, label: str) -> Iterator[Result]:
+    """A finding if an element's share is not that of the pixels inside the outlines of its body's faces which show
+    it."""
+    if item.box_px is None or item.visible_fraction is None:
+        return
+    (left, top), (right, bottom) = np.floor(item.box_px[:2]).astype(int), np.ceil(item.box_px[2:]).astype(int)
+    step = max(1, int(np.ceil(np.sqrt((bottom - top) * (right - left) / MAX_ASKED))))
+    shows = (evidence.passes["instance"][top:bottom:step, left:right:step] == item.id).ravel()
+    v, u = np.mgrid[top:bottom:step, left:right:step]
+    corners_world = evidence.world.site.structures[thing_of(item.id)[1]].corners_world
+    corners_cam = transform(invert(evidence.camera.world_from_cam), corners_world)
+    if not (corners_cam[..., 1] > AHEAD_M).all():
+        return
+    fills = shows | in_outlines(evidence.camera.project(corners_cam), np.column_stack([u.ravel(), v.ravel()]) + 0.5)
+    n = int(fills.sum())
+    if not n:
+        return
+    share = float(shows.sum() / n)
+    off = abs(item.visible_fraction - share)
+    seen = Bounded("elements.seen_share", off, most=MAX_SHARE_OFF + EDGE_PIXELS / n)
+    yield seen
+    if seen.is_beyond:
+        got = f"expected {share:.2f} by the {n} pixels of its body, got {item.visible_fraction:.2f}"
+        yield Finding("", f"{label}.visible_fraction: {got}")
+
+
+def in_outlines(quads_img: Float[np.ndarray, "f 4 2"], uv: Points2) -> Bool[np.ndarray, " n"]:
+    """Which places in the image are inside one of some convex quads."""
+    sides = np.roll(quads_img, -1, axis=1) - quads_img
+    to = uv[:, None, None] - quads_img
+    turns = sides[..., 0] * to[..., 1] - sides[..., 1] * to[..., 0]
+    return np.asarray(((turns >= 0).all(axis=2) | (turns <= 0).all(axis=2)).any(axis=1))
 
 
 def _is_whole(item: ElementLabel) -> bool:

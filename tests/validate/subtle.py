@@ -139,6 +139,21 @@ def without_symbols(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
     return {**passes, "semantic": semantic, "instance": np.where(at, 0, passes["instance"]).astype("u2")}
 
 
+def with_a_hole(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
+    """The sky at one pixel of the nearest road."""
+    at = tuple(np.argwhere(passes["semantic"] == SEMANTIC_IDS["road"])[-1])
+    holed = {name: values.copy() for name, values in passes.items()}
+    for name, values in holed.items():
+        values[at] = np.inf if name == "depth" else 0
+    return holed
+
+
+def less_seen(document: dict[str, Any]) -> None:
+    """Every element that is seen, a third less."""
+    for item in document["traffic_elements"]:
+        item["visible_fraction"] = round(item["visible_fraction"] * 2 / 3, 3)
+
+
 def without_bonnet(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
     """The bonnet as road."""
     at = passes["semantic"] == SEMANTIC_IDS["host"]
@@ -217,6 +232,7 @@ SUBTLE = [
     Fault(
         "depth in millimetres", of_pass("depth", lambda depth_m, _: depth_m * np.float32(1000)), "metres along", True
     ),
+    Fault("a hole in the ground", of_passes(with_a_hole), "sky at 1 pixels"),
     Fault("height map 3 cm up", in_samples(lifted), r"got it \+0.030 m off"),
     Fault("height map one row off", in_samples(one_row_off), "as a map that is moved"),
     Fault("rows of the index reordered", reorder_index, "in the order of their samples"),
@@ -233,6 +249,7 @@ OF_STREETS = [
         of_pass("semantic", partial(swapped, "barrier", "kerb")),
         "on faces of (barrier|kerb)",
     ),
+    Fault("visible_fraction of signs a third less", of_json(LABELS, less_seen), "visible_fraction: expected"),
     Fault("symbols missing", of_passes(without_symbols), "pixels of its paint", True),
     Fault("bonnet missing", of_passes(without_bonnet), "expected the bonnet", True),
     Fault("rear half of the sweep three columns on", of_sweep(rear_turned), "lidar"),

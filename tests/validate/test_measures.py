@@ -9,15 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from synth3dlanes.frames import project
+from synth3dlanes.frames import invert, project, transform
 from synth3dlanes.ground_truth import ground_truth, label
 from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.lens import Lens
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.validate.bodies import NEAR_M, ahead, covers
+from synth3dlanes.validate.bodies import NEAR_M, ahead, corners_world, covers
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import BAND_NAMES, Finding, Measure, RangeHistogram
 from synth3dlanes.validate.paint import WorldPaint
@@ -262,6 +263,38 @@ def test_the_seen_share_of_a_car_that_reaches_behind_the_camera_is_judged_by_its
     labels = sample.labels.with_seen_shares((share,))
     found = reasons(replace(sample, labels=labels, passes={"instance": instance}), "cars")
     assert ("car_visible_fraction: expected" in found) == is_fault
+
+
+@pytest.mark.parametrize(("share", "is_fault"), [(1.0, False), (0.2, True)])
+def test_a_car_that_a_fisheye_sees_behind_the_camera_counts_as_a_whole(share, is_fault):
+    lens = Lens(model="fisheye", coefficients=(0.02, 0, 0, 0))
+    camera = FLAT.camera.model_copy(update={"lens": lens, "fx_px": 110.0, "fy_px": 110.0})
+    sample = picture_of(semitrailer_alongside().scene.model_copy(update={"camera": camera}))
+    corners_cam = transform(invert(sample.camera.world_from_cam), corners_world(sample.world, 0))
+    assert corners_cam[:, 1].min() < -1 < 1 < corners_cam[:, 1].max()
+    rows, columns = np.indices((camera.height_px, camera.width_px))
+    car_from_world = invert(sample.world.view.world_from_cars[0])
+    car_from_cam = car_from_world @ sample.camera.world_from_cam
+    rays = sample.camera.rays(np.stack([columns, rows], axis=-1) + 0.5) @ car_from_cam[:3, :3].T
+    sides = transform(car_from_world, corners_world(sample.world, 0))[[0, -1]] - car_from_cam[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ways = np.sort(sides[:, None, None] / rays, axis=0)
+    hit = (ways[0].max(axis=-1) < ways[1].min(axis=-1)) & (ways[1].min(axis=-1) > 0)
+    passes = {"instance": np.where(hit, instance_id("car", 0), 0).astype(np.uint16)}
+    sample = replace(sample, labels=sample.labels.with_seen_shares((share,)), passes=passes)
+    assert (findings(sample, "cars") != []) == is_fault
+
+
+def test_places_that_a_fisheye_sees_aside_at_a_right_angle_have_no_points():
+    lens = Lens(model="fisheye", coefficients=(0.02, 0, 0, 0))
+    camera = FLAT.camera.model_copy(update={"lens": lens, "fx_px": 110.0, "fy_px": 110.0})
+    depth_m = np.full((camera.height_px, camera.width_px), 5.0, np.float32)
+    depth_m[0] = np.inf
+    wide = picture_of(FLAT.model_copy(update={"camera": camera}), depth=depth_m).has_points
+    aside = np.flatnonzero(~wide[camera.height_px // 2])
+    assert 0 < len(aside) < 60
+    assert (np.abs(np.abs(aside - camera.width_px / 2) - 175) < 15).all(), "a right angle is 175 pixels aside"
+    np.testing.assert_array_equal(picture_of(FLAT, depth=depth_m).has_points, np.isfinite(depth_m))
 
 
 def test_a_body_is_cut_off_at_the_camera_and_covers_what_it_covers_ahead():
