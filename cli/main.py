@@ -46,6 +46,9 @@ from .validate import validate
 # Commands that continue from what they have written.
 RESUMED = ("generate", "twins", "split", "merge", "export", "lift", "benchmark", "train", "ablation")
 
+# Where the words of the command line are kept.
+WORDS = "synth3dlanes.words"
+
 # Characters of a line.
 MOST_SHOWN = 400
 
@@ -103,6 +106,7 @@ class Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command; refuse empty arguments, which would stand for the working directory or for no file."""
+        ctx.meta[WORDS] = {part for word in args for part in (word, word.partition("=")[2])}
         for before, word in zip(["", *args], args, strict=False):
             if not word or re.fullmatch("--[a-z0-9-]+=", word):
                 after = (word or before).removesuffix("=")
@@ -119,7 +123,9 @@ class Commands(click.Group):
         """The flag for each value that the invoked command hands to the library."""
         command = self.commands.get(ctx.invoked_subcommand or "", self)
         flags = {param.name or "": param.opts[0] for param in command.params if isinstance(param, click.Option)}
-        return {**flags, "overrides": "--set"}
+        flags["overrides"] = "--set"
+        # Where the user named a file so, a message may be about the file.
+        return {name: flag for name, flag in flags.items() if name not in ctx.meta.get(WORDS, ())}
 
 
 def _failure(error: Exception, text: str) -> BadInput:
@@ -133,9 +139,10 @@ def _shortened(line: str) -> str:
 
 
 def _naming_flags(problem: str, flags: dict[str, str]) -> str:
-    """A library's message begins with the name of an argument; the user knows it as a flag."""
-    name = re.match(r"\w*", problem).group()  # type: ignore[union-attr]
-    return flags.get(name, name) + problem[len(name) :]
+    """A library's message may begin with the name of an argument, alone or before a value; the user knows it as a
+    flag."""
+    name, rest = re.fullmatch(r"(\w*)(.*)", problem, re.DOTALL).groups()  # type: ignore[union-attr]
+    return flags.get(name, name) + rest if rest[:1] in (":", " ", "") else problem
 
 
 @click.group(

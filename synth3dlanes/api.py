@@ -4,6 +4,7 @@ No function loads Blender into this process: `generate_dataset` and `render`, in
 it.
 """
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from synth3dlanes import scene as scene_format
+from synth3dlanes.arguments import checked
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.change import change_scene as _change_scene
 from synth3dlanes.dataset.format import (
@@ -47,14 +49,18 @@ from synth3dlanes.sample import sample_scene as _sample_scene
 from synth3dlanes.sampling.like import read_like
 from synth3dlanes.sampling.on_map import MapPlace, place_on_map
 from synth3dlanes.scene import Scene
+from synth3dlanes.schema import shown
 from synth3dlanes.sensors.camera_files import load_camera as _load_camera
 from synth3dlanes.sensors.cameras import CameraSpec
 from synth3dlanes.sensors.lidar_files import load_lidar
 from synth3dlanes.sensors.rig_files import load_rig as _load_rig
-from synth3dlanes.settings import MAX_SAMPLES, MAX_SEED
+from synth3dlanes.settings import MAX_SAMPLES, MAX_SEED, SPLIT_NAME
 from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
 from synth3dlanes.sources import provenance_of, read_scene
+
+# Far more than any machine has cores.
+MAX_WORKERS = 10_000
 
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.
@@ -64,6 +70,7 @@ if TYPE_CHECKING:
     import synth3dlanes.validate.report
 
 
+@checked
 def open_assets(folder: str | Path) -> Library:
     """Check a folder of your own cars, trees, textures and skies (docs/assets.md). The result is the `assets` argument
     of other functions.
@@ -77,6 +84,7 @@ def open_assets(folder: str | Path) -> Library:
     return library
 
 
+@checked
 def load_params(
     source: str | Path = "appendix_i", overrides: str | Sequence[str] = (), assets: Library = BUILT_IN
 ) -> Params:
@@ -91,6 +99,7 @@ def load_params(
     return params
 
 
+@checked
 def load_camera(source: str | Path) -> CameraSpec:
     """Read a camera (docs/camera.md): a YAML file of ours, a calibration file of OpenCV or Kalibr, or the name of a
     ready camera.
@@ -100,6 +109,7 @@ def load_camera(source: str | Path) -> CameraSpec:
     return _load_camera(str(source))
 
 
+@checked
 def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
     """Read the cameras of a rig (docs/camera.md): a YAML file, or the name of a ready rig.
 
@@ -108,6 +118,7 @@ def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
     return _load_rig(str(source))
 
 
+@checked
 def sample_scene(
     params: Params,
     *,
@@ -131,11 +142,13 @@ def sample_scene(
     """
     _within(0, MAX_SEED, seed=seed)
     _within(0, MAX_SAMPLES - 1, index=index)
+    _named(split=split)
     shots, place = _shots(camera, rig, frames, fps), _map_place(map, at)
     scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, map=place)
     return _sample_scene(scenes, index)
 
 
+@checked
 def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
     """Return a copy of the scene with changes such as `light.sun_azimuth_deg=200`, `cars.0.lane=2` or `cars=[]`.
 
@@ -145,22 +158,27 @@ def change_scene(scene: Scene, changes: str | Sequence[str]) -> Scene:
     return _change_scene(scene, several(changes))
 
 
+@checked
 def load_scene(path: str | Path) -> Scene:
     """Read a `scene.json`; raise FormatError with a line for every problem."""
     return _load_scene(Path(path))
 
 
+@checked
 def save_scene(scene: Scene, path: str | Path) -> None:
     """Write a `scene.json` file, which `load_scene` and `synth3dlanes render` read."""
+    _file(path=path)
     write(Path(path), f"{scene_format.to_json(scene)}\n".encode())
 
 
+@checked
 def label(scene: Scene) -> Labels:
     """Compute the exact labels of a scene without rendering it. `object_visible` is None, because only `render`
     computes it."""
     return ground_truth(scene)
 
 
+@checked
 def generate_dataset(
     params: Params,
     out: str | Path,
@@ -216,11 +234,13 @@ def generate_dataset(
     return generate(plan, notify or (lambda event: None))
 
 
+@checked
 def open_dataset(place: str | Path, split: str = "train") -> Reader:
     """Open a split of a data set, in a folder or at a URL. Raises FormatError where there is none."""
     return Reader(f"{str(place).rstrip('/')}/{split}")
 
 
+@checked
 def export_dataset(
     source: str | Path,
     out: str | Path,
@@ -242,6 +262,7 @@ def export_dataset(
     return Export(str(source), Path(out), format_name, size_px, tuple(several(cameras))).write(workers)
 
 
+@checked
 def verify_export(export: Export, *, most_frames: int = 500) -> "tuple[synth3dlanes.formats.verify.Verification, ...]":
     """Read a finished export back and compare at most the first `most_frames` frames of each of its lists with the
     labels of its data set: how far the lines are, and the `problems`, a line each. Raises FormatError for a file that
@@ -252,6 +273,7 @@ def verify_export(export: Export, *, most_frames: int = 500) -> "tuple[synth3dla
     return verify(export, most_frames)
 
 
+@checked
 def score_predictions(
     export: str | Path, format_name: str, predictions: str | Path
 ) -> "tuple[synth3dlanes.formats.format.Rates, ...]":
@@ -263,6 +285,7 @@ def score_predictions(
     return score_predictions(Path(export), format_name, Path(predictions))
 
 
+@checked
 def split_dataset(
     source: str | Path, out: str | Path, shares: Mapping[str, float] | None = None, *, seed: int = 0
 ) -> dict[str, int]:
@@ -277,6 +300,7 @@ def split_dataset(
     return _split(one_reader(str(source)), wanted, seed, str(out))
 
 
+@checked
 def merge_datasets(sources: Sequence[str | Path], out: str | Path) -> dict[str, int]:
     """Merge data sets of one recipe, such as parts made on several machines. Returns the number of samples of each
     split.
@@ -286,6 +310,7 @@ def merge_datasets(sources: Sequence[str | Path], out: str | Path) -> dict[str, 
     return _merge([str(source) for source in sources], str(out))
 
 
+@checked
 def open_drive(
     source: str | Path,
     *,
@@ -304,6 +329,7 @@ def open_drive(
     return _open_drive(str(source), camera, str(lanes), str(marked), str(review))
 
 
+@checked
 def check_drive(drive: Drive) -> None:
     """Check the times, poses, points and 2D lanes of a drive against each other: wrong units, mirrored axes, sensors or
     clocks that do not fit. Raises InputError with a line for every problem."""
@@ -312,6 +338,7 @@ def check_drive(drive: Drive) -> None:
         raise InputError(*problems)
 
 
+@checked
 def lift_drive(
     drive: Drive,
     out: str | Path,
@@ -330,9 +357,11 @@ def lift_drive(
     lanes do not fit each other.
     """
     _at_least(1, around=around)
+    _named(split=split)
     return lift_to(drive, out, split, Precision.of(precision or {}), around, progress)
 
 
+@checked
 def validate_dataset(
     place: str | Path,
     *,
@@ -351,10 +380,11 @@ def validate_dataset(
     """
     from synth3dlanes.validate.run import validate
 
-    _at_least(0, workers=workers)
+    _within(0, MAX_WORKERS, workers=workers)
     return validate(place, workers, limit, progress, rerender, assets)
 
 
+@checked
 def dataset_stats(
     source: str | Path | Params, *, n: int = 2000, seed: int = 0, assets: Library = BUILT_IN
 ) -> "synth3dlanes.figures.stats.Statistics":
@@ -375,12 +405,14 @@ def dataset_stats(
     return Statistics(scene_statistics(shown, origin.params, bool(origin.shots.cameras)), label_statistics(labels))
 
 
+@checked
 def report_dataset(place: str | Path, path: str | Path, *, n: int = 2000, samples: int = 12) -> None:
     """Write an HTML page about a data set or a split: `samples` samples with their lanes, and statistics of at most `n`
     scenes. The page is one file and loads no other."""
     from synth3dlanes.figures.page import report_page
 
     _at_least(1, samples=samples)
+    _file(path=path)
     stats, found = dataset_stats(place, n=n), readers(str(place))
     assert stats.labels is not None, "a data set has labels"
     shown = [
@@ -408,6 +440,18 @@ def _at_least(least: int, **arguments: int) -> None:
     for name, value in arguments.items():
         if value < least:
             raise InputError(f"{name}: expected {least} or more, got {value}")
+
+
+def _file(**arguments: str | Path) -> None:
+    for name, value in arguments.items():
+        if not Path(value).name:
+            raise InputError(f"{name}: expected the path of a file, got {shown(str(value))}")
+
+
+def _named(**arguments: str) -> None:
+    for name, value in arguments.items():
+        if re.fullmatch(SPLIT_NAME, value) is None:
+            raise InputError(f"{name}: expected letters, digits, - and _, got {shown(value)}")
 
 
 def _within(least: int, most: int, **arguments: int) -> None:

@@ -296,6 +296,10 @@ class MotionParams(Group):
     car_speed_m_s: Speed = Uniform(17.0, 36.0)
 
 
+# Without a junction a scene is on the road of the paper.
+NO_JUNCTION = "none"
+
+
 class TownParams(Group):
     """A town in place of the road: what its map is drawn from (docs/town.md). `junction` is the first one, which the
     host drives through. `bend_deg` is drawn for each of its streets."""
@@ -367,7 +371,7 @@ class Params(Group):
     @property
     def is_town(self) -> bool:
         """Whether scenes are towns, all or some of them."""
-        return self.town.junction.values != ("none",)
+        return self.town.junction.values != (NO_JUNCTION,)
 
     @property
     def groups(self) -> dict[str, Group]:

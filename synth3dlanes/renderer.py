@@ -14,6 +14,7 @@ from jaxtyping import Shaped, UInt8
 
 from synth3dlanes import labels as labels_format
 from synth3dlanes import scene as scene_format
+from synth3dlanes.arguments import checked
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.dataset.format import (
@@ -54,6 +55,7 @@ class Rendered:
     passes: dict[str, Shaped[np.ndarray, "..."]]
     sweep: Sweep | None = None
 
+    @checked
     def save(self, path: str | Path) -> list[Path]:
         """Write the image (.png or .jpg), and beside it the labels, the scene and the passes. Returns the paths.
 
@@ -75,6 +77,7 @@ class Renderer:
     Use it as a context manager, or call `close`. Arguments and errors are those of `render`; pictures are equal bytes.
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -107,6 +110,7 @@ class Renderer:
             self._open.close()
             self._open = None
 
+    @checked
     def render(self, scene: Scene, *, lidar: str | Path | None = None) -> Rendered:
         """Render a scene."""
         require_assets(scene.assets, self._assets, "scene")
@@ -122,6 +126,7 @@ class Renderer:
         return Rendered(scene, decode_image(members["png"], "png"), labels, found, sweep)
 
 
+@checked
 def render(
     scene: Scene,
     *,

@@ -12,7 +12,7 @@ from synth3dlanes.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.geometry.map_roads import map_network
 from synth3dlanes.geometry.paper_roads import is_wide_enough, paper_network
 from synth3dlanes.host import Camera, Host, Lidar, Shot
-from synth3dlanes.params import CameraParams, Params
+from synth3dlanes.params import NO_JUNCTION, CameraParams, Params
 from synth3dlanes.processes import process_pool
 from synth3dlanes.sampling.cars import CAR_STREAMS, draw_cars
 from synth3dlanes.sampling.draws import DECIMALS, Draw, DrawsOf, draws_of
@@ -120,7 +120,7 @@ def draw_world(scenes: Scenes, index: int) -> World:
     of = DrawsOf(params, drawn, like)
     if scenes.map is not None:
         return _map_world(scenes, scenes.map, index, of)
-    if params.is_town:
+    if params.is_town and of("town")("junction") != NO_JUNCTION:
         return _town_world(scenes, index, of)
     check_way(params.motion, shots)
     terrain, road, shot = _terrain(of("terrain")), _road(of("road")), _shot(shots, of("motion"))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Shaped
 from pydantic import BeforeValidator, ValidationError
 
+from synth3dlanes.arguments import checked
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.dataset.address import SAMPLE, splits_near
@@ -156,6 +157,7 @@ def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | N
     return read_sweep(read_bounded(path, MAX_IMAGE_BYTES), str(path), labels.lidar) if path and path.exists() else None
 
 
+@checked
 def read_scene(reader: Reader, i: int) -> Scene:
     """The scene of one sample, read without its image and labels."""
     return from_json(reader.member(i, SCENE), f"{reader.url}:{reader.key(i)}")

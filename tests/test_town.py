@@ -27,6 +27,24 @@ def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
     return draw_world(Scenes(params, 5, shots=shots) if shots else Scenes(params, 5), index)
 
 
+@pytest.mark.parametrize("preset", ["town", "tiny"])
+def test_some_scenes_may_have_a_junction_and_others_the_road_of_the_paper(preset: str) -> None:
+    few = ("cars.n=0", "trees.n=0", "town.traffic=0.1", "town.parked=0")
+    mixed = load_params(preset, [*few, "town.junction={none: 1, t: 1}"])
+    alone = {name: load_params(preset, [*few, f"town.junction={name}"]) for name in ("none", "t")}
+    scenes = [sample_scene(Scenes(mixed, 4), index) for index in range(6)]
+    kinds = ["none" if scene.town is None else scene.town.junction for scene in scenes]
+    assert {*kinds} == {"none", "t"}
+    for index, (scene, kind) in enumerate(zip(scenes, kinds, strict=True)):
+        assert scene == sample_scene(Scenes(alone[kind], 4), index)
+        assert (scene.road is None) == (kind != "none")
+    rows = scene_statistics(scenes, mixed).parameters
+    assert [row.key for row in rows if not is_fine(row)] == []
+    assert [row.count for row in rows if row.key == "town.junction"] == [6]
+    clip = sample_scene(Scenes(mixed, 4, shots=CLIP), 16 * kinds.index("none") + 3)
+    assert (clip.town, clip.shot.frame) == (None, 3)
+
+
 @pytest.mark.parametrize("junction", first(2, ["crossing", "roundabout", "t", "staggered", "roundabout_2"]))
 def test_lanes_go_on_and_nothing_touches(junction: str) -> None:
     world = town(1, f"town.junction={junction}")

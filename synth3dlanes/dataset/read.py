@@ -6,6 +6,7 @@ be pickled, forked and used by many threads.
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from jaxtyping import Int, Shaped, UInt8
 from pydantic import ValidationError
 
 from synth3dlanes import labels as labels_module
+from synth3dlanes.arguments import checked
 from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
@@ -62,7 +64,8 @@ class Reader:
     of each sample. `recipes` are the recipes of the shards, as their indices have them ("" for none).
     """
 
-    def __init__(self, url: str, columns: Sequence[str] | None = None) -> None:
+    @checked
+    def __init__(self, url: str | Path, columns: Sequence[str] | None = None) -> None:
         self.url = str(url).rstrip("/")
         self.description = self._describe()
         self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
@@ -93,6 +96,7 @@ class Reader:
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
 
+    @checked
     def __getitem__(self, i: int) -> Sample:
         image_name, where = self._names[0], self._where(i)
         raw = self._members(i, (image_name, SCENE, LABELS))
@@ -101,19 +105,23 @@ class Reader:
         image = decode_image(raw[image_name], f"{where}.{image_name}", size_px)
         return Sample(self.key(i), image, labels, raw[SCENE])
 
+    @checked
     def key(self, i: int) -> str:
         """The key of sample i: eight digits."""
         return str(self.index["key"][self._position(i)])
 
+    @checked
     def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
         """The image of sample i."""
         name = self._names[0]
         return decode_image(self.member(i, name), f"{self._where(i)}.{name}", self._size_px(i))
 
+    @checked
     def labels(self, i: int) -> Labels:
         """The labels of sample i, read without its image."""
         return labels_module.from_json(self.member(i, LABELS), f"{self._where(i)}.{LABELS}")
 
+    @checked
     def objects(self, i: int) -> Objects:
         """The objects of sample i as arrays; raise FormatError where its labels are older than objects."""
         items = self.labels(i).objects
@@ -121,6 +129,7 @@ class Reader:
             raise FormatError(f"{self._where(i)}: expected labels with objects, got older ones; generate them again")
         return stacked(items)
 
+    @checked
     def traffic_elements(self, i: int) -> TrafficElements:
         """The traffic elements of sample i as arrays; raise FormatError where its labels are older than these."""
         labels = self.labels(i)
@@ -130,6 +139,7 @@ class Reader:
             )
         return element_arrays(labels.traffic_elements, [segment.id for segment in labels.graph.segments])
 
+    @checked
     def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "..."]]:
         """The passes of sample i by name; empty if the data set has none."""
         found: dict[str, Shaped[np.ndarray, ...]] = {}
@@ -144,6 +154,7 @@ class Reader:
         """Whether its samples have the sweep of a lidar."""
         return LIDAR in self._names
 
+    @checked
     def lidar(self, i: int) -> Sweep:
         """The lidar sweep of sample i. Raises FormatError if the data set has none."""
         where = self._where(i)
@@ -152,14 +163,17 @@ class Reader:
             raise FormatError(f"{where}: expected a data set with a lidar (generate --lidar), got one without")
         return read_sweep(self.member(i, LIDAR), f"{where}.{LIDAR}", lidar)
 
+    @checked
     def raw(self, i: int) -> dict[str, bytes]:
         """The bytes of every member of sample i, by name without the key, in one read."""
         return self._members(i, self._names)
 
+    @checked
     def member(self, i: int, name: str) -> bytes:
         """The bytes of one member of sample i, such as `scene.json`."""
         return self._members(i, (name,))[name]
 
+    @checked
     def position(self, key: str) -> int:
         """The position of the sample with this key."""
         is_number = key.isdecimal() and len(key) <= KEY_DIGITS
@@ -174,6 +188,7 @@ class Reader:
         """The numbers of all scenes in the split, in order. A clip or a single picture is one scene."""
         return [int(scene) for scene in np.unique(self.scene_of)]
 
+    @checked
     def clip(self, scene: int, camera: int | None = None) -> list[int]:
         """The positions of a scene's samples, frame by frame: by one camera, or by all cameras of each frame in
         turn."""
@@ -183,6 +198,7 @@ class Reader:
             raise FormatError(f"{self.url}: expected pictures of scene {scene}{by}, got none")
         return [int(i) for i in np.flatnonzero(is_asked)]
 
+    @checked
     def rig(self, i: int) -> list[int]:
         """The positions of the samples by all cameras of the rig, at the scene and frame of sample i, in the rig's
         order."""
@@ -202,10 +218,12 @@ class Reader:
             problems = validation_problems(error, f"{self.url}: dataset.json: shots.cameras")
             raise FormatError("\n".join(problems)) from None
 
+    @checked
     def camera_name(self, i: int) -> str:
         """The name of the camera of sample i; "" for a camera without a name."""
         return self.cameras[self.camera_of[self._position(i)]].name if self.cameras else ""
 
+    @checked
     def taken_by(self, names: Sequence[str] = ()) -> Int[np.ndarray, " n"]:
         """The positions of the samples by these cameras; without names, by all cameras turned ahead.
 
@@ -224,6 +242,7 @@ class Reader:
             raise InputError(f"{self.url}: expected {expected}, got none")
         return np.flatnonzero(np.isin(self.camera_of, chosen))
 
+    @checked
     def positions(self, scenes: Sequence[int]) -> list[int]:
         """The positions of all samples of these scenes, in order."""
         return [int(i) for i in np.flatnonzero(np.isin(self.scene_of, scenes))]

@@ -3,6 +3,7 @@
 Calling either function again resumes it. Both read and write folders and URLs.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from synth3dlanes.dataset.splits import readers, split_name, split_size
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import read_bounded
+from synth3dlanes.schema import shown
+from synth3dlanes.settings import SPLIT_NAME
 
 # By number in a split: the reader that has the sample, and its position there.
 SampleSources = dict[int, tuple[Reader, int]]
@@ -37,6 +40,8 @@ def split_dataset(source: Reader, shares: Mapping[str, float], seed: int, out: s
     The pictures of a scene stay together. `scene.json` keeps the split and index that a sample was drawn for. `derived`
     in `dataset.json` says what was done; `generate` does not extend such a data set.
     """
+    if not shares or any(re.fullmatch(SPLIT_NAME, name) is None or share <= 0 for name, share in shares.items()):
+        raise InputError(f"shares: expected names of splits, each with a share above 0, got {shown(dict(shares))}")
     scenes = source.scenes
     chosen = assign(len(scenes), shares, seed)
     empty = [name for name, numbers in chosen.items() if not numbers]
@@ -57,6 +62,8 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
     two hold the same sample. The result is what one run would have made, and `generate` may continue it.
     """
     found = [reader for source in sources for reader in readers(source)]
+    if not found:
+        raise InputError("sources: expected the data sets to merge, got none")
     first = found[0]
     problems = [
         f"{first.url}: {line} in {other.url}"

@@ -48,7 +48,7 @@ def drive_findings(drive: Drive) -> list[str]:
         scale, of_units = unit_of(drive, scans)
         found = (ground_plane(scan.xyz_lidar * scale) for scan in scans)
         planes = [plane for plane in found if plane is not None]
-        of_ground = ground_findings(drive, planes)
+        of_ground = [] if of_units and not planes else ground_findings(drive, planes)
         findings += of_units + of_ground
         if planes and not of_ground:
             findings += fit_findings(drive, scale, planes[0])

@@ -40,7 +40,7 @@ class _Sensor(DocumentPart):
 
 class _Lidar(_Sensor):
     axes: AxesName = "flu"
-    metres: Annotated[float, Field(gt=0, le=1e6)] = 1.0
+    metres: Annotated[float, Field(ge=1e-6, le=1e6)] = 1.0
     host_from_lidar: _Matrix | None = None
 
 

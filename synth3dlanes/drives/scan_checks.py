@@ -17,6 +17,8 @@ NEAR_M, FAR_M = 1.0, 150.0
 UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "kilometres": 1e3}
 # Where the ground is looked for, and how far from a plane it may be.
 GROUND_REACH_M, GROUND_OFF_M, TRIES = 15.0, 0.12, 200
+# Points on one line are no plane: the least width of those on a plane, relative to their length.
+LEAST_WIDE = 1e-3
 # Lidars of cars and trucks over the ground, and how far a road and a mount may lean.
 LOWEST_M, HIGHEST_M, MOST_TILT_DEG = 0.3, 4.5, 12.0
 # Pairs of scans, how far apart they are, and what of them is compared: what stands on the ground.
@@ -54,7 +56,7 @@ def unit_of(drive: Drive, scans: Sequence[Scan]) -> tuple[float, list[str]]:
 
 
 def ground_plane(xyz_lidar: Points3) -> GroundPlane | None:
-    """The plane that most points within 15 m are on; None for too few."""
+    """The plane that most points within 15 m are on; None for too few, or if they are all on one line."""
     near = xyz_lidar[np.linalg.norm(xyz_lidar, axis=1) < GROUND_REACH_M]
     if len(near) < 50:
         return None
@@ -64,10 +66,15 @@ def ground_plane(xyz_lidar: Points3) -> GroundPlane | None:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     normals, corners = normals[lengths > 1e-6] / lengths[lengths > 1e-6, None], corners[lengths > 1e-6]
+    if not len(normals):
+        return None
     off = np.abs(near @ normals.T - np.einsum("ij,ij->i", normals, corners[:, 0])) < GROUND_OFF_M
     inside = near[off[:, off.sum(axis=0).argmax()]]
     middle = inside.mean(axis=0)
-    normal = np.linalg.svd(inside - middle, full_matrices=False)[2][2]
+    _, (longest, wide, _), axes = np.linalg.svd(inside - middle, full_matrices=False)
+    if wide < LEAST_WIDE * longest:
+        return None
+    normal = axes[2]
     height_m = float(-normal @ middle)
     return GroundPlane(normal * np.sign(height_m or 1.0), abs(height_m))
 
@@ -75,7 +82,10 @@ def ground_plane(xyz_lidar: Points3) -> GroundPlane | None:
 def ground_findings(drive: Drive, planes: Sequence[GroundPlane]) -> list[str]:
     """Whether the ground is level below the lidar, by the axes of the host."""
     if not planes:
-        return []
+        told = (
+            f"expected the ground within {GROUND_REACH_M:g} m of the lidar, got too few points, or points on one line"
+        )
+        return [f"{drive.name}: scans: {told}"]
     normals = np.array([plane.normal for plane in planes]) @ drive.host_from_lidar[:3, :3].T
     height_m = float(np.median([plane.height_m for plane in planes]))
     normal = np.median(normals, axis=0)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from synth3dlanes.arguments import checked
 from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
 from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
@@ -18,6 +19,7 @@ NEAR_M = 0.5
 CURVE_STEPS = 8
 
 
+@checked
 def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.ndarray, "h w 3"]:
     """The image with its lanes, solid where they are visible, dotted where the ground or an object hides them, and the
     boxes of the objects and the faces of the traffic elements that are seen.

@@ -16,7 +16,7 @@ from synth3dlanes.figures.describe import road_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.labels import Labels
-from synth3dlanes.params import OPTIONAL, Params
+from synth3dlanes.params import NO_JUNCTION, OPTIONAL, Params
 from synth3dlanes.sampling.rules import CONDITIONED, ParameterRules
 from synth3dlanes.scene import Scene
 from synth3dlanes.town import Town
@@ -161,7 +161,10 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
             for field, value in getattr(scene, group) or ()
             if isinstance(value, int | float)
         }
-    values |= _town_values(scene.town, params) if scene.town is not None else {}
+    if scene.town is not None:
+        values |= _town_values(scene.town, params)
+    elif scene.road is not None and params.is_town and NO_JUNCTION in params.town.junction.values:
+        values["town.junction"] = [params.town.junction.values.index(NO_JUNCTION)]
     values["camera.horizontal_fov_deg"] = [math.degrees(horizontal_fov_rad(scene.camera))]
     offsets_px = scene.camera.cx_px - scene.camera.width_px / 2, scene.camera.cy_px - scene.camera.height_px / 2
     values["camera.principal_offset_px"] = list(offsets_px)

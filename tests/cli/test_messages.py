@@ -8,8 +8,10 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import Result
+from synth3dlanes_cli.main import main
 
 from synth3dlanes.dataset.local_files import LocalFiles
 
@@ -50,6 +52,19 @@ def test_too_little_memory_for_a_library_is_one_line(run: Run, monkeypatch: pyte
     result = run("drive", "check", "d")
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert result.stderr.startswith("synth3dlanes drive: not enough memory")
+
+
+def test_a_file_that_is_called_like_an_option_keeps_its_name(run: Run) -> None:
+    names = sorted({param.name for param in main.commands["generate"].params if isinstance(param, click.Option)})
+    assert {"split", "seed", "out", "n", "source"} < set(names)
+    for name in names:
+        for file in (f"{name}.yaml", f"{name}/{name}.yaml", f"{name}-2.yaml"):
+            told = run("generate", "--n", 1, "--out", "d", "--params", file).stderr
+            assert told == f"{file}: cannot read: No such file or directory\n"
+        Path(name).write_text("")
+    assert run("drive", "check", "lanes").stderr.startswith("lanes: ")
+    # An argument is still called by its option.
+    assert run("generate", "--n", 1, "--out", "e", "--part", "3/2").stderr.startswith("--part: expected i/n")
 
 
 @pytest.mark.parametrize("words", [["info", ""], ["info", "d", "--json="], ["drive", "check", "d", "--lanes", ""]])

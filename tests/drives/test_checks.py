@@ -8,6 +8,7 @@ import pytest
 
 from synth3dlanes.drives.checks import drive_findings
 from synth3dlanes.drives.open import open_drive
+from synth3dlanes.errors import InputError
 from tests.drives import road as made
 from tests.thorough import first
 
@@ -156,3 +157,32 @@ WRITERS = (made.write_described, made.write_sequence, made.write_raw, made.write
 )
 def test_a_drive_without_a_fault_has_no_finding(tmp_path, layout, turn):
     assert drive_findings(open_drive(str(layout(tmp_path, made.road(12, turn))))) == []
+
+
+# Scans in which nothing can be measured: their points, of shape (n, 3).
+POINTLESS = {
+    "all equal": np.tile([3.0, 4, -1], (200, 1)),
+    "at the lidar": np.zeros((200, 3)),
+    "on a line": np.linspace(2, 12, 200)[:, None] * [1.0, 0.5, -0.1],
+    "three": np.array([[2.0, 1, -1], [3, 1, -1], [4, 2, -1]]),
+    "far away": np.tile([90.0, 4, -1], (200, 1)),
+    "too large": np.full((200, 3), 1e30),
+}
+
+
+@pytest.mark.parametrize("name", POINTLESS)
+def test_scans_in_which_nothing_can_be_measured_are_named(tmp_path, name):
+    made.write_described(tmp_path, made.road(4))
+    points = np.column_stack([POINTLESS[name], np.zeros(len(POINTLESS[name]))])
+    for path in tmp_path.glob("lidar/*"):
+        np.save(path, points.astype(np.load(path).dtype))
+    findings = drive_findings(open_drive(str(tmp_path)))
+    assert [line for line in findings if re.search(r"monday: scans: .*expected", line)], findings
+
+
+@pytest.mark.parametrize("metres", ["1.0e-300", "0", "-1", "1.0e+300", ".inf", ".nan"])
+def test_units_of_points_are_bounded(tmp_path, metres):
+    made.write_described(tmp_path, made.road(4))
+    edit(tmp_path, "drive.yaml", ("axes: flu", f"axes: flu\n  metres: {metres}"))
+    with pytest.raises(InputError, match=r"lidar\.metres: expected "):
+        open_drive(str(tmp_path))
