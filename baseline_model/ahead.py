@@ -1,11 +1,21 @@
 """Work of a thread ahead of the one that uses it: reading, the network and drawing go on beside each other."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar, cast
 
 T = TypeVar("T")
+Progress = Callable[[int, int | None], None]
+"""Gets how many are done, and how many there are, None if that is not known."""
+
+
+def told(items: Iterable[T], total: int | None, progress: Progress | None) -> Iterator[T]:
+    """The items; `progress` gets how many were taken, and how many there are in all."""
+    for done, item in enumerate(items, start=1):
+        yield item
+        if progress is not None:
+            progress(done, total)
 
 
 def ahead(items: Iterable[T], n: int = 1) -> Iterator[T]:

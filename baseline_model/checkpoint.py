@@ -4,7 +4,9 @@
 """
 
 import json
+import os
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -135,8 +137,15 @@ def _without_former(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def place(source: str | Path) -> Path:
-    """The file of a checkpoint, given by its path or by the name of weights in the package."""
-    return {file.stem: file for file in (SHIPPED, COMPACT, STREETS)}.get(str(source), Path(source))
+    """The file of a checkpoint, given by its path or by the name of weights in the package. Raises InputError where
+    there is none."""
+    shipped = {file.stem: file for file in (SHIPPED, COMPACT, STREETS)}
+    found = shipped.get(str(source), Path(source))
+    if not os.path.lexists(found):
+        close = get_close_matches(str(source), shipped, n=1)
+        meant = f"; did you mean {close[0]}?" if close else ""
+        raise InputError(f"{source}: expected a checkpoint or one of {', '.join(shipped)}, got no such file{meant}")
+    return found
 
 
 def fine_tuning(source: str, overrides: dict[str, Any]) -> TrainConfig:

@@ -7,6 +7,7 @@ from pathlib import Path
 from synth3dlanes.labels import Labels
 
 from . import checkpoint as checkpoints
+from .ahead import Progress, told
 from .data import Samples
 from .flat_ground import through_flat_ground
 from .image_lines import tusimple_score
@@ -25,11 +26,13 @@ def evaluate_checkpoint(
     config: MetricConfig | None = None,
     device: str = "auto",
     own_model: str | None = None,
+    progress: Progress | None = None,
 ) -> EvaluationReport:
-    """Run the checkpoint's network over a split (`DIR/test`) and score it. `own_model` names a user's network."""
+    """Run the checkpoint's network over a split (`DIR/test`) and score it. `own_model` names a user's network,
+    `progress` gets the images that are done, and all."""
     detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
     samples = open_split(data_dir)
-    return score_on(samples, detector.in_samples(samples), config)
+    return score_on(samples, told(detector.in_samples(samples), len(samples), progress), config)
 
 
 def evaluate_predictions(

@@ -66,6 +66,7 @@ class Pairs:
 
     n_truth: int
     n_ignored: int
+    n_outside: int
     score: Float[np.ndarray, " p"]
     forgiven: Bool[np.ndarray, " p"]
     truth: Int[np.ndarray, " m"]
@@ -129,6 +130,7 @@ def find_pairs(truth: Truth, found: DetectedLanes, weights: Float[np.ndarray, " 
     return Pairs(
         n_truth=int(counted.sum()),
         n_ignored=int(truth.ignored.sum()),
+        n_outside=int(found.off_region.sum()),
         score=found.score,
         forgiven=forgiven,
         truth=rows,

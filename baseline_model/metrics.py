@@ -71,6 +71,8 @@ class KindReport:
     ap_by_weights: dict[str, float]
     n_truth: int
     n_ignored: int
+    n_outside: int
+    """Detections beyond the metric's region (`DetectedLanes.off_region`), which are no false positives."""
     n_detections: int
     at_threshold: Errors
     at_best_f1: Errors
@@ -167,6 +169,7 @@ class Evaluation:
             ap_by_weights={name: other.ap(n_truth) for name, other in curves.items()},
             n_truth=n_truth,
             n_ignored=sum(pairs.n_ignored for pairs in images),
+            n_outside=sum(pairs.n_outside for pairs in images),
             n_detections=sum(len(pairs.score) for pairs in images),
             at_threshold=_errors(images, self.config.threshold),
             at_best_f1=_errors(images, best),

@@ -15,6 +15,7 @@ from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
+from .ahead import Progress, told
 from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam
 from .image_lines import asked_for, columns_of, delimiters, right_of_host_m, tusimple_score
 from .inference import choose_device
@@ -121,11 +122,13 @@ def evaluate_checkpoint(
     threshold: float = 0.5,
     device: str = "auto",
     own_model: str | None = None,
+    progress: Progress | None = None,
 ) -> ImageReport:
-    """Run the checkpoint's network over photographs and score it."""
+    """Run the checkpoint's network over photographs and score it; `progress` gets the images that are done, and all."""
     detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
     images = (CameraImage(key, photographs.image(i), intrinsics) for i, key in enumerate(photographs.keys()))
-    found = (prediction for _, prediction in detector.in_images(images))
+    n_images = len(photographs.keys())
+    found = (prediction for _, prediction in told(detector.in_images(images), n_images, progress))
     return _score(found, photographs, intrinsics, threshold)
 
 

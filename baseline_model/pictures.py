@@ -28,14 +28,15 @@ VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpe
 @dataclass(frozen=True, eq=False)
 class Pictures:
     """The images of a source, read one after the other; whether their camera is assumed; frames a second where they are
-    those of a video or of clips; what raises InputError for lanes that no place in the image follows from; and the
-    image files that the source is or holds."""
+    those of a video or of clips; what raises InputError for lanes that no place in the image follows from; the image
+    files that the source is or holds; and the number of images, None for a video's."""
 
     images: Iterator[CameraImage]
     is_assumed: bool = False
     rate_hz: float | None = None
     check: Callable[[Prediction], None] = lambda _: None
     files: Sequence[Path] = ()
+    n_images: int | None = None
 
 
 def open_pictures(source: str | Path, intrinsics: Intrinsics | None) -> Pictures:
@@ -46,7 +47,9 @@ def open_pictures(source: str | Path, intrinsics: Intrinsics | None) -> Pictures
     files = image_files(source)
     if not files:
         return _labelled(source, intrinsics)
-    return Pictures((_of_file(file, intrinsics) for file in files), intrinsics is None, files=files)
+    return Pictures(
+        (_of_file(file, intrinsics) for file in files), intrinsics is None, files=files, n_images=len(files)
+    )
 
 
 def are_photographs(source: str | Path) -> bool:
@@ -113,7 +116,8 @@ def _labelled(source: str | Path, intrinsics: Intrinsics | None) -> Pictures:
     frames = open_tusimple(source)
     if intrinsics is not None and frames is not None:
         keys = enumerate(frames.keys())
-        return Pictures(CameraImage(key, frames.image(i), intrinsics, frames.lines_px(i)) for i, key in keys)
+        images = (CameraImage(key, frames.image(i), intrinsics, frames.lines_px(i)) for i, key in keys)
+        return Pictures(images, n_images=len(frames.keys()))
     if "://" not in str(source) and Path(source).suffix.lower() in IMAGE_SUFFIXES:
         raise InputError(f"{source}: expected an image, got no such file")
     samples = open_split(source)
@@ -121,8 +125,8 @@ def _labelled(source: str | Path, intrinsics: Intrinsics | None) -> Pictures:
         raise InputError(f"intrinsics: expected none for {source}, whose labels have them")
     images = (_of_sample(samples[i]) for i in range(len(samples)))
     if frames is not None:
-        return Pictures(images, check=lambda found: check_plane(found, source))
-    return Pictures(images, rate_hz=clip_rate_hz(samples))
+        return Pictures(images, check=lambda found: check_plane(found, source), n_images=len(samples))
+    return Pictures(images, rate_hz=clip_rate_hz(samples), n_images=len(samples))
 
 
 def _of_sample(sample: LabelledImage) -> CameraImage:

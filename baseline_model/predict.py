@@ -11,7 +11,7 @@ from synth3dlanes.files import Folder
 from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
-from .ahead import ahead
+from .ahead import Progress, ahead, told
 from .data import CameraImage, Intrinsics, img_from_cam
 from .inference import Detector, choose_device
 from .lane_video import LaneVideos
@@ -81,12 +81,17 @@ def detector_for(
 
 
 def predict(
-    detector: Detector, source: str | Path, out_dir: str | Path, config: PredictConfig = DEFAULT
+    detector: Detector,
+    source: str | Path,
+    out_dir: str | Path,
+    config: PredictConfig = DEFAULT,
+    progress: Progress | None = None,
 ) -> PredictionSummary:
     """Write `predictions.jsonl` to `out_dir`, and pictures or videos with the lanes (`PredictConfig`).
 
     `source` is a split of a dataset, an image, a folder of images, a video, or a label file of tuSimple or a folder
-    with one. Photographs of tuSimple without intrinsics need a network of the variant on a fixed plane.
+    with one. Photographs of tuSimple without intrinsics need a network of the variant on a fixed plane. `progress` gets
+    the images that are done, and all, if their number is known.
     """
     pictures = open_pictures(source, config.intrinsics)
     rate_hz = pictures.rate_hz
@@ -106,7 +111,7 @@ def predict(
 
         def kept() -> Iterator[Prediction]:
             # The network goes on in a thread while these lines are written and drawn.
-            for image, prediction in ahead(found):
+            for image, prediction in told(ahead(found), pictures.n_images, progress):
                 pictures.check(prediction)
                 if is_video(source) or config.has_videos:
                     name = Path(source).stem if is_video(source) else image.key

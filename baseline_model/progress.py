@@ -50,7 +50,8 @@ class ProgressLine(ExitStack):
         """Set the progress to `done` of `total`, with a new note unless it is None."""
         note = self.bar.tasks[0].fields["note"] if note is None else note
         self.bar.update(self.task, completed=done, total=total, note=note)
-        is_due = time.monotonic() - self.printed_at > LINE_EVERY_S
+        # The end has a line of its own.
+        is_due = time.monotonic() - self.printed_at > LINE_EVERY_S and done < total
         if self.is_shown and self.bar.disable and is_due:
             self.printed_at = time.monotonic()
             left_s = self.bar.tasks[0].time_remaining

@@ -10,7 +10,7 @@ from synth3dlanes.figures.colors import KIND_WORDS, KINDS, hexadecimal
 from synth3dlanes.files import encoded, write
 from synth3dlanes.words import counted
 
-from .curves import METRIC_Y_M
+from .curves import HALF_WIDTH_M, METRIC_Y_M, Y_REF_M
 from .metrics import Errors, EvaluationReport, KindReport
 
 Cells = list[list[str]]
@@ -189,7 +189,8 @@ def _kind_document(kind: KindReport) -> dict[str, Any]:
     document |= {name: value for name, value in vars(at).items() if name.endswith("sigma_cm")}
     document |= {name: value for name, value in vars(at).items() if name not in document}
     document |= {"ap_101_points": kind.ap_101_points}
-    document |= {"n_truth": kind.n_truth, "n_ignored": kind.n_ignored, "n_detections": kind.n_detections}
+    document |= {"n_truth": kind.n_truth, "n_ignored": kind.n_ignored}
+    document |= {"n_detections": kind.n_detections, "n_outside": kind.n_outside}
     document = {name: _plain(value) for name, value in document.items()}
     document["ap_interval"] = [_plain(value) for value in kind.ap_interval]
     document["ap_by_weights"] = {name: _plain(value) for name, value in kind.ap_by_weights.items()}
@@ -202,7 +203,9 @@ def _appendix(name: str, kind: KindReport) -> list[str]:
     other = ", ".join(f"{weights} {ap:.3f}" for weights, ap in kind.ap_by_weights.items())
     lines = [
         f"{name}: {kind.n_truth} lanes, {kind.n_ignored} ignored, {kind.n_detections} detections; "
-        f"AP by weights: {other}; 101 points {kind.ap_101_points:.3f}"
+        f"AP by weights: {other}; 101 points {kind.ap_101_points:.3f}",
+        f"  {counted(kind.n_outside, 'detection')} not judged: more than {HALF_WIDTH_M:g} m beside the camera at "
+        f"{Y_REF_M:g} m, or shorter than 8 m",
     ]
     for label, errors in (("best F1", kind.at_best_f1), ("all", kind.at_all)):
         cells = " / ".join(_cm(value) for value in _four(errors))

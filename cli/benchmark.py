@@ -7,15 +7,17 @@ from typing import Any
 import click
 
 from .generate import WORKERS_HELP, Workers, progress
-from .networks import WEIGHTS, need_torch
-from .options import json_option
+from .networks import WEIGHTS, Checkpoint, need_torch
+from .options import json_option, progress_bar
 
 
 @click.command()
 @click.argument("source", metavar="NAME|FILE")
 @click.option("--out", metavar="DIR", required=True, help="The data set: a folder or a URL such as s3://lanes/hills.")
 @click.option("--train", "is_training", is_flag=True, help="Make the images for training and validation too.")
-@click.option("--checkpoint", metavar=f"FILE|{WEIGHTS}", help="Trained network to score on the test images.")
+@click.option(
+    "--checkpoint", metavar=f"FILE|{WEIGHTS}", type=Checkpoint(), help="Trained network to score on the test images."
+)
 @click.option(
     "--predictions",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -74,5 +76,6 @@ def _score(source: str, checkpoint: str | None, predictions: Path | None) -> tup
         report = evaluate_predictions(predictions, source)
     else:
         assert checkpoint is not None
-        report = evaluate_checkpoint(checkpoint, source)
+        with progress_bar("images") as move:
+            report = evaluate_checkpoint(checkpoint, source, progress=move)
     return reporting.to_document(report), reporting.to_text(report)

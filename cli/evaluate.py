@@ -9,8 +9,8 @@ import click
 from synth3dlanes.errors import InputError
 
 from .idle import refuse_idle, refuse_together
-from .networks import INTRINSICS, WEIGHTS, camera_intrinsics, device_option, need_torch, own_model_option
-from .options import FiniteRange, json_option
+from .networks import INTRINSICS, WEIGHTS, Checkpoint, camera_intrinsics, device_option, need_torch, own_model_option
+from .options import FiniteRange, json_option, progress_bar
 
 if TYPE_CHECKING:
     from synth3dlanes_baseline.photographs import Photographs
@@ -23,6 +23,7 @@ OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots
 @click.option(
     "--checkpoint",
     metavar=f"FILE|{WEIGHTS}",
+    type=Checkpoint(),
     help="Trained network to score; nano, compact and streets are in this package (docs/models.md).",
 )
 @own_model_option
@@ -117,7 +118,8 @@ def evaluate(
         if predictions is not None:
             found = images.evaluate_predictions(predictions, photographs, camera, threshold)
         elif checkpoint is not None:
-            found = images.evaluate_checkpoint(checkpoint, photographs, camera, threshold, device, own_model)
+            with progress_bar("images") as move:
+                found = images.evaluate_checkpoint(checkpoint, photographs, camera, threshold, device, own_model, move)
         else:
             raise click.UsageError("expected --checkpoint or --predictions to score on photographs")
         click.echo(json.dumps(found.document()) if as_json else found.text())
@@ -137,7 +139,8 @@ def evaluate(
         report = scoring.evaluate_predictions(predictions, source, config)
     else:
         assert checkpoint is not None
-        report = scoring.evaluate_checkpoint(checkpoint, source, config, device, own_model)
+        with progress_bar("images") as move:
+            report = scoring.evaluate_checkpoint(checkpoint, source, config, device, own_model, move)
     if plots is not None:
         reporting.save_plots(report, plots)
     samples = reporting.samples_document(report)

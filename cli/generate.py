@@ -17,6 +17,7 @@ from synth3dlanes.production.events import LEVELS, Event, duration
 from .idle import refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
 from .options import (
     KEYS_OF_ROADS,
+    LINE_EVERY_S,
     assets_option,
     camera_option,
     clip_options,
@@ -36,8 +37,6 @@ from .options import (
     split_option,
 )
 
-# Interval between progress lines where stderr is not a terminal.
-LINE_EVERY_S = 30.0
 # Columns of a terminal that has room for a bar beside the numbers.
 WIDE = 100
 WORKERS_HELP = "Worker processes. auto: one per core, or up to four per GPU."

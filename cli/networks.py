@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 import click
+from click.shell_completion import CompletionItem
 
-from synth3dlanes.errors import InputError, MissingPackageError
+from synth3dlanes.errors import InputError, MissingPackageError, how_to_install
 
 own_model_option = click.option(
     "--model",
@@ -22,13 +23,24 @@ INTRINSICS = "FX,FY,CX,CY|FILE"
 device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
 
 
+class Checkpoint(click.ParamType):
+    """A file, or the name of weights in the package; the library looks for it."""
+
+    name = "checkpoint"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Names of weights, and files."""
+        names = [CompletionItem(name) for name in WEIGHTS.split("|") if name.startswith(incomplete)]
+        return [*names, CompletionItem(incomplete, type="file")]
+
+
 def need_torch() -> None:
     """Load torch, or say how to install it."""
     # OpenMP's threads spin while they wait for each other. On cores that others use as well, a training step took
     # 4.8 s with spinning and 0.4 s without; on idle cores it makes no difference. Read when torch is first loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if importlib.util.find_spec("torch") is None:
-        raise MissingPackageError("PyTorch is not installed: pip install 'synth3dlanes[train]'")
+        raise MissingPackageError(f"PyTorch is not installed: {how_to_install('train')}")
     if "torch" not in sys.modules:
         # Nothing that an import makes is garbage: looking for some takes a tenth of the time that torch takes.
         gc.disable()

@@ -3,6 +3,9 @@
 import math
 import os
 import re
+import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -13,6 +16,7 @@ from click.core import ParameterSource
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
+from synth3dlanes.production.events import duration
 from synth3dlanes.settings import DEVICES, MAX_SEED, PASSES, QUALITY_SAMPLES, SPLIT_NAME
 
 from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
@@ -23,6 +27,10 @@ if TYPE_CHECKING:
     from synth3dlanes.shots import Shots
 
     from .console import OutputConsole
+
+
+# Seconds between lines of progress where stderr is no terminal.
+LINE_EVERY_S = 30.0
 
 
 class Names(click.ParamType):
@@ -217,8 +225,12 @@ def output_console(*, stderr: bool = False, soft_wrap: bool = False) -> "OutputC
 
 
 @contextmanager
-def progress_bar(label: str = "") -> Iterator[Callable[[int, int], None]]:
-    """A function of (done, total) that moves a bar on stderr; a command that is refused before shows none."""
+def progress_bar(label: str = "") -> Iterator[Callable[[int, int | None], None]]:
+    """A function of (done, total) that moves a bar on stderr, or prints a line there now and then where it is no
+    terminal; a command that is refused before shows none. A total that is not known is None."""
+    if not sys.stderr.isatty():
+        yield _lines(label)
+        return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
@@ -226,12 +238,45 @@ def progress_bar(label: str = "") -> Iterator[Callable[[int, int], None]]:
     task = bar.add_task("", total=None)
     with ExitStack() as stack:
 
-        def move(done: int, total: int) -> None:
+        def move(done: int, total: int | None) -> None:
             if not bar.live.is_started:
                 stack.enter_context(bar)
             bar.update(task, completed=done, total=total)
 
         yield move
+
+
+def _lines(label: str) -> Callable[[int, int | None], None]:
+    began = printed = time.monotonic()
+
+    def move(done: int, total: int | None) -> None:
+        nonlocal printed
+        now = time.monotonic()
+        if now - printed > LINE_EVERY_S and done != total:
+            printed = now
+            of = "" if total is None else f"/{total}"
+            left = f", {duration((now - began) * (total - done) / done)} left" if total and done else ""
+            click.echo(f"{done}{of} {label}{left}", err=True)
+
+    return move
+
+
+@contextmanager
+def patience(what: str) -> Iterator[None]:
+    """Print a line on stderr now and then, for work that cannot tell how far it is."""
+    over, began = threading.Event(), time.monotonic()
+
+    def tell() -> None:
+        while not over.wait(LINE_EVERY_S):
+            click.echo(f"{what}, {duration(time.monotonic() - began)} so far", err=True)
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def open_assets(folder: Path | None) -> "Library":

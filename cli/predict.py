@@ -5,12 +5,19 @@ from pathlib import Path
 import click
 
 from .idle import refuse_idle
-from .networks import INTRINSICS, WEIGHTS, camera_intrinsics, device_option, need_torch, own_model_option
-from .options import FiniteRange, OutputFile
+from .networks import INTRINSICS, WEIGHTS, Checkpoint, camera_intrinsics, device_option, need_torch, own_model_option
+from .options import FiniteRange, OutputFile, patience, progress_bar
+
+
+def is_checkpoint(what: str) -> bool:
+    """Whether a word looks like a checkpoint."""
+    return what in WEIGHTS.split("|") or what.endswith(".pt")
 
 
 @click.command()
-@click.argument("what", metavar="[CHECKPOINT] DIR[/SPLIT[:KEY]]|IMAGE|FOLDER|VIDEO", nargs=-1, required=True)
+@click.argument(
+    "what", metavar="[CHECKPOINT] DIR[/SPLIT[:KEY]]|IMAGE|FOLDER|VIDEO", nargs=-1, required=True, type=Checkpoint()
+)
 @click.option(
     "--out",
     default="predictions",
@@ -76,13 +83,17 @@ def predict(
             f"expected [CHECKPOINT] and one split, image, folder or video, got {len(what)} arguments"
         )
     checkpoint, source = what if len(what) == 2 else (None, what[0])
+    if checkpoint is not None and is_checkpoint(source) and not is_checkpoint(checkpoint):
+        raise click.UsageError(f"expected the checkpoint first; did you mean {source} {checkpoint}?")
     detector = detector_for(source, checkpoint, device, own_model)
     config = PredictConfig(camera_intrinsics(intrinsics), overlays, threshold, video, smooth)
-    click.echo(run(detector, source, out, config).text())
+    with progress_bar("images") as move:
+        summary = run(detector, source, out, config, move)
+    click.echo(summary.text())
 
 
 @click.command()
-@click.argument("checkpoint", metavar=f"CHECKPOINT|{WEIGHTS}")
+@click.argument("checkpoint", metavar=f"CHECKPOINT|{WEIGHTS}", type=Checkpoint())
 @click.argument("path", metavar="FILE.onnx", type=OutputFile(".onnx"))
 @click.option(
     "--int8",
@@ -95,4 +106,6 @@ def onnx(checkpoint: str, path: Path, calibration: str | None) -> None:
     need_torch()
     from synth3dlanes_baseline.onnx_export import export_onnx
 
-    click.echo(export_onnx(checkpoint, path, calibration))
+    with patience("exporting"):
+        exported = export_onnx(checkpoint, path, calibration)
+    click.echo(exported)

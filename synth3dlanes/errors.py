@@ -65,6 +65,11 @@ class WorkerError(Synth3dlanesError):
     """A worker process ended without a result; the message has its last words."""
 
 
+def how_to_install(extra: str) -> str:
+    """What installs an extra: from the source, as no package index has this project yet."""
+    return f"pip install '.[{extra}]' in the folder of its source"
+
+
 def is_of_environment(error: BaseException | None) -> bool:
     """Whether an error came from the environment, not from what the user gave; also one that was told by another."""
     while error is not None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from synth3dlanes.arrays import RgbImage
-from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.errors import FormatError, InputError, MissingPackageError, how_to_install
 from synth3dlanes.files import open_regular
 
 if TYPE_CHECKING:
@@ -157,5 +157,5 @@ def _pyav() -> ModuleType:
     try:
         import av
     except ModuleNotFoundError:
-        raise MissingPackageError("PyAV is not installed: pip install 'synth3dlanes[video]'") from None
+        raise MissingPackageError(f"PyAV is not installed: {how_to_install('video')}") from None
     return av

@@ -86,7 +86,7 @@ from datasets import load_dataset
 samples = load_dataset("webdataset", data_files={{"{split}": "{split}/*.tar"}}, split="{split}", streaming=True)
 ```
 
-With `pip install synth3dlanes`, `Reader("DIR/{split}")[0]` is a sample with its image and labels as arrays, and
+With synth3dlanes installed, `Reader("DIR/{split}")[0]` is a sample with its image and labels as arrays, and
 `synth3dlanes report DIR` writes a page with samples and statistics.
 """
 

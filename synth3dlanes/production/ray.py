@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 from synth3dlanes.dataset.patience import LIMIT_S, Patience, since
-from synth3dlanes.errors import ClaimedError, InputError, MissingPackageError, OutageError
+from synth3dlanes.errors import ClaimedError, InputError, MissingPackageError, OutageError, how_to_install
 from synth3dlanes.production.devices import WORKERS_PER_GPU, resolve_device
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.local import make_here
@@ -30,7 +30,7 @@ try:
     from synth3dlanes.production.cluster import Cluster
     from synth3dlanes.production.cluster import connected as connected
 except ModuleNotFoundError as error:
-    raise MissingPackageError("Ray is not installed: pip install 'synth3dlanes[cluster]'") from error
+    raise MissingPackageError(f"Ray is not installed: {how_to_install('cluster')}") from error
 
 # More workers would wait for the last sample of a shard, fewer for shards: the cores that one task asks for at most.
 MAX_WORKERS = 8

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from synth3dlanes_baseline.metrics import Evaluation, MetricConfig, ap_at_101_points, average_precision
-from synth3dlanes_baseline.report import summary_line, to_text
+from synth3dlanes_baseline.report import summary_line, to_document, to_text
 
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.params import load_params
@@ -138,6 +138,25 @@ def test_an_image_of_ignored_lanes_contributes_nothing(roads):
     assert centerline.n_truth == 0
     assert centerline.n_ignored == 2
     assert np.isnan(centerline.at_threshold.precision)
+
+
+def test_detections_beyond_the_region_are_counted_apart(roads):
+    """Where no lane is labelled: within 10.24 m at Y_ref a detection is wrong, beyond it is not judged and is told."""
+    labels = roads.labels(_straight(0.0))
+    for beside_m, precision, n_outside in (
+        (0.0, 1.0, 0),
+        (5.0, 0.5, 0),
+        (10.2, 0.5, 0),
+        (10.3, 1.0, 1),
+        (-30.0, 1.0, 1),
+    ):
+        found = roads.labels([*_straight(0.0), lambda y, x_m=beside_m: (x_m + 0 * y, 0.0 * y)][: 1 + (beside_m != 0)])
+        report = _evaluate([(labels, roads.as_prediction(found))])
+        centerline = report.kinds["centerline"]
+        assert (centerline.at_threshold.precision, centerline.n_outside) == (precision, n_outside)
+        assert to_document(report)["centerline"]["n_outside"] == n_outside
+        told = f"{n_outside} detection{'s' * (n_outside != 1)} not judged: more than 10.24 m beside the camera at 20 m"
+        assert told in to_text(report)
 
 
 def test_hidden_points_are_not_compared(roads):

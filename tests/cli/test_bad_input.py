@@ -248,7 +248,7 @@ def test_a_missing_package_and_a_crashed_worker_are_one_line(
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     for command, words in (
         (("generate", "--n", 1, "--params", "tiny", "--out", "d"), "Blender's module bpy is not installed"),
-        (("train", "d", "--out", "e"), "PyTorch is not installed: pip install 'synth3dlanes[train]'"),
+        (("train", "d", "--out", "e"), "PyTorch is not installed: pip install '.[train]' in the folder of its source"),
     ):
         result = run(*command)
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1), result.output
