@@ -1,54 +1,125 @@
-"""Compare the lanes that a reader finds in an OpenDRIVE map with those of its scene.
+"""Draw scenes on OpenDRIVE files, and compare their labels with a second reading of the files: a table.
 
-    python -m scripts.compare_map scene.json map.xodr < points.txt
+    python -m scripts.compare_map maps/*.xodr --scenes 4 [--render 2]
 
-`points.txt` has a line for each point of a lane's centre: the road's id, the lane's number, x, y and z.
+For every file: its roads, how many of them are read, what is left out, how many scenes cannot be drawn, the farthest
+that a point of the labels is from the file's own lines (tests/maps/standard.py, which shares nothing with the package)
+from above and in height, and the processor time of a scene before its picture. With --render, that many scenes are
+rendered and checked by `validate`, whose problems are counted.
 """
 
+import argparse
+import json
+import multiprocessing
+import subprocess
 import sys
-from collections import defaultdict
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from xml.etree import ElementTree
+from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.opendrive.convention import USER_DATA
-from synth3dlanes.scene import from_json
-from synth3dlanes.world import resolve
+from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.maps.given_map import read_map
+from synth3dlanes.params import load_params
+from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.sampling.on_map import MapPlace
+from tests.maps.comparing import Apart, apart
+from tests.maps.standard import read
 
-STATIONS_M = np.arange(-262.0, 302.0, 0.05)
-
-
-def differences(scene: Path, road_map: Path, lines: list[str]) -> np.ndarray:
-    """Distance from above and height difference of each point, in metres."""
-    world = resolve(from_json(scene.read_text(), str(scene)))
-    segments = {
-        (road.get("id"), lane.get("id")): data.attrib["value"]
-        for road in ElementTree.parse(road_map).getroot().iter("road")
-        for lane in road.iter("lane")
-        for data in lane.iter("userData")
-        if data.get("code") == USER_DATA
-    }
-    curves = {line.id: line.points_world(STATIONS_M) for line in world.site.lines if line.kind == "centerline"}
-    points = defaultdict(list)
-    for line in lines:
-        road, lane, *xyz = line.split()
-        segment = segments[road, lane]
-        points[world.network.path(segment).id].append([float(value) for value in xyz])
-    return np.concatenate([_apart(np.array(read), curves[path]) for path, read in points.items()])
+PRESET = "realistic"
+COLUMNS = ("file", "roads", "read", "left out", "scenes that fail", "alarms", "cm aside", "cm in height", "CPU s")
 
 
-def _apart(points: np.ndarray, curve: np.ndarray) -> np.ndarray:
-    i = np.clip(cKDTree(curve[:, :2]).query(points[:, :2])[1], 1, len(curve) - 2)
-    along, to = curve[i + 1] - curve[i - 1], points - curve[i]
-    share = (to[:, :2] * along[:, :2]).sum(axis=1) / (along[:, :2] ** 2).sum(axis=1)
-    off = to - share[:, None] * along
-    return np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])])
+class Drawn(NamedTuple):
+    """A scene: how far its labels are from the file, and the processor time before its picture."""
+
+    apart: Apart
+    cpu_s: float
+
+
+def counts(path: Path) -> tuple[int, int, str]:
+    """The roads of a file, those that are read, and what is left out."""
+    given = read_map(path)
+    return len(read(path.read_bytes())), len(given.roads), given.text().partition("left out: ")[2]
+
+
+def drawn(path: Path, index: int) -> Drawn:
+    """One scene on a file."""
+    given = read_map(path)
+    start = time.process_time()
+    world = sample_world(Scenes(load_params(PRESET), 1, "train", map=MapPlace(given)), index)
+    labels, site, view = ground_truth(world.scene), world.site, world.view
+    _ = site.pavement, site.terrain, site.structures, world.paint(view), world.symbols(view), world.grass(view)
+    seconds = time.process_time() - start
+    return Drawn(apart(world, labels, given, read(path.read_bytes())), seconds)
+
+
+def row(path: Path, scenes: int, rendered: int) -> dict[str, object]:
+    """What holds for one file, found in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        read_first = pool.submit(counts, path)
+        if failed := read_first.exception():
+            return {"file": path.name, "read": 0, "left out": f"refused: {_line(failed).removeprefix(f'map {path}: ')}"}
+        found = dict(zip(COLUMNS, (path.name, *read_first.result()), strict=False))
+        tried = [pool.submit(drawn, path, index) for index in range(scenes)]
+        problems = [_line(error) for error in (at.exception() for at in tried) if error]
+        made = [at.result() for at in tried if not at.exception()]
+    found["scenes that fail"] = f"{len(problems)} of {scenes}" + (f" ({problems[0]})" if problems else "")
+    if made:
+        aside_m, height_m, *_ = np.fmax.reduce(np.array([at.apart for at in made]))
+        found["cm aside"] = f"{100 * aside_m:.2f}"
+        found["cm in height"] = "on hills" if np.isnan(height_m) else f"{100 * height_m:.2f}"
+        found["CPU s"] = f"{np.median([at.cpu_s for at in made]):.1f}"
+        found["alarms"] = _alarms(path, rendered) if rendered else ""
+    return found
+
+
+def _line(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}".splitlines()[0][:200]
+
+
+def _alarms(path: Path, rendered: int) -> str:
+    """The problems that `validate` finds in rendered scenes."""
+    program = [sys.executable, "-m", "synth3dlanes"]
+    with tempfile.TemporaryDirectory() as folder:
+        made = [
+            "generate",
+            "--n",
+            str(rendered),
+            "--out",
+            folder,
+            "--params",
+            PRESET,
+            "--map",
+            str(path),
+            "--passes=all",
+        ]
+        subprocess.run([*program, *made, "--workers=1", "--quality=draft"], capture_output=True, check=False)
+        checked = [*program, "validate", folder, "--workers=1", "--json"]
+        told = subprocess.run(checked, capture_output=True, check=False, text=True).stdout
+    try:
+        problems = [" ".join(str(part) for part in problem.values()) for problem in json.loads(told)["problems"]]
+    except (ValueError, KeyError):
+        return "no pictures"
+    return f"{len(problems)}" + (f" ({problems[0][:160]})" if problems else "")
+
+
+def main() -> None:
+    """The table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--scenes", type=int, default=4)
+    parser.add_argument("--render", type=int, default=0)
+    given = parser.parse_args()
+    sys.stdout.write(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}\n")
+    for path in given.files:
+        found = row(path, given.scenes, given.render)
+        sys.stdout.write(f"| {' | '.join(str(found.get(column, '')) for column in COLUMNS)} |\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    found = 100 * differences(Path(sys.argv[1]), Path(sys.argv[2]), sys.stdin.readlines())
-    for name, values in zip(("aside", "height"), found.T, strict=True):
-        p99, most = np.percentile(values, (99, 100))
-        sys.stdout.write(f"{name}: {len(values)} points, 99 % within {p99:.2f} cm, most {most:.2f} cm\n")
+    main()

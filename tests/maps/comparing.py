@@ -59,8 +59,8 @@ def apart(world: World, labels: Labels, given: GivenMap, roads: Mapping[str, Roa
                 number = int(curve.lanes[k].id.rpartition(".")[2])
                 lines.append(next(edge.middle for edge in edges if edge.number == number))
             else:
-                middle = in_file(curve.points_world(np.array([ends.mean()])))
-                own_edge = min(edges, key=lambda edge: float(_off(middle, edge.edge)[0, 0]))
+                inside = in_file(curve.points_world(np.linspace(*ends, 9)[1:-1]))
+                own_edge = min(edges, key=lambda edge: float(_off(inside, edge.edge)[:, 0].max()))
                 lines.append(own_edge.edge + np.array([0, 0, KERB_M * own_edge.is_raised]))
         off = np.stack([_off(points, line) for line in lines])
         best = off[off[..., 0].argmin(axis=0), np.arange(len(points))]

@@ -24,7 +24,7 @@ from scipy.special import fresnel
 
 # Entries this near to a station begin there; files round them.
 SAME_M = 1e-3
-STEP_M = 0.25
+STEP_M = 0.1
 RAISED, KERB_M = ("sidewalk", "walking", "curb"), 0.12
 
 
