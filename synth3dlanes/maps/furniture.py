@@ -38,6 +38,8 @@ ARROW_SUBTYPES: dict[str, SymbolKind] = {
     "50": "arrow_straight_right",
 }
 ISLAND_M, MAX_ISLAND_M, MAX_CORNERS = 0.12, 1.0, 1000
+# Files put things at most this far beyond an end of their road.
+BEYOND_M = 1.0
 # A crosswalk is crossed along its longer sides, where these are longer by so much.
 OBLONG = 1.2
 
@@ -89,6 +91,16 @@ def read_furniture(element: Element, road: MapRoad, where: str, left_out: Counte
     for tag in ("objects/tunnel", "objects/bridge"):
         left_out[f"{tag.partition('/')[2]}s"] += len(element.findall(tag))
     return Furniture(tuple(paint), tuple(islands), tuple(others))
+
+
+def drop_beyond(element: Element, length_m: float, where: str, left_out: Counter[str]) -> None:
+    """Take the objects and signals out of a road that are told for stations beyond its ends, where it is not."""
+    for group, tag in (("objects", "object"), ("signals", "signal"), ("signals", "signalReference")):
+        for parent in element.iterfind(group):
+            for item in parent.findall(tag):
+                if not -BEYOND_M <= number(item, "s", where, 0.0) <= length_m + BEYOND_M:
+                    parent.remove(item)
+                    left_out[f"{tag}s beyond the ends of their roads"] += 1
 
 
 def is_paint(signal: Element) -> bool:

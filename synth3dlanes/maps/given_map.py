@@ -20,7 +20,7 @@ from synth3dlanes.files import read_bounded
 from synth3dlanes.maps.cubics import is_zero, part, read_cubics, steepened, times, value
 from synth3dlanes.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml
 from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
-from synth3dlanes.maps.furniture import edges_at, read_furniture
+from synth3dlanes.maps.furniture import drop_beyond, edges_at, read_furniture
 from synth3dlanes.maps.jumps import divided
 from synth3dlanes.maps.lanes import Section, read_sections
 from synth3dlanes.maps.links import LinkedRoad, ascends, lane_links, read_end
@@ -199,6 +199,7 @@ def _read(root: Element, digest: str, packed: bytes, source: str, where: str) ->
         in_junction = element.get("junction", "-1")
         roads[name] = road.model_copy(update={"junction": junction_names.get(in_junction)})
         linked[id_of_file] = ends
+        drop_beyond(element, road.length_m, at, left_out)
         found = read_furniture(element, roads[name], at, left_out)
         paint += found.paint
         islands += found.islands

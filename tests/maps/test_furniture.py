@@ -70,3 +70,19 @@ def test_a_traffic_island_has_its_outline_and_height() -> None:
     (island,) = read(f'<object id="1" type="trafficIsland" s="10" t="0" height="0.2">{outline}</object>').islands
     assert sorted(island.outline) == [pytest.approx(at) for at in sorted([(4, 14), (6, 14), (4, 18), (6, 18)])]
     assert island.height_m == 0.2
+
+
+def test_what_is_told_for_beyond_the_ends_of_a_road_is_left_out() -> None:
+    def things(*stations: float) -> GivenMap:
+        objects = "".join(
+            f'<object id="{s}" type="roadMark" name="StopLine" s="{s}" t="-2" width="3"/>' for s in stations
+        )
+        signals = "".join(f'<signal id="{s}" type="1000001" s="{s}" t="-9"/>' for s in stations)
+        return read(objects, signals)
+
+    found, near = things(-20.0, 40.0, 500.0), things(-0.4, 40.0, 90.5)
+    assert ([at.s_m for at in found.paint], len(found.elements)) == ([40.0], 1)
+    beyond = "beyond the ends of their roads"
+    assert found.left_out == {f"objects {beyond}": 2, f"signals {beyond}": 2}
+    assert ([at.s_m for at in near.paint], len(near.elements)) == ([0.0, 40.0, 90.0], 3)
+    assert near.left_out == {}

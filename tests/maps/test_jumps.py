@@ -1,10 +1,12 @@
 """Where a value along a road steps: lines end where they were going, and labels are where the file's numbers say."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
+from synth3dlanes.formats.opendrive.write import opendrive as opendrive_of
 from synth3dlanes.frames import transform
 from synth3dlanes.geometry.map_ground import MapGround
 from synth3dlanes.geometry.map_meshes import pavement_meshes
@@ -138,6 +140,17 @@ def test_pavement_steps_where_the_labels_do(name: str) -> None:
             edges = stretch.points(s, across.edges(s[:1])[:, 0])
             for point in edges[np.linalg.norm(edges[:, :2], axis=1) < 200]:
                 assert np.linalg.norm(vertices - point, axis=1).min() < 1e-3
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_an_exported_map_steps_where_the_labels_do(name: str) -> None:
+    world, labels = scene(name)
+    roads = {str(at.element.get("name")): at for at in read(opendrive_of(world, "scene").encode()).values()}
+    assert world.scene.map is not None
+    in_world = world.scene.map.model_copy(update={"given_frame": (0.0, 0.0, 0.0, 0.0)})
+    found = apart(replace(world, scene=world.scene.model_copy(update={"map": in_world})), labels, given(name)[0], roads)
+    assert found.plan_m < 0.02
+    assert not found.height_m > 0.03
 
 
 def test_a_mark_told_from_before_its_section_is_painted_in_it_on_the_lanes_edge() -> None:
