@@ -198,7 +198,7 @@ def generate(
     params, shots = open_params(source, changes, library), open_shots(camera, rig, frames, fps, lidar)
     refuse_idle_changes((*changes, *spreads), shots)
     settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
-    given = read_like(given_scenes(like, params, library.assets), spreads) if like else None
+    given = read_like(given_scenes(like, params, library.assets, bool(shots.cameras)), spreads) if like else None
     place = place_on_map(map_file, at or "") if map_file else None
     scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given, map=place)
     recipe = Recipe(scenes, settings, image_format, library)

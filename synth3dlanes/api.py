@@ -226,9 +226,10 @@ def generate_dataset(
         raise InputError("map: expected none beside like")
     if spreads and not like:
         raise InputError("spreads: expected none without scenes to be like")
-    given = read_like(drawn(like, params, assets.assets, "like"), several(spreads)) if like else None
+    given = drawn(like, params, assets.assets, "like", bool(shots.cameras)) if like else ()
+    near = read_like(given, several(spreads)) if given else None
     place = _map_place(map, at)
-    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=given, map=place)
+    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=near, map=place)
     recipe = Recipe(scenes, settings, image_format, assets)
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))

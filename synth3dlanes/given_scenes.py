@@ -18,14 +18,15 @@ from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.sampling.like import MAX_SCENES, DrawKey
 from synth3dlanes.scene import Scene, from_json
 from synth3dlanes.schema import Excerpt, parse
+from synth3dlanes.shots import ShotNumbers, clips
 from synth3dlanes.sources import read_scene
 
 # Room for 100,000 scenes of 5 kB.
 MAX_FILE_BYTES = 512 << 20
 # The worst 1 / WORST of the samples of an evaluation is used.
 WORST = 10
-# The number of scenes that are drawn again to check that they fit the parameters, and the parts that are compared.
-CHECKED, PARTS = 5, ("terrain", "road", "markings", "surface", "light", "air")
+# The number of scenes that are drawn again to check that they fit the parameters.
+CHECKED = 5
 
 
 class EvaluatedSample(Excerpt):
@@ -41,7 +42,7 @@ class StoredEvaluation(Excerpt):
     samples: Annotated[tuple[EvaluatedSample, ...], Field(min_length=1)]
 
 
-def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[DrawKey, ...]:
+def given_scenes(path: Path, params: Params, assets: Assets, own_camera: bool = False) -> tuple[DrawKey, ...]:
     """The draws of the scenes in a file: either one scene per line, as scene.json or as a sample such as
     DIR/test:00000017; or a result of `evaluate --json`, whose worst tenth is used.
 
@@ -53,16 +54,18 @@ def given_scenes(path: Path, params: Params, assets: Assets) -> tuple[DrawKey, .
         raise InputError(f"like {error}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"like {path}: cannot read: {getattr(error, 'strerror', None) or error}") from None
-    return drawn(_scenes(text, f"like {path}"), params, assets, f"like {path}")
+    return drawn(_scenes(text, f"like {path}"), params, assets, f"like {path}", own_camera)
 
 
-def drawn(scenes: Iterable[Scene], params: Params, assets: Assets, where: str) -> tuple[DrawKey, ...]:
+def drawn(
+    scenes: Iterable[Scene], params: Params, assets: Assets, where: str, own_camera: bool = False
+) -> tuple[DrawKey, ...]:
     """The draws of scenes, each once. Raises InputError if there are none, and for a scene that these parameters do not
-    draw."""
+    draw; with a camera of the user's own, that of the parameters does not count."""
     found: dict[DrawKey, None] = {}
     for scene in scenes:
         if len(found) < CHECKED:
-            _check(scene, params, assets, where)
+            _check(scene, params, assets, where, own_camera)
         found[scene.seed, scene.split, scene.index] = None
     if not 0 < len(found) <= MAX_SCENES:
         raise InputError(f"{where}: expected 1 to {MAX_SCENES} scenes, got {len(found)}")
@@ -102,12 +105,21 @@ def _worst(scores: StoredEvaluation) -> list[str]:
     return [f"{scores.source}:{sample.key}" for sample in scores.samples[: -(-len(scores.samples) // WORST)]]
 
 
-def _check(scene: Scene, params: Params, assets: Assets, where: str) -> None:
-    """Raise InputError unless these parameters draw the scene."""
-    again = sample_scene(Scenes(params, scene.seed, scene.split, assets=assets), scene.index)
-    wrong = [name for name in PARTS if getattr(again, name) != getattr(scene, name)]
+def _check(scene: Scene, params: Params, assets: Assets, where: str, own_camera: bool) -> None:
+    """Raise InputError unless these parameters draw the scene, in pictures such as its own."""
+    shots = clips(scene.shot.n_frames, scene.shot.fps)
+    index = shots.index(ShotNumbers(scene.index, scene.shot.frame, 0))
+    again = sample_scene(Scenes(params, scene.seed, scene.split, assets=assets, shots=shots), index)
+    # Lidars and rigs are no parameters.
+    kept = {name: getattr(scene.shot, name) for name in ("camera", "n_cameras", "behind_m")}
+    again = again.model_copy(update={"lidar": scene.lidar, "shot": again.shot.model_copy(update=kept)})
+    if own_camera:
+        place = {name: getattr(again.camera, name) for name in ("lane", "y_m", "offset_m")}
+        again = again.model_copy(update={"camera": scene.camera.model_copy(update=place)})
+    wrong = [name for name in Scene.model_fields if getattr(again, name) != getattr(scene, name)]
     if wrong:
         raise InputError(
             f"{where}: expected scenes as these parameters draw them, got other {', '.join(wrong)} in scene "
-            f"{scene.index} of {scene.split}, seed {scene.seed}; use the --params, --set and --assets of its data set"
+            f"{scene.index} of {scene.split}, seed {scene.seed}; use the --params, --set, --camera and --assets of its "
+            "data set"
         )

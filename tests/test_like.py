@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.errors import InputError
-from synth3dlanes.given_scenes import given_scenes
+from synth3dlanes.given_scenes import drawn, given_scenes
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
@@ -19,7 +19,10 @@ from synth3dlanes.production.twins import twin_recipes
 from synth3dlanes.sample import Scenes, sample_scene
 from synth3dlanes.sampling.like import near, read_like
 from synth3dlanes.scene import to_json
+from synth3dlanes.sensors.lidar_files import load_lidar
+from synth3dlanes.sensors.rig_files import load_rig
 from synth3dlanes.settings import RenderSettings
+from synth3dlanes.shots import Shots
 from synth3dlanes.validate.origin import read_origin
 from tests import fake_samples
 
@@ -105,6 +108,53 @@ def test_files_name_scenes_by_their_text(tmp_path):
     path.write_text("\n")
     with pytest.raises(InputError, match="expected 1 to 10000 scenes, got 0"):
         given_scenes(path, PARAMS, BUILT_IN.assets)
+
+
+FEW = ["cars.n=2", "trees.n=2", "roadside.delineators=true", "roadside.outer=none"]
+FEW += [f"roadside.n_{name}=0" for name in ("houses", "halls", "blocks")]
+
+# A parameter of each group that a scene of single pictures uses, otherwise than in `streets`, and the part that tells.
+OTHER = {
+    "terrain.magnitude_m=1": "terrain",
+    "road.lane_width_m=3": "road",
+    "markings.wear=1": "markings",
+    "surface.tar=1": "surface",
+    "cars.gloss=0": "cars",
+    "trees.scale=0.5": "trees",
+    "camera.pitch_deg=9": "camera",
+    "camera.offset_m=1": "camera",
+    "light.exposure=9": "light",
+    "air.overcast=0.33": "air",
+    "sensor.dirt=1": "sensor",
+    "symbols.crosswalks=9": "symbols",
+    "weather.snow=1": "weather",
+    "host.bonnet=0.3": "host",
+    "vegetation.translucency=0": "vegetation",
+    "roadside.delineator_spacing_m=11": "roadside",
+}
+
+
+@pytest.mark.parametrize("other", OTHER)
+def test_scenes_of_other_parameters_are_refused_whatever_differs(other):
+    scene = sample_scene(Scenes(load_params("streets", FEW), 1), 0)
+    expected = rf"expected scenes as these parameters draw them, got other .*\b{OTHER[other]}\b"
+    with pytest.raises(InputError, match=expected):
+        drawn([scene], load_params("streets", [*FEW, other]), BUILT_IN.assets, "like")
+
+
+def test_a_camera_of_ones_own_has_the_place_of_the_parameters():
+    shots = Shots(frames=4, cameras=load_rig("nuscenes"), lidar=load_lidar("vlp_32c"))
+    params = load_params("appendix_i", ["cars.n=2", "trees.n=2"])
+    scene = sample_scene(Scenes(params, 3, "hard", shots=shots), 6 * 4 * 2 + 6 * 1 + 2)
+    assert drawn([scene], params, BUILT_IN.assets, "like", own_camera=True) == ((3, "hard", 2),)
+    with pytest.raises(InputError, match=r"got other camera in scene 2 of hard"):
+        drawn([scene], params, BUILT_IN.assets, "like")
+    elsewhere = load_params("appendix_i", ["cars.n=2", "trees.n=2", "camera.offset_m=0.3"])
+    with pytest.raises(InputError, match=r"got other .*camera in scene 2 of hard"):
+        drawn([scene], elsewhere, BUILT_IN.assets, "like", own_camera=True)
+    slower = load_params("appendix_i", ["cars.n=2", "trees.n=2", "motion.host_speed_m_s=9"])
+    with pytest.raises(InputError, match=r"got other .*shot in scene 2 of hard"):
+        drawn([scene], slower, BUILT_IN.assets, "like", own_camera=True)
 
 
 @pytest.mark.parametrize("spread", ["2", "x", "camera.pitch=0.1", "camera.pitch_deg=-1", "lanes=0.1"])
