@@ -158,13 +158,22 @@ class DistanceOutput(Document):
     tolerance: float
 
 
+class ComparedOutput(Document):
+    """How many things of one kind were compared with the labels, how many of them are as there, and how many were not
+    compared because the labels do not reach them."""
+
+    n: int
+    n_matched: int
+    n_outside: int
+
+
 class VerificationOutput(Document):
-    """A list of frames of an export, compared with the labels; `measures` are by unit."""
+    """A list of frames of an export, compared with the labels: what was compared by its name, such as `lanes` or
+    `boxes`; `measures` are by unit."""
 
     name: str
     n_frames: int
-    n_lines: int
-    n_matched: int
+    compared: dict[str, ComparedOutput]
     measures: dict[str, DistanceOutput]
     problems: list[str]
 

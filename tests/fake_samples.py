@@ -16,11 +16,13 @@ from synth3dlanes.dataset.format import LABELS, Picture, encode
 from synth3dlanes.ground_truth import label
 from synth3dlanes.host import Shot
 from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
+from synth3dlanes.object_labels import as_seen
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import PackedSample, Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.shots import SINGLE, Shots
 from tests.scenes import FLAT
@@ -72,8 +74,8 @@ def make_labelled(recipe: Recipe, index: int) -> PackedSample:
 
 
 def make_with_passes(recipe: Recipe, index: int) -> PackedSample:
-    """Scene and labels are true; the image is blocks of grey, the depth that of a leaning wall, and the cars of the
-    passes are rectangles."""
+    """Scene and labels are true; the image is blocks of grey, the depth that of a leaning wall, the cars of the
+    passes are rectangles, and a lidar has a round wall with them as stripes."""
     world = sample_world(recipe.scenes, index)
     camera, found = world.scene.camera, label(world, world.view)
     rows, columns = -(-camera.height_px // 16), -(-camera.width_px // 16)
@@ -86,9 +88,24 @@ def make_with_passes(recipe: Recipe, index: int) -> PackedSample:
             left, top, right, bottom = (int(edge) for edge in item.box_px)
             semantic[top:bottom, left:right], instance[top:bottom, left:right] = SEMANTIC_IDS["car"], item.id
     depth_m = np.repeat(np.linspace(100.0, 3.0, camera.height_px, dtype=np.float32)[:, None], camera.width_px, axis=1)
+    sweep = None if found.lidar is None else _sweep(found)
+    seen = as_seen(found.objects or (), instance, None if sweep is None else sweep.points().instance)
+    found = replace(found, objects=seen).with_seen_shares([float(item.seen_box_px is not None) for item in seen])
     passes = {"depth": depth_m, "semantic": semantic, "instance": instance}
-    members = encode(Picture(picture, found, passes), scene_module.to_json(world.scene), recipe.image_format)
+    wanted = {name: passes[name] for name in recipe.settings.passes if name in passes}
+    members = encode(Picture(picture, found, wanted, sweep), scene_module.to_json(world.scene), recipe.image_format)
     return PackedSample(members, {"fake": 0.0})
+
+
+def _sweep(found: Labels) -> Sweep:
+    lidar = found.lidar
+    assert lidar is not None, "asked only of those that have one"
+    range_m = np.full((len(lidar.elevations_rad), lidar.azimuths), 20.0, np.float32)
+    instance = np.zeros(range_m.shape, np.uint16)
+    for count, item in enumerate(found.objects or ()):
+        instance[:, 2 * count : 2 * count + 2] = item.id
+    semantic = np.where(instance > 0, SEMANTIC_IDS["car"], SEMANTIC_IDS["building"]).astype(np.uint8)
+    return Sweep(lidar, range_m, semantic, instance)
 
 
 def sign(recipe: Recipe, index: int) -> PackedSample:

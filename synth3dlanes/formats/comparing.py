@@ -4,8 +4,9 @@ Nothing here is shared with the writers. Labels are taken upright (frame `_up`: 
 view, z up) by the axes of their own road plane, and projected by the intrinsics that the export itself names.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,6 +68,11 @@ class SourceSample:
     def sweep(self) -> Sweep | None:
         """The sweep of its lidar, if it has one."""
         return self.reader.lidar(self.place) if self.reader.has_lidar else None
+
+    @cached_property
+    def moment(self) -> "list[SourceSample]":
+        """The pictures by all cameras of the rig at its scene and frame, this one among them."""
+        return [self if i == self.place else SourceSample(self.reader, i) for i in self.reader.rig(self.place)]
 
     def lanes(self, kind: LaneKind) -> "list[UprightLane]":
         """The lanes of a kind, upright."""
@@ -148,47 +154,51 @@ class OurLine:
 
 @dataclass(frozen=True)
 class Gap:
-    """How far a line of an export is from one of ours."""
+    """How far a thing of an export is from ours: a line, or what `word` says. What has several gaps counts once."""
 
-    lane: str
+    name: str
     unit: str
     worst: float
     median: float
+    word: str = "line"
 
     @classmethod
-    def of(cls, lane: str, unit: str, apart: Float[np.ndarray, " _"]) -> "Gap":
+    def of(cls, name: str, unit: str, apart: Float[np.ndarray, " _"], word: str = "line") -> "Gap":
         """That of these distances."""
-        return cls(lane, unit, float(apart.max()), float(np.median(apart)))
+        return cls(name, unit, float(apart.max()), float(np.median(apart)), word)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A frame compared with our labels: how many lines it has, how far they are, and what is wrong. `tracks` are the
-    lanes by the ids that must name one lane only in all frames."""
+    """A frame compared with our labels: how far its things are, and what is wrong. `tracks` are the lanes by the ids
+    that must name one lane only in all frames. Of things by their words, `strange` counts those that the labels do not
+    have, `outside` those that were not compared because the labels do not reach them."""
 
-    n_lines: int
-    gaps: tuple[Gap, ...]
-    problems: tuple[str, ...]
+    gaps: tuple[Gap, ...] = ()
+    problems: tuple[str, ...] = ()
     tracks: Mapping[str, str] = field(default_factory=dict)
+    strange: Counter[str] = field(default_factory=Counter)
+    outside: Counter[str] = field(default_factory=Counter)
 
     def __add__(self, other: "Comparison") -> "Comparison":
         return Comparison(
-            self.n_lines + other.n_lines,
             self.gaps + other.gaps,
             self.problems + other.problems,
             {**self.tracks, **other.tracks},
+            self.strange + other.strange,
+            self.outside + other.outside,
         )
 
     @classmethod
     def within(cls, gaps: Sequence[Gap], limits: Mapping[str, float]) -> "Comparison":
         """Of these gaps, none of which may be beyond the limit of its unit."""
         off = (gap for gap in gaps if not gap.worst <= limits[gap.unit])
-        problems = (f"{gap.lane}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in off)
-        return cls(len(gaps), tuple(gaps), tuple(problems))
+        problems = (f"{gap.name}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in off)
+        return cls(tuple(gaps), tuple(problems))
 
     def because(self, problems: Iterable[str]) -> "Comparison":
         """With more problems."""
-        return self + Comparison(0, (), tuple(problems))
+        return self + Comparison(problems=tuple(problems))
 
 
 @dataclass(frozen=True)
@@ -212,7 +222,7 @@ def compare(
 ) -> tuple[Comparison, list[str]]:
     """Each line of a frame beside the nearest of ours, or that of its id, and ours that have none; and the ids of those
     nearest."""
-    gaps, problems, lanes = list[Gap](), list[str](), list[str]()
+    gaps, problems, lanes, n_strange = list[Gap](), list[str](), list[str](), 0
     if ids is not None and len(ids) != len(found):
         problems.append(f"expected {len(ids)} {rule.name}s as its ids say, got {len(found)}")
         ids = None
@@ -221,6 +231,7 @@ def compare(
         line = nearest(points, ours, rule) if ids is None else by_id.get(ids[i])
         if line is None:
             problems.append(f"{rule.name} {i}: expected a line of the labels, got none of this kind")
+            n_strange += 1
             continue
         gap = _gap(points, line, rule)
         gaps.append(gap)
@@ -237,7 +248,7 @@ def compare(
             if line.id not in lanes and len(line.wanted) >= SURE_POINTS
             if (apart := _apart(found, line)) > MISSING[rule.unit]
         )
-    return Comparison(len(found), tuple(gaps), tuple(problems)), lanes
+    return Comparison(tuple(gaps), tuple(problems), strange=Counter({rule.name: n_strange})), lanes
 
 
 MISSING = {"m": 0.1, "px": 4.0}
@@ -264,6 +275,12 @@ def stations(points: Points, line: Points) -> Distances:
     _, at, share = _feet(points, line)
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     return np.asarray(np.concatenate([[0.0], np.cumsum(lengths)])[at] + share * np.append(lengths, 0.0)[at])
+
+
+def is_beside(points: Points, line: Points) -> Flags:
+    """Which points lie beside a polyline from above, not before its beginning or behind its end."""
+    _, at, share = _feet(points[:, :2], line[:, :2])
+    return np.asarray((at + share > 0) & (at + share < len(line) - 1))
 
 
 def upright(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -311,18 +328,19 @@ def _gap(points: Points, line: OurLine, rule: Rule) -> Gap:
     if len(line.wanted):
         back = np.linalg.norm(line.wanted[:, None] - points, axis=2).min(axis=1) - rule.spacing
     worst = max(there.max() - rule.slack, back.max(initial=0.0))
-    return Gap(line.id, rule.unit, float(worst), float(np.median(np.maximum(there - rule.slack, 0))))
+    median = float(np.median(np.maximum(there - rule.slack, 0)))
+    return Gap(line.id, rule.unit, float(worst), median, rule.name)
 
 
 def _too_far(points: Points, gap: Gap, ours: Sequence[OurLine], rule: Rule) -> str:
     other = nearest(points, ours, rule)
-    there = "" if other is None or other.id == gap.lane or _gap(points, other, rule).worst > rule.limit else other.id
+    there = "" if other is None or other.id == gap.name or _gap(points, other, rule).worst > rule.limit else other.id
     return _too_far_from(gap, rule) + (f" (it lies on {there})" if there else "")
 
 
 def _too_far_from(gap: Gap, rule: Rule) -> str:
     unit = rule.unit
-    return f"expected {gap.lane} within {rule.limit:g} {unit} of the labels, got it {gap.worst:.3g} {unit} away"
+    return f"expected {gap.name} within {rule.limit:g} {unit} of the labels, got it {gap.worst:.3g} {unit} away"
 
 
 def _apart(found: Sequence[Points], line: OurLine) -> float:
@@ -369,20 +387,20 @@ def compare_map(
     }
     segments = labels.graph.segments
     paths = {segment.id: [name for name in segment.centerlines if name in ours] for segment in segments}
-    gaps, problems, covered = (
-        list[Gap](),
-        list[str](),
-        {name: np.zeros(len(ours[name][0]), dtype=bool) for name in ours},
-    )
+    gaps, problems, strange, outside = list[Gap](), list[str](), Counter[str](), Counter[str]()
+    covered = {name: np.zeros(len(ours[name][0]), dtype=bool) for name in ours}
     for name, points in found:
         if name not in paths:
             problems.append(f"{rule.name} {name}: expected a segment of the lane graph, got none of this name")
-        gap, wrong = _nearest_path(points, [(path, *ours[path]) for path in paths.get(name, ())], rule)
-        for path in paths.get(name, ()):
+            strange[rule.name] += 1
+            continue
+        gap, wrong = _nearest_path(points, [(path, *ours[path]) for path in paths[name]], rule)
+        for path in paths[name]:
             covered[path] |= distances(ours[path][0], points) < COVERED_M
         if gap is None:
+            outside[rule.name] += 1
             continue
-        gaps.append(gap)
+        gaps.append(replace(gap, name=name))
         if not gap.worst <= rule.limit:
             problems.append(f"{rule.name} {name}: {_too_far_from(gap, rule)}")
         problems += (f"{rule.name} {name}: {problem}" for problem in wrong)
@@ -391,7 +409,7 @@ def compare_map(
         if bare.sum() >= SURE_POINTS:
             apart = min((float(distances(points[bare], line).max()) for _, line in found), default=np.inf)
             problems.append(f"{rule.name} along {name}: expected one, got none nearer than {apart:.3g} m")
-    return Comparison(len(found), tuple(gaps), tuple(problems))
+    return Comparison(tuple(gaps), tuple(problems), strange=strange, outside=outside)
 
 
 COVERED_M = 0.5
@@ -413,5 +431,5 @@ def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule
         back = _back((at + share)[inner] * (-1 if direction == "oncoming" else 1))
         if back > COVERED_M:
             problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
-        found.append((Gap.of(name, "m", apart[inner]), problems))
+        found.append((Gap.of(name, "m", apart[inner], rule.name), problems))
     return min(found, key=lambda pair: pair[0].worst, default=(None, []))

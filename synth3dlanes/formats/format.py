@@ -35,21 +35,24 @@ class SampleFrame(ExportFrame):
 @dataclass(frozen=True, eq=False)
 class ReadFrame:
     """A frame as the files of an export say. `file` is one that this frame alone has, by its path in the export;
-    `where` is what messages begin with; `content` is what the format's `verify` takes. Without `image`, there is none.
+    `where` is what messages begin with; `content` is what the format's `verify` takes. Without `image`, there is none;
+    `more_images` are those of the other cameras of its moment.
     """
 
     file: str
     where: str
     image: str | None
     content: Any
+    more_images: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class FrameList:
-    """Some frames of an export, such as those of one of its lists."""
+    """Some frames of an export, such as those of one of its lists; `word` is what one is called."""
 
     name: str
     frames: Iterator[ReadFrame]
+    word: str = "frame"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 Segments are those of the lane graph. World frame, metres; lines go as their traffic does.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -103,6 +103,19 @@ def _is_against(line: LaneCurve, xy: Float[np.ndarray, "_ 2"], points_world: Poi
         return lane.direction == "oncoming"
     first, last = (int(np.linalg.norm(xy - end, axis=1).argmin()) for end in points_world[[0, -1], :2])
     return last < first
+
+
+def link_gaps(scene: Scene, links: Iterable[tuple[str, str]]) -> dict[tuple[str, str], float]:
+    """How far the end of a lane is from the beginning of the next: maps may have lanes that do not quite meet."""
+    network, found = scene_network(scene), {}
+    for one, other in links:
+        (_, end_m), (start_m, _) = (network.lanes[name].driven for name in (one, other))
+        ends = []
+        for name, s_m in ((one, end_m), (other, start_m)):
+            lane, s = network.lanes[name], np.array([s_m])
+            ends.append(network.road(lane.road).points(s, lane.middle(s))[0])
+        found[one, other] = float(np.linalg.norm(ends[0] - ends[1]))
+    return found
 
 
 def half_widths(scene: Scene, names: list[str]) -> list[tuple[float, float]]:

@@ -1,6 +1,7 @@
 """The objects of a sample's passes, and how far the masks of an export are from them. Masks are the sorted numbers of
 their pixels, row by row."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -50,17 +51,18 @@ def compare_masks(
 ) -> Comparison:
     """Masks of pictures of this shape by the names of their objects."""
     gaps = [_gap(name, mask, ours[name], shape) for name, mask in found.items() if name in ours]
-    problems = [f"{name}: expected an object of the passes, got none of it" for name in found.keys() - ours.keys()]
+    strange = found.keys() - ours.keys()
+    problems = [f"{name}: expected an object of the passes, got none of it" for name in strange]
     every = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *found.values()]))
     for name in ours.keys() - found.keys():
         apart = _beyond(ours[name], every, shape).max(initial=0)
         problems.append(f"{name}: expected a mask of it, got pixels of it {apart:.3g} px from all masks")
     problems += (
-        f"{gap.lane}: expected its pixels as in the passes, got some {gap.worst:.3g} px away"
+        f"{gap.name}: expected its pixels as in the passes, got some {gap.worst:.3g} px away"
         for gap in gaps
         if gap.worst > LIMIT_PX
     )
-    return Comparison(len(found), tuple(gaps), tuple(sorted(problems)))
+    return Comparison(tuple(gaps), tuple(sorted(problems)), strange=Counter({"mask": len(strange)}))
 
 
 def most_shared(mask: PixelNumbers, ours: Mapping[str, PixelNumbers], shape: tuple[int, int]) -> str | None:
@@ -78,9 +80,9 @@ def most_shared(mask: PixelNumbers, ours: Mapping[str, PixelNumbers], shape: tup
 def _gap(name: str, found: PixelNumbers, ours: PixelNumbers, shape: tuple[int, int]) -> Gap:
     """How far pixels that only one of two masks has are from the other."""
     if np.array_equal(found, ours):
-        return Gap(name, "px", 0.0, 0.0)
+        return Gap(name, "px", 0.0, 0.0, "mask")
     apart = np.concatenate([_beyond(found, ours, shape), _beyond(ours, found, shape)])
-    return Gap.of(name, "px", apart)
+    return Gap.of(name, "px", apart, "mask")
 
 
 def _beyond(mask: PixelNumbers, other: PixelNumbers, shape: tuple[int, int]) -> Float[np.ndarray, " _"]:

@@ -1,7 +1,7 @@
 """Read an export back and compare it with the labels of the data set: `export --verify`."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,7 +20,7 @@ MOST_PROBLEMS = 20
 
 @dataclass(frozen=True)
 class DistanceMeasure:
-    """How far the lines of some frames are from those of the labels; `unit` is m or px."""
+    """How far the things of some frames are from those of the labels; `unit` is m or px."""
 
     unit: str
     worst: float
@@ -29,20 +29,48 @@ class DistanceMeasure:
 
 
 @dataclass(frozen=True)
+class Compared:
+    """How many things of one kind an export has: those that were compared, those of them that are as in the labels, and
+    those outside, which the labels do not reach."""
+
+    n: int
+    n_matched: int
+    n_outside: int
+
+
+@dataclass(frozen=True)
 class Verification:
-    """Some frames of an export, compared with the labels; `problems` is empty where the export is right."""
+    """Some frames of an export, compared with the labels: what was compared by its word. `frame` is what one is called;
+    `problems` is empty where the export is right."""
 
     name: str
+    frame: str
     n_frames: int
-    n_lines: int
-    n_matched: int
+    compared: Mapping[str, Compared]
     measures: tuple[DistanceMeasure, ...]
     problems: tuple[str, ...]
 
+    @property
+    def n(self) -> int:
+        """How many things were compared."""
+        return sum(of.n for of in self.compared.values())
+
+    @property
+    def n_matched(self) -> int:
+        """How many of them are as in the labels."""
+        return sum(of.n_matched for of in self.compared.values())
+
     def text(self) -> str:
         """The result as lines of text."""
-        frames, compared = counted(self.n_frames, "frame"), counted(self.n_lines, "line")
-        lines = [f"{self.name}: {frames}, {self.n_matched} of {compared} as in the labels"]
+        things = ", ".join(
+            f"{of.n_matched:,} of {counted(of.n, *_noun(word))}" for word, of in self.compared.items() if of.n
+        )
+        lines = [f"{self.name}: {counted(self.n_frames, self.frame)}; as in the labels: {things or 'nothing'}"]
+        lines += (
+            f"  not compared: {counted(of.n_outside, *_noun(word))} that the labels do not reach"
+            for word, of in self.compared.items()
+            if of.n_outside
+        )
         lines += (
             f"  worst {measure.worst:.4f} {measure.unit}, median {measure.median:.4f} {measure.unit}"
             f" (at most {measure.tolerance:g} {measure.unit})"
@@ -53,7 +81,18 @@ class Verification:
     def document(self) -> dict[str, Any]:
         """The result as JSON values."""
         measures = {measure.unit: {k: v for k, v in vars(measure).items() if k != "unit"} for measure in self.measures}
-        return {**vars(self), "measures": measures, "problems": list(self.problems)}
+        compared = {_noun(word)[1]: vars(of) for word, of in self.compared.items()}
+        return {
+            "name": self.name,
+            "n_frames": self.n_frames,
+            "compared": compared,
+            "measures": measures,
+            "problems": list(self.problems),
+        }
+
+
+def _noun(word: str) -> tuple[str, str]:
+    return word, f"{word}es" if word.endswith("x") else f"{word}s"
 
 
 @dataclass
@@ -61,19 +100,22 @@ class _Tally:
     """What is known of the frames of a list so far."""
 
     n_frames: int = 0
-    n_lines: int = 0
-    n_matched: int = 0
+    n: Counter[str] = field(default_factory=Counter)
+    n_matched: Counter[str] = field(default_factory=Counter)
+    n_outside: Counter[str] = field(default_factory=Counter)
     gaps: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     tracks: dict[str, str] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
     def add(self, where: str, found: Comparison, tolerances: dict[str, float]) -> None:
         self.n_frames += 1
-        self.n_lines += found.n_lines
         self.problems += [f"{where}: {problem}" for problem in found.problems]
-        off = {gap.lane for gap in found.gaps if not gap.worst <= tolerances[gap.unit]}
         # A line may be compared in metres and in pixels.
-        self.n_matched += len({gap.lane for gap in found.gaps} - off)
+        things = {(gap.word, gap.name) for gap in found.gaps}
+        off = {(gap.word, gap.name) for gap in found.gaps if not gap.worst <= tolerances[gap.unit]}
+        self.n += Counter(word for word, _ in things) + found.strange
+        self.n_matched += Counter(word for word, _ in things - off)
+        self.n_outside += found.outside
         for gap in found.gaps:
             self.gaps.setdefault(gap.unit, []).append((gap.worst, gap.median))
         for track, lane in found.tracks.items():
@@ -92,9 +134,9 @@ def verify(job: Export, most_frames: int = 500) -> tuple[Verification, ...]:
     if all(result.n_frames < most_frames for result in verified):
         unlisted = [files for files in marks.frames if seen.isdisjoint(files)]
         problems += [f"{job.out}: expected {files[0]} in a list, got it in none" for files in unlisted]
-    if not any(result.n_lines for result in verified):
+    if not any(result.n for result in verified):
         problems.append(f"{job.out}: expected {job.format.counted} to compare, found none")
-    return (*verified, *([Verification("lists", 0, 0, 0, (), _shortened(problems))] if problems else []))
+    return (*verified, *([Verification("lists", "frame", 0, {}, (), _shortened(problems))] if problems else []))
 
 
 def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) -> Verification:
@@ -102,7 +144,7 @@ def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) ->
     for frame in frames.frames:
         if frame.file not in marks.samples:
             raise FormatError(f"{frame.where}: expected a frame of this export, got {frame.file}")
-        seen.add(frame.file)
+        seen |= {frame.file, *frame.more_images}
         url, place = marks.samples[frame.file]
         truth = SourceSample(open_reader(url), place)
         tally.problems += _image_problems(job, frame, truth)
@@ -116,8 +158,11 @@ def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) ->
         )
         for unit, gaps in tally.gaps.items()
     )
-    counts = tally.n_frames, tally.n_lines, tally.n_matched
-    return Verification(frames.name, *counts, measures, _shortened(tally.problems))
+    compared = {
+        word: Compared(tally.n[word], tally.n_matched[word], tally.n_outside[word])
+        for word in sorted(tally.n | tally.n_outside)
+    }
+    return Verification(frames.name, frames.word, tally.n_frames, compared, measures, _shortened(tally.problems))
 
 
 def _image_problems(job: Export, frame: ReadFrame, truth: SourceSample) -> Iterator[str]:

@@ -18,6 +18,7 @@ from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats import export
 from synth3dlanes.formats.argoverse2.convention import RING_CAMERAS, mark_type
 from synth3dlanes.formats.argoverse2.maps import thinned
+from synth3dlanes.formats.argoverse2.verify import _runs_along
 from synth3dlanes.formats.argoverse2.write import annotate
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import SampleFrame
@@ -349,6 +350,15 @@ def test_rigs_of_other_data_sets_are_refused(tmp_path):
     assert not generate(plan, lambda event: None).problem
     with pytest.raises(InputError, match=f"expected a rig with cameras of Argoverse 2 .{RING_CAMERAS[0]}, .*CAM_FRONT"):
         Export(str(tmp_path / "data"), tmp_path / "out", "argoverse2").write()
+
+
+def test_a_boundary_has_the_paint_of_a_line_along_it_not_of_one_that_it_meets():
+    s = np.linspace(0, 40, 200)
+    boundary = np.column_stack([s, 0 * s, 0 * s])
+    parting = np.column_stack([s, 0.1 * np.maximum(s - 4, 0) ** 2, 0 * s])
+    assert not _runs_along(boundary, parting), "it is beside the first 4 m of 40, as where a turn lane opens"
+    assert _runs_along(boundary, boundary + np.array([0, 0.02, 0]))
+    assert not _runs_along(boundary, boundary + np.array([0, 0.2, 0]))
 
 
 def test_mark_types():

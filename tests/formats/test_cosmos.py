@@ -120,7 +120,7 @@ def test_a_clip_is_as_its_labels_say(exported: Path, clips: Path) -> None:
     worst = {measure.unit: measure.worst for measure in result.measures}
     assert worst["m"] < 0.02
     assert worst["px"] < 0.01
-    assert result.n_lines > 60
+    assert result.n > 60
     for name in ("lane", "lane_line", "road_boundary", "crosswalk", "wait_line", "road_marking", "traffic_sign"):
         assert rows(exported, name), name
     for folder in FOLDERS.values():

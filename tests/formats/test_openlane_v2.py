@@ -7,18 +7,24 @@ import numpy as np
 import pytest
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.formats.format import ReadFrame, SampleFrame
 from synth3dlanes.formats.openlane_v2.read import frames, parse
+from synth3dlanes.formats.openlane_v2.verify import verify as verify_frame
 from synth3dlanes.formats.openlane_v2.write import annotate
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.ground_truth import ground_truth
 from synth3dlanes.lens import Lens
+from synth3dlanes.maps.given_map import read_opendrive
+from synth3dlanes.maps.places import MapStation
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.sampling.on_map import MapPlace
 from tests.formats import openlane_v2_score as scoring
 from tests.formats.openlane_v2_score import LaneTopology, score
+from tests.maps.files import opendrive, plan, road
 
 FLIPS = [(a, b) for a in ("true", "false") for b in ("true", "false")]
 CHANGES = ["camera.roll_deg={-2: 1, 2: 1}", "camera.principal_offset_px=[-8, 8]", "road.n_oncoming={0: 1, 2: 1}"]
@@ -252,13 +258,59 @@ def test_an_export_verifies_and_names_what_is_wrong(dataset, tmp_path):
     }
     path = frames(out)["train"][0]
     frame = parse(path.read_text(), str(path))
-    assert list(frame.images) == ["ring_front_center"], "loaders expect it first"
+    assert list(frame.cameras) == ["ring_front_center"], "loaders expect it first"
     text = path.read_text()
     document = json.loads(text)
     # TopoNet makes the key of a frame of its document.
     assert (document["segment_id"], str(document["timestamp"])) == (path.parts[-3], path.stem)
     document["annotation"]["lane_centerline"][0]["points"] = [[0, 0, 0]] * 201
     path.write_text(json.dumps(document))
-    (out / "OpenLane-V2" / frame.images["ring_front_center"]).unlink()
+    (out / "OpenLane-V2" / frame.cameras["ring_front_center"].image).unlink()
     problems = [problem for result in verify(job, 9) for problem in result.problems]
     assert any("expected the image" in problem for problem in problems)
+
+
+def hairpin():
+    """A frame before a road that leaves the area to the left and comes back through it, and its labels."""
+    up, down = '<arc curvature="0.125"/>', '<arc curvature="-0.125"/>'
+    quarter_m = 8 * np.pi / 2
+    pieces = plan(("<line/>", 60.0), (up, quarter_m), ("<line/>", 22.0), (down, 2 * quarter_m), ("<line/>", 80.0))
+    given = read_opendrive(opendrive(road(pieces)), "bends.xodr", "map bends.xodr")
+    place = MapPlace(given, MapStation("1.0.-1", 45.0))
+    scene = sample_scene(replace(Scenes(load_params("streets", ["trees.n=0"]), 1, "train"), map=place), 0)
+    labels = ground_truth(scene)
+    return SampleFrame(
+        split="train", key="00000000", number=0, part="train", parts=frozenset({"train"}), scene=scene, labels=labels,
+        passes={}, image_format="jpg", cameras={"00000000": labels.camera},
+    )  # fmt: skip
+
+
+def found_in(frame, document):
+    source = SourceSample.__new__(SourceSample)
+    vars(source).update(labels=frame.labels, scene=frame.scene, moment=[source])
+    return verify_frame(ReadFrame("a", "a.json", "a.jpg", (parse(json.dumps(document), "a.json"), ())), source)
+
+
+def test_a_lane_that_leaves_the_area_and_comes_back_has_all_its_parts():
+    frame = hairpin()
+    for document, key in zip(documents(frame), ("lane_centerline", "lane_segment"), strict=True):
+        lanes = document["annotation"][key]
+        own = [lane for lane in lanes if lane["id"] % 1_000_000 == lanes[0]["id"] % 1_000_000]
+        assert [lane["id"] // 1_000_000 for lane in own] == [0, 1]
+        nearest = [min(np.hypot(x, y) for x, y, _ in lane.get("points", lane.get("centerline"))) for lane in own]
+        assert max(nearest) < 50
+        assert not np.any(document["annotation"]["topology_lclc" if key == "lane_centerline" else "topology_lsls"])
+        compared = found_in(frame, document)
+        assert compared.problems == ()
+    document = documents(frame)[0]
+    annotation = document["annotation"]
+    for part in range(2):
+        kept = [i for i, lane in enumerate(annotation["lane_centerline"]) if lane["id"] // 1_000_000 != part]
+        without = {
+            **annotation,
+            "lane_centerline": [annotation["lane_centerline"][i] for i in kept],
+            "topology_lclc": [[annotation["topology_lclc"][i][j] for j in kept] for i in kept],
+            "topology_lcte": [annotation["topology_lcte"][i] for i in kept],
+        }
+        problems = found_in(frame, {**document, "annotation": without}).problems
+        assert any("expected one, got none nearer" in problem for problem in problems)

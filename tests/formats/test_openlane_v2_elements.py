@@ -37,7 +37,7 @@ def documents(frame):
 def problems(frame, document):
     read = ReadFrame("a", "a.json", "a.jpg", (parse(json.dumps(document), "a.json"), ()))
     source = SourceSample.__new__(SourceSample)
-    vars(source).update(labels=frame.labels, scene=frame.scene)
+    vars(source).update(labels=frame.labels, scene=frame.scene, moment=[source])
     return verify(read, source).problems
 
 

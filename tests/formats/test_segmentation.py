@@ -167,7 +167,7 @@ def test_exports_verify(format_name, request, with_passes):
     results = verify(Export(str(with_passes), out, format_name), 9)
     assert [result.name for result in results] == ["test", "train", "val"]
     assert [result.problems for result in results] == [()] * 3
-    assert all(result.n_matched == result.n_lines > 5 for result in results)
+    assert all(result.n_matched == result.n > 5 for result in results)
 
 
 def test_lines_with_each_others_numbers_are_found(with_passes, masks, tmp_path):

@@ -55,7 +55,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lane lines and centre lines in metres."""
     found, sidecar = frame.content
     height_m = found.cam_height_m * np.cos(found.cam_pitch_rad)
-    compared = Comparison(0, (), tuple(camera_problems(truth, height_m, found.cam_pitch_rad)))
+    compared = Comparison(problems=tuple(camera_problems(truth, height_m, found.cam_pitch_rad)))
     lines = found.lane_lines_apollo, found.lane_lines_visible
     centers = found.center_lines_apollo, found.center_lines_visible
     compared += _compared(found, lines, truth.lanes("delimiter"), LINES, sidecar.laneLines_ids)

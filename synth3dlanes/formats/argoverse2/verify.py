@@ -12,9 +12,9 @@ from jaxtyping import Float
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mark_type, place_of
 from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogLane, LogMap, matrices
-from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances
+from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances, is_beside
 from synth3dlanes.formats.format import FrameList, ReadFrame
-from synth3dlanes.formats.lane_map import half_widths
+from synth3dlanes.formats.lane_map import half_widths, link_gaps
 from synth3dlanes.formats.writing import PARTS
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.labels import Lane, Segment
@@ -30,8 +30,10 @@ LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
 SIDE_M, GAP_M, GROUND_M = 0.05, 0.005, 0.2
 # Drivable areas have seams where one begins at the end of another.
 SEAM_M = 0.01
-# A boundary has the paint of a delimiter that all of its points have this near, and no other.
-ON_LINE_M, LEAST_POINTS = 0.05, 10
+# A boundary has the paint of a delimiter that this share of its points within reach of the labels have this near.
+ON_LINE_M, ON_LINE, LEAST_POINTS = 0.05, 0.9, 10
+# What this share of a boundary has is what most of it has: ON_LINE of it is more than half.
+MOST = 0.6
 # Pixels, as shares of the image, and depths at which a camera is compared.
 SHARES, DEPTHS_M = (0.1, 0.5, 0.9), (5.0, 50.0)
 
@@ -40,7 +42,7 @@ def read(out: Path, most_frames: int) -> Iterator[FrameList]:
     """The pictures of each part."""
     for part in PARTS:
         if (out / part).is_dir() and not (out / part).is_symlink():
-            yield FrameList(part, _frames(out, part, most_frames))
+            yield FrameList(part, _frames(out, part, most_frames), "picture")
 
 
 def _frames(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
@@ -78,7 +80,7 @@ def _camera(log: Log, name: str, city_from_ego: Float[np.ndarray, "4 4"], truth:
     camera, (k, size_px) = truth.labels.camera, log.lenses[name]
     if size_px != (camera.width_px, camera.height_px):
         text = f"camera {name}: expected a size of {camera.width_px}x{camera.height_px}, got {size_px[0]}x{size_px[1]}"
-        return Comparison(0, (), (text,))
+        return Comparison(problems=(text,))
     shares = np.array([(u, v, depth) for u in SHARES for v in SHARES for depth in DEPTHS_M])
     uv = shares[:, :2] * size_px
     world = transform(camera.world_from_cam, camera.points(uv, shares[:, 2]))
@@ -86,7 +88,7 @@ def _camera(log: Log, name: str, city_from_ego: Float[np.ndarray, "4 4"], truth:
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.column_stack([k[0, 2] + k[0, 0] * x / z, k[1, 2] + k[1, 1] * y / z])
     apart = np.where(z > 0, np.linalg.norm(found - (uv - 0.5), axis=1), np.inf)
-    return Comparison.within([Gap.of(f"camera {name}", "px", apart)], {"px": LIMIT_PX})
+    return Comparison.within([Gap.of(f"camera {name}", "px", apart, "camera")], {"px": LIMIT_PX})
 
 
 def _boxes(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"], truth: SourceSample) -> Comparison:
@@ -106,7 +108,7 @@ def _boxes(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"],
         ours = {item: transform(world_from_cam, one.corners_cam) for item, one in left.items()}
         nearest = min(ours, key=lambda item: float(np.linalg.norm(ours[item].mean(axis=0) - middle)))
         item = left.pop(nearest)
-        gaps.append(Gap.of(f"object {item.id}", "m", np.linalg.norm(found - ours[item.id], axis=1)))
+        gaps.append(Gap.of(f"object {item.id}", "m", np.linalg.norm(found - ours[item.id], axis=1), "box"))
         tracks[str(table["track_uuid"][row])] = f"object {item.id} of {log.files}"
         if table["category"][row] != CATEGORIES[item.category]:
             problems.append(f"object {item.id}: expected {CATEGORIES[item.category]}, got {table['category'][row]}")
@@ -114,7 +116,7 @@ def _boxes(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"],
             expected, got = item.lidar_points or 0, table["num_interior_pts"][row]
             problems.append(f"object {item.id}: expected {expected} points of the lidar on it, got {got}")
     problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
-    return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(0, (), (), tracks)
+    return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(tracks=tracks)
 
 
 def _sweep(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"], truth: SourceSample) -> Comparison:
@@ -122,11 +124,11 @@ def _sweep(log: Log, timestamp_ns: int, city_from_ego: Float[np.ndarray, "4 4"],
     found, camera = log.sweep(timestamp_ns), truth.labels.camera
     ours = np.zeros((0, 3)) if truth.sweep is None else truth.sweep.points().xyz_cam
     if len(found) != len(ours):
-        return Comparison(0, (), (f"expected {len(ours)} points of the lidar, got {len(found)}",))
+        return Comparison(problems=(f"expected {len(ours)} points of the lidar, got {len(found)}",))
     if not len(ours):
-        return Comparison(0, (), ())
+        return Comparison()
     apart = np.linalg.norm(transform(city_from_ego, found) - transform(camera.world_from_cam, ours), axis=1)
-    compared = Comparison.within([Gap.of("points of the lidar", "m", apart)], {"m": POINT_M})
+    compared = Comparison.within([Gap.of("points of the lidar", "m", apart, "sweep")], {"m": POINT_M})
     lidar = truth.labels.lidar
     assert lidar is not None, "a sweep has a lidar"
     place = (city_from_ego @ log.sensors["up_lidar"])[:3, 3] if "up_lidar" in log.sensors else np.full(3, np.nan)
@@ -141,7 +143,7 @@ def _map(found: LogMap, truth: SourceSample) -> Comparison:
     pieces = {place_of(lane.id): lane for lane in found.lanes}
     if any(not 0 <= i < len(segments) for i, _ in pieces) or len(pieces) < len(found.lanes):
         text = f"expected ids of lanes of their own, those of {len(segments)} segments, got {[*pieces][:20]}"
-        return Comparison(len(pieces), (), (text,))
+        return Comparison(problems=(text,))
     lanes: PiecesOf = {}
     for i, number in sorted(pieces):
         lanes.setdefault(segments[i].id, []).append(pieces[i, number])
@@ -187,6 +189,8 @@ def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
         for after in graph.successors.get(name, ())
         if after in lanes
     )
+    pairs = [(a, b) for a, after in graph.successors.items() for b in after if a in lanes and b in lanes]
+    gaps_m = {(lanes[a][-1].id, lanes[b][0].id): gap_m for (a, b), gap_m in link_gaps(truth.scene, pairs).items()}
     for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
         after = {to.id for one, to in links if one is lane}
         before = {one.id for one, to in links if to is lane}
@@ -195,7 +199,7 @@ def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
                 yield f"lane {name}: expected {sorted(expected) or 'none'} to {word} {lane.id}, got {got or 'none'}"
         for other in (to for one, to in links if one is lane):
             gap_m = float(np.linalg.norm(_middle(lane)[-1] - _middle(other)[0]))
-            if not gap_m <= GAP_M:
+            if not gap_m <= GAP_M + gaps_m.get((lane.id, other.id), 0.0):
                 yield f"lane {name}: expected {other.id} to begin where {lane.id} ends, got it {gap_m:.3f} m away"
 
 
@@ -231,15 +235,22 @@ def _is_oncoming(segment: Segment) -> bool:
 
 
 def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
-    """Findings where a boundary that lies on one delimiter has other paint."""
-    ours = [(lane, transform(truth.labels.camera.world_from_cam, lane.xyz_cam)) for lane in truth.labels.lanes
+    """Findings where a boundary that runs along a delimiter, as far as the labels reach, has other paint."""
+    world = {lane.id: transform(truth.labels.camera.world_from_cam, lane.xyz_cam) for lane in truth.labels.lanes}
+    ours = [(lane, world[lane.id]) for lane in truth.labels.lanes
             if lane.kind == "delimiter" and len(lane.xyz_cam) > 1]  # fmt: skip
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
     for name, pieces in lanes.items():
         is_oncoming = _is_oncoming(by_id[name])
+        paths = [world[path] for path in by_id[name].centerlines if len(world.get(path, ())) > 1]
         for side in ("left", "right"):
             fine = resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
-            close = [paint for paint, points in ours if _are_near(fine, points)]
+            reached = np.any([is_beside(fine, path) for path in paths], axis=0) if paths else np.zeros(len(fine), bool)
+            # Along the paper's lanes paint does not change; on a map the labels may not reach what most of it is.
+            if truth.scene.map is not None and np.count_nonzero(reached) <= MOST * len(fine):
+                continue
+            fine = fine[reached]
+            close = [paint for paint, points in ours if _runs_along(fine, points)]
             expected = _mark_type(close[0], is_oncoming) if len(close) == 1 else ""
             got = {getattr(piece, f"{side}_lane_mark_type") for piece in pieces}
             if expected and got != {expected}:
@@ -247,11 +258,12 @@ def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
                 yield f"lane {name}: expected {expected} on its {side}, as {close[0].id} is painted, got {told}"
 
 
-def _are_near(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]) -> bool:
-    """Whether enough points lie on a line; most lines are too far away to be asked point by point."""
+def _runs_along(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]) -> bool:
+    """Whether most of the points lie on a line; most lines are too far away to be asked point by point."""
     low, high = line.min(axis=0) - ON_LINE_M, line.max(axis=0) + ON_LINE_M
     around = points[((points > low) & (points < high)).all(axis=1)]
-    return len(around) >= LEAST_POINTS and int((distances(around, line) < ON_LINE_M).sum()) >= LEAST_POINTS
+    least = max(LEAST_POINTS, ON_LINE * len(points))
+    return len(around) >= least and int((distances(around, line) < ON_LINE_M).sum()) >= least
 
 
 def _mark_type(paint: Lane, is_oncoming: bool) -> str:

@@ -184,7 +184,7 @@ def _darker(color: Rgb, share: float) -> Rgb:
     return red, green, blue
 
 
-def _clipped(points_cam: Points3) -> Points3:
+def _clipped(points_cam: Points3) -> Float[np.ndarray, "_ 3"]:
     """The part of a polygon ahead of the camera."""
     made = list[np.ndarray]()
     for a, b in zip(points_cam, np.roll(points_cam, -1, axis=0), strict=True):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4, Points3
+from synth3dlanes.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.geometry.lane_curves import LaneCurve
@@ -88,7 +88,7 @@ def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Itera
             yield PaintedLine(line.id, points[::onwards], line.marking, *paint)
 
 
-def _points(line: LaneCurve, near: Float[np.ndarray, " n"]) -> Points3:
+def _points(line: LaneCurve, near: Scalars) -> Float[np.ndarray, "_ 3"]:
     if line.is_measured:
         s = np.linspace(line.start_m, line.end_m, 2 + int((line.end_m - line.start_m) / LINES_STEP_M))
     else:

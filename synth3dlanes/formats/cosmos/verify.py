@@ -2,6 +2,7 @@
 poses and cameras, its lenses in pixels."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def read(out: Path, most_frames: int) -> Iterator[FrameList]:
     """The clips of each part."""
     for part in PARTS:
         if (out / part).is_dir() and not (out / part).is_symlink():
-            yield FrameList(part, _clips(out, part, most_frames))
+            yield FrameList(part, _clips(out, part, most_frames), "clip")
 
 
 def _clips(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
@@ -47,7 +48,7 @@ def _clips(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Every picture of a clip; with the first ones what stands still, and the videos."""
     clip: CosmosClip = frame.content
-    found = Comparison(0, (), ())
+    found = Comparison()
     for name, view in clip.views.items():
         pictures = _pictures(name, truth)
         if not pictures:
@@ -76,7 +77,7 @@ def _view(clip: CosmosClip, name: str, view: CosmosView, pictures: list[SourceSa
         if got != micros:
             problems.append(f"expected {what} at {_shown(micros)} microseconds, got {_shown(got)}")
     if problems:
-        return Comparison(0, (), tuple(problems))
+        return Comparison(problems=tuple(problems))
     compared = _lens(name, view, pictures[0])
     for number, (at, picture) in enumerate(zip(micros, pictures, strict=True)):
         cam_from_clip = CAM_OF_FLU @ invert(view.rig_from_flu) @ invert(clip.poses[at])
@@ -85,7 +86,8 @@ def _view(clip: CosmosClip, name: str, view: CosmosView, pictures: list[SourceSa
         if number == 0:
             here += _lanes(clip, cam_from_clip, picture).because(_symbol_problems(clip, cam_from_clip, picture))
         told = tuple(f"{name} frame {number}: {problem}" for problem in here.problems)
-        compared += Comparison(here.n_lines, here.gaps, told)
+        named = tuple(replace(gap, name=f"{name} {number} {gap.name}") for gap in here.gaps)
+        compared += replace(here, gaps=named, problems=told)
     return compared.because(video_problems(clip, name, pictures))
 
 
@@ -93,13 +95,13 @@ def _lens(name: str, view: CosmosView, picture: SourceSample) -> Comparison:
     camera = picture.labels.camera
     if view.size_px != (camera.width_px, camera.height_px):
         text = f"{name}: expected a size of {camera.width_px}x{camera.height_px}, got {view.size_px}"
-        return Comparison(0, (), (text,))
+        return Comparison(problems=(text,))
     shares = np.array([(u, v, depth) for u in SHARES for v in SHARES for depth in DEPTHS_M])
     uv = shares[:, :2] * view.size_px
     points = camera.points(uv, shares[:, 2])
     known = np.isfinite(points).all(axis=1)
     found = view.project(transform(CAM_OF_FLU.T, points[known]))
-    apart = Gap.of(f"camera {name}", "px", np.linalg.norm(found - uv[known], axis=1))
+    apart = Gap.of(f"camera {name}", "px", np.linalg.norm(found - uv[known], axis=1), "camera")
     return Comparison.within([apart], {"px": LIMIT_PX})
 
 
@@ -137,7 +139,7 @@ def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> C
 
 def _elements(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
     """Corners of traffic lights and signs by their ids; those of other pictures of the clip are left out."""
-    found = Comparison(0, (), ())
+    found = Comparison()
     for table in ("traffic_light", "traffic_sign"):
         is_sign = table == "traffic_sign"
         ours = {str(item.id): (item.corners_cam, "") for item in picture.labels.traffic_elements or ()
@@ -158,7 +160,7 @@ def _compared(
         if box.name in ours:
             corners, category = ours[box.name]
             found = transform(cam_from_clip @ box.clip_from_box, FLU_CORNERS * box.size_m / 2)
-            gaps.append(Gap.of(f"{word} {box.name}", "m", np.linalg.norm(found - corners, axis=1)))
+            gaps.append(Gap.of(f"{word} {box.name}", "m", np.linalg.norm(found - corners, axis=1), word))
             if category and box.category != category:
                 problems.append(f"{word} {box.name}: expected {category}, got {box.category}")
     return Comparison.within(gaps, {"m": BOX_M}).because(problems)
@@ -171,7 +173,7 @@ def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
     for (row, one), (_, other) in zip(left, right, strict=True):
         if len(one) != len(other) or len(one) < 2:
             text = f"lane {row['map_id']}: expected rails of as many points, got {len(one)} and {len(other)}"
-            return Comparison(0, (), (text,))
+            return Comparison(problems=(text,))
         found.append((str(row["map_id"]), transform(world_from_clip, (one + other) / 2)))
     return compare_map(found, picture, RULE)
 

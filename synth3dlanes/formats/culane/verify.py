@@ -66,12 +66,12 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     by_place = {places[line.id]: line for line in ours if line.id in ids}
     gaps = tuple(_mask_gaps(mask, by_place))
     problems += (
-        f"{entry.mask}: expected the line {gap.lane} within {MASK_PX:g} px, got pixels {gap.worst:.3g} px away"
+        f"{entry.mask}: expected the line {gap.name} within {MASK_PX:g} px, got pixels {gap.worst:.3g} px away"
         for gap in gaps
         if not gap.worst <= MASK_PX
     )
     problems += _mask_problems(entry.mask, mask, by_place)
-    return compared + Comparison(0, (), tuple(problems))
+    return compared.because(problems)
 
 
 def _mask_gaps(mask: Shaped[np.ndarray, "h w"], by_place: dict[int, OurLine]) -> Iterator[Gap]:

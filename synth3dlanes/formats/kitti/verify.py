@@ -1,6 +1,7 @@
 """Read a KITTI export back and compare it with our labels: objects in metres and pixels, by the projection of its own
 calibration, and the lidar's points in metres."""
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -80,19 +81,21 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     sides = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px], float)
     wanted = [item for item in items if item.box_px is not None and item.seen_box_px is not None]
     gaps, problems, left = list[Gap](), list[str](), {item.id: item for item in wanted}
+    strange = Counter[str]()
     for number, found in enumerate(objects):
         item = _nearest(found, list(left.values()), sides)
         if item is None:
             problems.append(f"object {number}: expected one of the labels, got {found.type} far from any of that kind")
+            strange["object"] += 1
             continue
         del left[item.id]
-        gaps.append(Gap.of(f"object {item.id}", "px", np.abs(found.box_px - _box(item, sides))))
+        gaps.append(Gap.of(f"object {item.id}", "px", np.abs(found.box_px - _box(item, sides)), "object"))
         if found.type != DONT_CARE:
             gaps += _gaps(found, item, calib, truth)
             problems += _problems(found, item)
     problems += (f"expected {item.category} {item.id}, got it in no line" for item in left.values())
     gaps += _of_points(points, calib, truth, problems)
-    return Comparison.within(gaps, {"m": LIMIT_M, "px": LIMIT_PX}).because(problems)
+    return Comparison.within(gaps, {"m": LIMIT_M, "px": LIMIT_PX}) + Comparison((), tuple(problems), strange=strange)
 
 
 def _nearest(found: KittiObject, items: list[ObjectLabel], sides: Float[np.ndarray, "4"]) -> ObjectLabel | None:
@@ -142,12 +145,13 @@ def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], t
         [CORNERS[:, 1] * length_m / 2, (CORNERS[:, 2] + 1) * -height_m / 2, -CORNERS[:, 0] * width_m / 2]
     )
     theirs = own @ turned.T + found.location_cv
-    yield Gap.of(f"object {item.id}", "m", np.linalg.norm(theirs - ours, axis=1))
+    yield Gap.of(f"object {item.id}", "m", np.linalg.norm(theirs - ours, axis=1), "object")
     foot = calib["R0_rect"] @ found.location_cv
     u, v, w = calib["P2"] @ [*foot, 1.0]
     expected = truth.labels.camera.project(np.array([foot_cv[0], foot_cv[2], -foot_cv[1]])) - 0.5
     if np.isfinite(expected).all() and foot_cv[2] > 1.0:
-        yield Gap.of(f"foot of object {item.id}", "px", np.abs([u / w, v / w] - expected) * min(1.0, foot_cv[2] / 10))
+        off_px = np.abs([u / w, v / w] - expected) * min(1.0, foot_cv[2] / NEAR_M)
+        yield Gap.of(f"object {item.id}", "px", off_px, "object")
 
 
 def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
@@ -173,4 +177,4 @@ def _of_points(
     elif len(ours):
         pose = np.vstack([calib["Tr_velo_to_cam"], [0, 0, 0, 1]])
         apart_m = np.linalg.norm(transform(pose, theirs[:, :3]) - ours[:, [0, 2, 1]] * [1, -1, 1], axis=1)
-        yield Gap.of("points of the lidar", "m", apart_m)
+        yield Gap.of("points of the lidar", "m", apart_m, "sweep")

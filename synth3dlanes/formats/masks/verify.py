@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, RootModel
 
 from synth3dlanes.errors import FormatError
-from synth3dlanes.formats.comparing import Comparison, OurLine, Rule, SourceSample, compare
+from synth3dlanes.formats.comparing import Comparison, Gap, OurLine, Rule, SourceSample, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.masks.write import LEAST_POINTS
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
@@ -75,13 +75,16 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     )
     numbered = {**truth.passes, "lines": numbers_of("delimiter", truth.passes["instance"]) + 1}
     for name, found in masks.items():
+        off = Comparison()
         if not np.array_equal(found, numbered[name]):
             called = {i: lane for i, (lane, *_) in expected.items()} if name == "lines" else {}
             of_file, of_passes = (
                 {called.get(i, f"{name} {i}"): np.flatnonzero(pixels == i) for i in np.unique(pixels).tolist()}
                 for pixels in (found, numbered[name])
             )
-            compared = compared.because(compare_masks(of_file, of_passes, found.shape).problems)
+            off = compare_masks(of_file, of_passes, found.shape)
+        worst = np.array([0.0, *(gap.worst for gap in off.gaps)])
+        compared += Comparison((Gap.of(name, "px", worst, "mask"),), off.problems)
     return compared
 
 

@@ -1,5 +1,6 @@
 """Read an export of maps back: its lanes are those of the labels, roads have no gaps, links lead somewhere."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -28,7 +29,7 @@ STEP_M = 1.0
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
     """The maps of every split."""
     for folder in sorted({path.parent for path in out.glob("*/*.xodr")}):
-        yield FrameList(folder.name, _frames(out, sorted(folder.glob("*.xodr"))[:most_frames]))
+        yield FrameList(folder.name, _frames(out, sorted(folder.glob("*.xodr"))[:most_frames]), "map")
 
 
 def _frames(out: Path, paths: list[Path]) -> Iterator[ReadFrame]:
@@ -44,10 +45,12 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     largest_m = max(gap_m for road in given.roads.values() for gap_m in _gaps(road))
     segments = _segments(root, given)
     beyond = _beyond_labels(truth)
-    named = ((segments[name], place) for name, place in given.lanes.items() if name in segments)
+    named = [(segments[name], place) for name, place in given.lanes.items() if name in segments]
     lanes = [(name, _middle(place)) for name, place in named if name not in beyond]
+    outside = Comparison(outside=Counter({RULE.name: len(named) - len(lanes)}))
     problems = [] if largest_m <= GAP_M else [f"expected roads without gaps, got one of {largest_m:.3f} m"]
-    return compare_map(lanes, truth, RULE).because([*problems, *_link_problems(root)])
+    compared = compare_map(lanes, truth, RULE) + outside
+    return compared.because([*problems, *_link_problems(root)])
 
 
 def _beyond_labels(truth: SourceSample) -> set[str]:
@@ -118,8 +121,9 @@ def _link_problems(root: Element) -> Iterator[str]:
                 yield f"road {road.get('id')}, lane {lane.get('id')}: expected its {link.tag} to be there"
     for connection in root.iter("connection"):
         for link in connection.iter("laneLink"):
-            for road_key, lane_key in (("incomingRoad", "from"), ("connectingRoad", "to")):
-                if link.get(lane_key) not in set[str | None]().union(*lanes.get(connection.get(road_key), ())):
+            entered = connection.get("connectingRoad") or connection.get("linkedRoad")
+            for name, lane_key in ((connection.get("incomingRoad"), "from"), (entered, "to")):
+                if link.get(lane_key) not in set[str | None]().union(*lanes.get(name, ())):
                     yield f"connection {connection.get('id')}: expected the lane {link.get(lane_key)} to be there"
 
 

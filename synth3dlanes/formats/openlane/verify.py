@@ -85,7 +85,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
         tracks[f"{PurePath(found.file_path).parent.name}/{line.track_id}"] = scene
     if len(tracks) < len(found.lines) == len(ids):
         problems.append(f"expected a track_id for each of {len(found.lines)} lines, got {len(tracks)} different ones")
-    return replace(compared, tracks=tracks) + Comparison(0, tuple(gaps), tuple(problems))
+    return replace(compared, tracks=tracks) + Comparison(tuple(gaps), tuple(problems))
 
 
 def _paint_problems(line: OpenLaneLine, lane: Lane, points_up: Polyline3) -> Iterator[str]:

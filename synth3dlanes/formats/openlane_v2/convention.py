@@ -16,6 +16,8 @@ AHEAD_M, ASIDE_M = 50.0, 25.0
 """Half the size of the area that is labelled and scored."""
 CENTERLINE_POINTS, POINTS = 201, 51
 """Points of a centre line; the devkit keeps every 20th for validation. Points of a lane segment's lines."""
+NEXT_PART = 1_000_000
+"""A lane that leaves the area and comes back has a part of its own for each time, whose ids are this much apart."""
 LINE_TYPES: dict[Marking, int] = {"none": 0, "solid": 1, "dashed": 2}
 LEAST_PX, LEAST_SEEN = 3.0, 0.1
 """The shorter side of the rectangle of a traffic element, and the share of it that must be seen."""

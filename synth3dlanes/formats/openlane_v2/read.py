@@ -29,13 +29,22 @@ class FoundElement:
 
 
 @dataclass(frozen=True, eq=False)
+class FoundCamera:
+    """A camera of a label file: its image, its place in the vehicle frame with the axes of OpenCV, and its matrix K."""
+
+    image: str
+    ego_from_cv: Float[np.ndarray, "4 4"]
+    img_from_cv: Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, eq=False)
 class TopologyFrame:
-    """One label file: images by camera, the ids of the lanes, the polylines of each (the centre line, and in `-ls`
+    """One label file: the cameras by name, the ids of the lanes, the polylines of each (the centre line, and in `-ls`
     files left and right boundary) in the vehicle frame, which lane (column) follows which (row), the vehicle's pose;
     the traffic elements, and which of them (column) governs which lane (row).
     """
 
-    images: dict[str, str]
+    cameras: dict[str, FoundCamera]
     ids: tuple[int, ...]
     lanes_ego: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
     follows: Float[np.ndarray, "n n"]
@@ -82,12 +91,13 @@ def parse(text: str, where: str) -> TopologyFrame:
         raise FormatError(
             f"{where}: topology: expected {len(lanes)} rows of {len(elements)} traffic elements, got others"
         )
-    images = {name: sensor.image_path for name, sensor in found.sensor.items()}
-    world_from_ego = np.eye(4)
-    world_from_ego[:3] = np.column_stack([found.pose.rotation, found.pose.translation])
+    cameras = {
+        name: FoundCamera(sensor.image_path, _matrix(sensor.extrinsic), np.array(sensor.intrinsic.K))
+        for name, sensor in found.sensor.items()
+    }
     follows_of = np.array(follows, dtype=float).reshape(len(lanes), len(lanes))
     governs_of = np.array(governs, dtype=float).reshape(len(lanes), len(elements))
-    return TopologyFrame(images, ids, lanes, follows_of, world_from_ego, elements, governs_of)
+    return TopologyFrame(cameras, ids, lanes, follows_of, _matrix(found.pose), elements, governs_of)
 
 
 class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
@@ -130,13 +140,23 @@ class _Segments(Excerpt):
     topology_lste: list[list[Literal[0, 1]]]
 
 
-class _Sensor(Excerpt):
-    image_path: PathBelow
-
-
 class _Pose(Excerpt):
     rotation: JsonMatrix3
     translation: Row3
+
+
+class _Intrinsic(Excerpt):
+    K: JsonMatrix3
+
+
+class _Sensor(Excerpt):
+    image_path: PathBelow
+    extrinsic: _Pose
+    intrinsic: _Intrinsic
+
+
+def _matrix(pose: _Pose) -> Float[np.ndarray, "4 4"]:
+    return np.vstack([np.column_stack([pose.rotation, pose.translation]), [0, 0, 0, 1]])
 
 
 class _Frame(Excerpt):

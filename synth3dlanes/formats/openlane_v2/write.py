@@ -24,6 +24,7 @@ from synth3dlanes.formats.openlane_v2.convention import (
     LEAST_PX,
     LEAST_SEEN,
     LINE_TYPES,
+    NEXT_PART,
     PEDESTRIAN_CROSSING,
     POINTS,
     ROAD_BOUNDARY,
@@ -54,6 +55,7 @@ README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A oth
 - Frame: x forward, y left, z up, metres; the origin is on the road below the (first) camera. Every scene is a segment,
   every frame of a clip a timestamp (ns). The one camera is `{FRONT_CAMERA}`, those of a rig have its names. Tell
   your training code their number, and do not let it crop the front image as that of the original (which is upright).
+- A lane that leaves the area and comes back has a part for each time: {NEXT_PART} is added to the id of the next.
 - Labels cover {AHEAD_M:g} m ahead (and behind, with a camera that looks back) and {ASIDE_M:g} m to each side, also
   what the ground or cars hide, as in the original. Lines have the extra keys `left_laneline_color`,
   `left_laneline_double` and the same of the right.
@@ -64,8 +66,9 @@ README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A oth
 
 @dataclass(frozen=True, eq=False)
 class _Lane:
-    """The part of a lane segment in the area, and whether its first and its last point are still those of the lane."""
+    """A part of a lane segment in the area, and whether its first and its last point are still those of the lane."""
 
+    id: int
     segment: LaneSegment
     middle_ego: Float[np.ndarray, "n 3"]
     left_ego: Float[np.ndarray, "n 3"]
@@ -110,8 +113,7 @@ def annotate(frame: SampleFrame) -> FrameAnnotation | None:
     traffic_elements = [_element_document(item) for item in elements]
     centerlines = {
         "lane_centerline": [
-            {"id": lane.segment.index, "points": _rounded(resampled(lane.middle_ego, CENTERLINE_POINTS))}
-            for lane in lanes
+            {"id": lane.id, "points": _rounded(resampled(lane.middle_ego, CENTERLINE_POINTS))} for lane in lanes
         ],
         "traffic_element": traffic_elements,
         "topology_lclc": topology,
@@ -180,25 +182,23 @@ def _lanes(
     ego_from_world, lanes = invert(world_from_ego), []
     for segment in lane_segments(world, frame.labels.graph.segments, world_from_ego[:3, 3]):
         middle_ego = transform(ego_from_world, segment.points_world)
-        first, last = _longest(_in_area(middle_ego, behind_m))
-        if last - first < 2 or _length_m(middle_ego[first:last]) < LEAST_LENGTH_M:
-            dropped[SHORT if last > first else OUTSIDE] += 1
-            continue
-        left_ego, right_ego = (
-            transform(ego_from_world, side.points_world[first:last]) for side in (segment.left, segment.right)
-        )
-        lanes.append(_Lane(segment, middle_ego[first:last], left_ego, right_ego, first == 0, last == len(middle_ego)))
+        inside = list(stretches(_in_area(middle_ego, behind_m)))
+        parts = [ends for ends in inside if _length_m(middle_ego[slice(*ends)]) >= LEAST_LENGTH_M]
+        if not parts:
+            dropped[SHORT if inside else OUTSIDE] += 1
+        for number, (first, last) in enumerate(parts):
+            left_ego, right_ego = (
+                transform(ego_from_world, side.points_world[first:last]) for side in (segment.left, segment.right)
+            )
+            is_whole = first == 0, last == len(middle_ego)
+            id_ = segment.index + number * NEXT_PART
+            lanes.append(_Lane(id_, segment, middle_ego[first:last], left_ego, right_ego, *is_whole))
     return lanes
 
 
 def _in_area(points_ego: Float[np.ndarray, "n 3"], behind_m: float) -> Bool[np.ndarray, " n"]:
     x_m, y_m, _ = points_ego.T
     return np.asarray((x_m >= -behind_m) & (x_m <= AHEAD_M) & (np.abs(y_m) <= ASIDE_M))
-
-
-def _longest(inside: Bool[np.ndarray, " n"]) -> tuple[int, int]:
-    """First and last (exclusive) of the longest run; (0, 0) without any."""
-    return max(stretches(inside), key=lambda ends: ends[1] - ends[0], default=(0, 0))
 
 
 def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) -> list[list[int]]:
@@ -225,7 +225,7 @@ def _element_document(item: ElementLabel) -> dict[str, Any]:
 
 def _segment_document(lane: _Lane) -> dict[str, Any]:
     document = {
-        "id": lane.segment.index,
+        "id": lane.id,
         "centerline": _rounded(resampled(lane.middle_ego, POINTS)),
         "is_intersection_or_connector": lane.segment.is_connector,
     }
