@@ -13,6 +13,7 @@ from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.paint import is_double, paint_color, painted_rows
 from synth3dlanes.geometry.symbols import shape
+from synth3dlanes.maps.given_map import read_opendrive
 from synth3dlanes.roadside import Building, Post, Rail, Roadside
 from synth3dlanes.scene import Symbol, Tree
 from synth3dlanes.world import resolve
@@ -265,6 +266,17 @@ def test_the_stripes_of_mixed_pairs_lie_on_their_sides_with_their_dashes(road, p
     assert found == set(dense)
 
 
+def local_corners(file_road, item):
+    """The corners of an object in its own frame, in the world, where the road is nearly flat."""
+    s, t, turn = (float(item.get(key)) for key in ("s", "t", "hdg"))
+    here, ahead, left = (np.array(file_road.on_plane(*at, 0.0)) for at in ((s, t), (s + 0.01, t), (s, t + 1.0)))
+    along, left = (ahead - here) / np.linalg.norm(ahead - here), left - here
+    axes = np.stack([along, left, np.cross(along, left)])
+    cos, sin = np.cos(turn), np.sin(turn)
+    corners = [[float(c.get(key)) for key in "uvz"] for c in item.iterfind("outline/cornerLocal")]
+    return here + np.array(corners) @ [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]] @ axes
+
+
 def test_objects_stand_and_lie_where_the_worlds_do():
     scene = changed(FLAT, road={**BENT, "topology": 2}, terrain=HILLS)
     rail = Rail(
@@ -285,7 +297,8 @@ def test_objects_stand_and_lie_where_the_worlds_do():
         }
     )
     world = resolve(scene)
-    found = read_roads(opendrive(world, "test"))
+    text = opendrive(world, "test")
+    found = read_roads(text)
     places = {}
     for file_road in found.values():
         for item in file_road.element.iter("object"):
@@ -293,14 +306,26 @@ def test_objects_stand_and_lie_where_the_worlds_do():
             places[item.get("type"), item.get("subtype")] = (file_road, item, file_road.on_plane(s, t, z))
     tree, house = places["tree", None][2], places["building", "house"][2]
     np.testing.assert_allclose(tree, world.site.trees_world[0], atol=0.05)
+    model = world.scene.assets.tree_models[0]
+    assert float(places["tree", None][1].get("height")) == pytest.approx(model.height_m)
+    (read,) = (body for body in read_opendrive(text.encode(), "t", "t").bodies if body.kind == "tree")
+    assert read.size_m[2] == pytest.approx(model.height_m)
     np.testing.assert_allclose(house[:2], (-40, -30), atol=0.05)
     np.testing.assert_allclose(places["pole", "streetLamp"][2], world.site.structures[1].feet_world[0], atol=0.3)
     for symbol, kind in zip(scene.symbols, (("crosswalk", "pedestrian"), ("roadMark", "arrowRight")), strict=True):
         file_road, item, _ = places[kind]
-        corners = [(float(c.get("s")), float(c.get("t"))) for c in item.iter("cornerRoad")]
         form = shape(world.ground, symbol)
         outline = form.points_world(form.outline if symbol.lane is None else form.polygons[0])
-        corners_world = np.array([file_road.point(s, t) for s, t in corners])
+        if symbol.kind == "crosswalk":
+            # CARLA looks for corners in the object's own frame, right below it, the first one again at the end.
+            corners_world = local_corners(file_road, item)
+            np.testing.assert_allclose(corners_world[0], corners_world[-1], atol=1e-6)
+            sides = np.abs([[float(c.get(key)) for key in "uv"] for c in item.iterfind("outline/cornerLocal")])
+            assert sides[:, 0].min() > sides[:, 1].max(), "people walk along u"
+            corners_world = corners_world[:-1]
+        else:
+            corners = [(float(c.get("s")), float(c.get("t"))) for c in item.iter("cornerRoad")]
+            corners_world = np.array([file_road.point(s, t) for s, t in corners])
         assert np.linalg.norm(corners_world[:, None] - outline, axis=2).min(axis=1).max() < 0.05
         x, y = corners_world[:, :2].T
         assert (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0, "counter-clockwise"

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.arrays import Points2
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import NetworkLane, Road
@@ -39,7 +40,7 @@ STEP_M, NEAREST = 2.0, 6
 BESIDE_M = 0.005
 
 
-class SignalPlace(NamedTuple):
+class RoadPlace(NamedTuple):
     """A place beside a road: its station and t, and the road's heading there."""
 
     road: str
@@ -49,10 +50,10 @@ class SignalPlace(NamedTuple):
 
 
 def add_signals(elements: Mapping[str, Element], world: World, network: Network) -> None:
-    """Add signals and signs to the elements of roads by their ids: each beside the road that is nearest to its head,
+    """Add signals and signs to the elements of roads by our ids: each beside the road that is nearest to its head,
     with the lanes of it that it governs, and references to it at the others. Those that govern none are left out."""
     roads = [network.road(name) for name in elements]
-    lines = [road.xy(s := np.linspace(0.0, road.end_m, 2 + int(road.end_m / STEP_M)), 0.0 * s) for road in roads]
+    lines = [line_of(road) for road in roads]
     groups: dict[str, list[Element]] = {}
     for number, item in enumerate(world.scene.roadside.free_elements):
         kind = _kind(item)
@@ -62,12 +63,11 @@ def add_signals(elements: Mapping[str, Element], world: World, network: Network)
                 governed.setdefault(lane.road, []).append(lane)
         right = np.array([math.cos(item.yaw_rad), math.sin(item.yaw_rad)])
         head = np.array([item.x_m, item.y_m]) + item.reach_m * right
-        order = np.argsort([np.linalg.norm(line - head, axis=1).min() for line in lines])[:NEAREST]
-        found = [at for i in order if (at := _beside(head, roads[i])) is not None]
+        found = places_beside(head, roads, lines)
         if kind is None or not governed or not found:
             continue
         place = min(found, key=lambda at: abs(at.t))
-        name, drives = f"e{number}", item.yaw_rad + math.pi / 2
+        name, drives = str(number), item.yaw_rad + math.pi / 2
         is_along = math.cos(drives - place.heading_rad) > 0
         turn = math.remainder(drives - place.heading_rad - (0.0 if is_along else math.pi), 2 * math.pi)
         words = {"id": name, "name": item.form if isinstance(item, TrafficSignal) else item.kind, "country": "DE"}
@@ -90,13 +90,25 @@ def add_signals(elements: Mapping[str, Element], world: World, network: Network)
         add(elements[road], "signals").extend(sorted(items, key=lambda at: at.tag == "signalReference"))
 
 
+def line_of(road: Road) -> Points2:
+    """Places along a road's reference line."""
+    s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / STEP_M))
+    return road.xy(s, 0.0 * s)
+
+
+def places_beside(point: Float[np.ndarray, "2"], roads: Sequence[Road], lines: Sequence[Points2]) -> list[RoadPlace]:
+    """Where a point is beside some of the roads that come nearest to it."""
+    order = np.argsort([np.linalg.norm(line - point, axis=1).min() for line in lines])[:NEAREST]
+    return [at for i in order if (at := _beside(point, roads[i])) is not None]
+
+
 def _add_validity(element: Element, lanes: Sequence[NetworkLane]) -> None:
     """The lanes of a road that a signal is valid for; lane 0 says none."""
     for number in sorted({int(lane.id.rsplit(".", 1)[1]) for lane in lanes}) or (0,):
         add(element, "validity", fromLane=str(number), toLane=str(number))
 
 
-def _beside(point: Float[np.ndarray, "2"], road: Road) -> SignalPlace | None:
+def _beside(point: Float[np.ndarray, "2"], road: Road) -> RoadPlace | None:
     """The place of a point beside a road; None of one before its beginning or behind its end."""
     s, (low, high) = 0.0, (0.0, road.end_m)
     for n in (2 + int(road.end_m / STEP_M), 41, 41, 41):
@@ -109,7 +121,7 @@ def _beside(point: Float[np.ndarray, "2"], road: Road) -> SignalPlace | None:
     ahead_m, right_m = (point - road.xy(np.array([s]), np.zeros(1))[0]) @ np.stack([along, [along[1], -along[0]]], -1)
     if abs(ahead_m) > BESIDE_M:
         return None
-    return SignalPlace(road.id, s, -float(right_m), math.atan2(along[1], along[0]))
+    return RoadPlace(road.id, s, -float(right_m), math.atan2(along[1], along[0]))
 
 
 def _kind(item: TrafficSignal | TrafficSign) -> tuple[str, str] | None:

@@ -10,9 +10,10 @@ import numpy as np
 
 from synth3dlanes.arrays import Scalars
 from synth3dlanes.formats.opendrive.convention import MAJOR, MINOR, NO_NUMBER, USER_DATA
-from synth3dlanes.formats.opendrive.map_signals import add_signals
+from synth3dlanes.formats.opendrive.map_signals import RoadPlace, add_signals, line_of, places_beside
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
-from synth3dlanes.formats.opendrive.xml import Element, add
+from synth3dlanes.formats.opendrive.xml import Element, add, add_crosswalk, numbered
+from synth3dlanes.geometry.network import Network
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.maps.cubics import steepened, times, value
 from synth3dlanes.maps.furniture import edges_at
@@ -57,6 +58,13 @@ class LaneJoint(NamedTuple):
     enters: str
 
 
+class Ids(NamedTuple):
+    """The ids in the file of roads and junctions by ours."""
+
+    roads: Mapping[str, str]
+    junctions: Mapping[str, str]
+
+
 def opendrive_of_map(world: World, name: str) -> str:
     """The OpenDRIVE file of a world on a map: its roads near the host; the inertial frame is the world frame."""
     roads, network = world.scene.map, world.network
@@ -70,11 +78,14 @@ def opendrive_of_map(world: World, name: str) -> str:
     header = {"revMajor": MAJOR, "revMinor": MINOR, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
     add(root, "header", **header, north=north, south=south, east=east, west=west)
     direct = _direct_junctions(found, touches)
+    # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.
+    roads_by = numbered(found)
+    ids = Ids(roads_by, numbered([*(at.id for at in roads.junctions), *direct.values()], roads_by.values()))
     for road in found.values():
-        element = add(root, "road", name=road.id, length=road.length_m, id=road.id)
-        element.set("junction", road.junction or NO_NUMBER)
+        element = add(root, "road", name=road.id, length=road.length_m, id=ids.roads[road.id])
+        element.set("junction", ids.junctions[road.junction] if road.junction else NO_NUMBER)
         element.set("rule", "LHT" if road.keeps_left else "RHT")
-        _add_links(add(element, "link"), road, found, touches, direct)
+        _add_links(add(element, "link"), road, found, touches, direct, ids)
         view, s = add(element, "planView"), 0.0
         for piece in road.plan:
             _add_piece(view, piece, s)
@@ -83,9 +94,10 @@ def opendrive_of_map(world: World, name: str) -> str:
         # At a junction the lanes of its arms have no links: the connections of the junction tell them.
         own = [touch for touch in touches if road.junction is not None or not _enters_junction(touch, found)]
         _add_lanes(add(element, "lanes"), road, own, roll)
-        _add_paint(element, road, roads)
-    add_signals({element.get("id", ""): element for element in root.iterfind("road")}, world, network)
-    _add_junctions(root, roads, found, touches, direct)
+    elements = {element.get("name", ""): element for element in root.iterfind("road")}
+    _add_paint(elements, roads, found, network)
+    add_signals(elements, world, network)
+    _add_junctions(root, roads, found, touches, direct, ids)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
@@ -154,17 +166,18 @@ def _add_links(
     found: Mapping[str, MapRoad],
     touches: list[LaneJoint],
     direct: Mapping[tuple[str, str], str],
+    ids: Ids,
 ) -> None:
     for tag, end in (("predecessor", "start"), ("successor", "end")):
         beyond = _beyond(road.id, end, touches)
         through = [name for name, _ in beyond if found[name].junction is not None]
         if (road.id, end) in direct:
-            add(element, tag, elementType="junction", elementId=direct[road.id, end])
+            add(element, tag, elementType="junction", elementId=ids.junctions[direct[road.id, end]])
         elif road.junction is None and through:
-            add(element, tag, elementType="junction", elementId=str(found[through[0]].junction))
+            add(element, tag, elementType="junction", elementId=ids.junctions[str(found[through[0]].junction)])
         elif beyond:
             (name, contact), *_ = beyond
-            add(element, tag, elementType="road", elementId=name, contactPoint=contact)
+            add(element, tag, elementType="road", elementId=ids.roads[name], contactPoint=contact)
 
 
 def _linked(road: str, i: int, number: int, end: str, touches: list[LaneJoint]) -> list[tuple[str, int]]:
@@ -184,22 +197,23 @@ def _add_junctions(
     found: Mapping[str, MapRoad],
     touches: list[LaneJoint],
     direct: Mapping[tuple[str, str], str],
+    ids: Ids,
 ) -> None:
     for at in roads.junctions:
         if not any(road.junction == at.id for road in found.values()):
             continue
-        junction = add(root, "junction", name=at.id, id=at.id, type="default")
+        junction = add(root, "junction", name=at.id, id=ids.junctions[at.id], type="default")
         entered: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
         for touch in touches:
             (one, _, m), (other, _, n) = touch.one, touch.other
             if found[other].junction == at.id and found[one].junction != at.id:
                 entered.setdefault((one, other, touch.enters), []).append((m, n))
-        _add_connections(junction, entered, "connectingRoad")
+        _add_connections(junction, entered, "connectingRoad", ids)
         pairs = {(_key(low)[0], _key(high)[0]) for low, high in at.yields}
         for low, high in sorted(pairs):
-            add(junction, "priority", high=high, low=low)
+            add(junction, "priority", high=ids.roads[high], low=ids.roads[low])
     for name in dict.fromkeys(direct.values()):
-        junction = add(root, "junction", name=name, id=name, type="direct")
+        junction = add(root, "junction", name=name, id=ids.junctions[name], type="direct")
         parted: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
         for touch in touches:
             ends = (touch.one[0], touch.leaves), (touch.other[0], touch.enters)
@@ -207,15 +221,15 @@ def _add_junctions(
                 parted.setdefault((touch.one[0], touch.other[0], touch.enters), []).append(
                     (touch.one[2], touch.other[2])
                 )
-        _add_connections(junction, parted, "linkedRoad")
+        _add_connections(junction, parted, "linkedRoad", ids)
 
 
 def _add_connections(
-    junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str
+    junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str, ids: Ids
 ) -> None:
     for count, ((one, other, contact), lanes) in enumerate(entered.items()):
-        connection = add(junction, "connection", id=str(count), incomingRoad=one, contactPoint=contact)
-        connection.set(key, other)
+        connection = add(junction, "connection", id=str(count), incomingRoad=ids.roads[one], contactPoint=contact)
+        connection.set(key, ids.roads[other])
         for m, n in lanes:
             add(connection, "laneLink", **{"from": str(m), "to": str(n)})
 
@@ -337,33 +351,42 @@ def _add_mark(element: Element, mark: MapMark) -> None:
     add(element, "roadMark", sOffset=mark.s_m, type=MARKS[mark.kind], weight="standard", color=color, width=width_m)
 
 
-def _add_paint(element: Element, road: MapRoad, roads: RoadMap) -> None:
-    """The paint in the lanes of a road; crosswalks and islands lie at the first road, in its frame."""
-    objects = add(element, "objects")
-    first = road.id == roads.roads[0].id
-    start = road.plan[0]
+def _add_paint(elements: Mapping[str, Element], roads: RoadMap, found: Mapping[str, MapRoad], network: Network) -> None:
+    """The paint in the lanes of roads, crosswalks at the roads beside them; islands are at the first road, in its
+    frame."""
+    groups = {name: Element("objects") for name in elements}
+    all_roads = [network.road(name) for name in elements]
+    lines = [line_of(road) for road in all_roads]
+    first, start = groups[next(iter(found))], next(iter(found.values())).plan[0]
     for count, paint in enumerate(roads.paint):
-        name = f"p{count}"
-        if paint.lane is not None and paint.lane.rsplit(".", 2)[0] == road.id:
-            _, i, number = _key(paint.lane)
+        if paint.lane is not None and _key(paint.lane)[0] in found:
+            name, i, number = _key(paint.lane)
+            road = found[name]
             inner, outer = next(edges for lane, *edges in edges_at(road, i, paint.s_m) if lane.number == number)
             kind = {"stop_line": "StopLine", "give_way_line": "YieldLine"}.get(paint.kind)
             place = {"s": paint.s_m, "t": (inner + outer) / 2, "zOffset": 0.0, "hdg": 0.0}
             ascends = _ascends(road, i, number)
-            words = {"id": name, "name": kind or paint.kind.replace("_", " "), "type": "roadMark"}
+            words = {"id": str(count), "name": kind or paint.kind.replace("_", " "), "type": "roadMark"}
             size = {"width": abs(outer - inner), "length": 0.4} if kind else {"width": 0.5, "length": 4.0}
-            at = add(objects, "object", **words, **place, **size, orientation="+" if ascends else "-")
+            at = add(groups[name], "object", **words, **place, **size, orientation="+" if ascends else "-")
             if kind:
                 add(at, "validity", fromLane=str(number), toLane=str(number))
-        elif paint.lane is None and first and paint.outline:
-            words = {"id": name, "name": paint.kind, "type": "crosswalk", "orientation": "none"}
-            _add_outline(add(objects, "object", **words, s=0.0, t=0.0, zOffset=0.0, hdg=0.0), start, paint.outline)
-    for count, island in enumerate(roads.islands if first else ()):
-        words = {"id": f"i{count}", "name": "island", "type": "trafficIsland", "orientation": "none"}
-        at = add(objects, "object", **words, s=0.0, t=0.0, zOffset=0.0, hdg=0.0, height=island.height_m)
+        elif paint.lane is None and paint.outline:
+            corners = np.array(paint.outline)
+            middle, start_xy = corners.mean(axis=0), np.array([start.x_m, start.y_m])
+            at_start = start_xy, RoadPlace(next(iter(found)), 0.0, 0.0, start.heading_rad)
+            beside = [(middle, place) for place in places_beside(middle, all_roads, lines)]
+            origin, where = min(beside, key=lambda pair: abs(pair[1].t), default=at_start)
+            along = np.array([math.cos(where.heading_rad), math.sin(where.heading_rad)])
+            local = (corners - origin) @ np.stack([along, [-along[1], along[0]], [0.0, 0.0]], axis=1)
+            add_crosswalk(groups[where.road], count, local, where.s, where.t, name=paint.kind)
+    for count, island in enumerate(roads.islands, start=len(roads.paint)):
+        words = {"id": str(count), "name": "island", "type": "trafficIsland", "orientation": "none"}
+        at = add(first, "object", **words, s=0.0, t=0.0, zOffset=0.0, hdg=0.0, height=island.height_m)
         _add_outline(at, start, island.outline)
-    if not len(objects):
-        element.remove(objects)
+    for name, group in groups.items():
+        if len(group):
+            elements[name].append(group)
 
 
 def _add_outline(element: Element, start: PlanPiece, corners: Iterable[tuple[float, float]]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.roads import OdrRoad
-from synth3dlanes.formats.opendrive.xml import Element, add
+from synth3dlanes.formats.opendrive.xml import Element, add, add_crosswalk
 from synth3dlanes.geometry.beside import beside, on_ground
 from synth3dlanes.geometry.buildings import building_frame
 from synth3dlanes.geometry.posts import post_frames
@@ -50,8 +50,11 @@ def add_objects(world: World, roads: Sequence[OdrRoad], elements: Sequence[Eleme
     posts = zip(scene.roadside.posts, post_frames(ground, scene.roadside.posts), strict=True)
     for post, frame in posts:
         _add_upright(frame.origin, roads, groups, POSTS[post.kind], height=post.height_m, radius=0.1)
+    heights_m = [model.height_m for model in scene.assets.tree_models]
     for tree, base in zip(scene.trees, world.site.trees_world, strict=True):
-        _add_upright(base, roads, groups, ("tree", ""), radius=0.3 * tree.scale)
+        _add_upright(
+            base, roads, groups, ("tree", ""), height=heights_m[tree.model - 1] * tree.scale, radius=0.3 * tree.scale
+        )
     for building in scene.roadside.buildings:
         frame = building_frame(building)
         sizes = {"width": building.width_m, "length": building.length_m, "height": building.height_m}
@@ -77,6 +80,14 @@ def _add_symbol(world: World, symbol: Symbol, roads: Sequence[OdrRoad], groups: 
     kind = SYMBOLS[symbol.kind]
     outline = form.points_world(form.polygons[0] if symbol.kind.startswith("arrow") else form.outline)
     road = _nearest(roads, outline.mean(axis=0))
+    if symbol.kind == "crosswalk":
+        (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
+        rectangle = form.points_world(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+        middle = rectangle.mean(axis=0)
+        s, t, _ = roads[road].places(middle[None])[0].tolist()
+        corners = (rectangle - middle) @ roads[road].axes[np.searchsorted(roads[road].s_m[:-1], s)].T
+        groups[road].append(add_crosswalk(Element("objects"), 0, corners, s, t, name=kind[1], subtype=kind[1]))
+        return
     places = roads[road].places(outline)
     # Corners go counter-clockwise.
     x, y = places[:, 0], places[:, 1]
