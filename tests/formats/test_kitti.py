@@ -9,9 +9,11 @@ import pytest
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.formats.format import ReadFrame, SampleFrame
 from synth3dlanes.formats.kitti.convention import occlusion, parse_line
+from synth3dlanes.formats.kitti.verify import verify as of_frame
 from synth3dlanes.formats.kitti.write import annotate, kitti_object
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.frames import transform
@@ -89,6 +91,24 @@ def test_types_and_regions():
     assert words[:4] == ["DontCare", "-1.00", "-1", "-10.0000"]
     assert words[8:] == ["-1.0000"] * 3 + ["-1000.0000"] * 3 + ["-10.0000"]
     assert parse_line(region.line(), "").location_cv.tolist() == [-1000] * 3
+
+
+def test_a_frame_without_cars_has_a_region_without_a_size_as_tools_fail_on_an_empty_file() -> None:
+    labels = seen()
+    frame = SampleFrame(
+        split="train", key="00000000", number=0, part="train", parts=frozenset({"train"}), scene=FLAT, labels=labels,
+        passes={}, image_format="jpg", cameras={},
+    )  # fmt: skip
+    text = annotate(frame).files["training/label_2/000000.txt"]
+    assert str(text).split() == ["DontCare", "-1.00", "-1", "-10.0000", *["0.00"] * 4, *["-1.0000"] * 3,
+                                 *["-1000.0000"] * 3, "-10.0000"]  # fmt: skip
+    source = SourceSample.__new__(SourceSample)
+    vars(source).update(labels=labels, sweep=None)
+    calib = {"Tr_velo_to_cam": np.eye(4)[:3], "R0_rect": np.eye(3), "P2": np.eye(4)[:3]}
+    region = parse_line(str(text), "")
+    for objects, expected in (([region], []), ([], ["expected a line"]), ([region, region], [])):
+        found = of_frame(ReadFrame("a", "a", None, (objects, calib, None)), source).problems
+        assert [words.partition(",")[0] for words in found] == expected
 
 
 @pytest.mark.parametrize("text", ["", "Car 0 0", "Car" + " x" * 14, "Car" + " nan" * 14, "Car" + " 1" * 15])

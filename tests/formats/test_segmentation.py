@@ -15,6 +15,7 @@ from synth3dlanes.formats.coco.write import run_lengths
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.verify import verify
+from synth3dlanes.formats.yolo.write import document as settings_of_yolo
 from synth3dlanes.formats.yolo.write import outline
 from synth3dlanes.settings import SEMANTIC_IDS
 from tests.formats.problems import problems
@@ -283,3 +284,19 @@ def test_yolo_outlines_fill_the_pixels_of_their_class(with_passes, tmp_path, mon
             # Pieces of a few pixels are left out.
             assert (of_class & found).sum() > 0.97 * (of_class | found).sum()
     assert problems(with_passes, tmp_path, "yolo") == []
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        (("train",), {"train": "train.txt", "val": "train.txt"}),
+        (("val", "test"), {"train": "val.txt", "val": "val.txt", "test": "test.txt"}),
+        (("train", "val", "test"), {part: f"{part}.txt" for part in ("train", "val", "test")}),
+    ],
+)
+def test_settings_of_yolo_name_training_and_val_images_always(tmp_path, parts, expected):
+    lines = tmp_path / "lines"
+    lines.write_text("".join(f"{part}\n" for part in parts))
+    found = yaml.safe_load("".join(settings_of_yolo("data.yaml", lines)))
+    assert found.pop("names")[0]
+    assert found == expected

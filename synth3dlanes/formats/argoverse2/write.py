@@ -46,13 +46,15 @@ README = f"""Argoverse 2's sensor data set: a log for each scene, its frames tho
 - `{{train,val,test}}/LOG/sensors/cameras/CAMERA/TIMESTAMP.jpg`, `sensors/lidar/TIMESTAMP.feather`,
   `annotations.feather`, `city_SE3_egovehicle.feather`, `calibration/*.feather`, `map/*`. Timestamps (ns) differ between
   logs too. Tools of map learners drop frames without one of the seven cameras `ring_*`: generate with
-  `--camera argoverse2`. A camera without such a rig is `{FRONT_CAMERA}`.
+  `--rig argoverse2`. A camera without such a rig is `{FRONT_CAMERA}`.
 - Vehicle frame: x forward, y left, z up, from the rear axle, {-HOST_FROM_EGO[1, 3]:g} m behind the middle of the host
   and {HOST_FROM_EGO[2, 3]:g} m over the road. City frame: the scene's world. Pixels count from the middle of the first
   one. All sensors of an instant measure at once, so `offset_ns` is 0. There is no intensity.
 - Without a lidar, sweeps have no points: tools step through their timestamps. One lidar is both `up_lidar` and
   `down_lidar`; points have 4 bytes a coordinate, where the original has 2.
-- Boxes are those of all cars of the labels, seen or not, with the points of the sweep on them.
+- Boxes are those of all cars of the labels, seen or not, with the points of the sweep on them. The API's evaluation
+  leaves out those without points from the truth, but not from detections, where a found one is a false alarm: without
+  a lidar nothing is left of the truth. Take detections without points out as well, or those that are far away.
 - Lane segments are those of the lane graph, cut into pieces of at most {PIECE_M:g} m: ids count the segment from 1 and
   its pieces from 0, as 2003. Boundaries are half a lane's width beside the middle; their mark type is the paint along
   most of the segment. An oncoming lane across one line is a neighbour.

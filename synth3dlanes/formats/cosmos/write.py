@@ -46,6 +46,8 @@ README = """Cosmos: control videos of clips, and their world scenarios as ClipGT
 - `{train,val,test}/videos/ftheta_VIEW/CLIP.mp4`: what a camera saw; beside them `depth`, `seg`, `edge` and
   `control_input_hdmap_bbox`, the control videos. A camera that is alone is `camera_front_wide_120fov`; those of a rig
   keep their names.
+- Videos have the frames of the clip at its own rate, and tables their times. Cosmos's tools interpolate the tables and
+  draw 30 frames a second of them: take clips of `--fps 30`, or the lane-map videos here and not those of the tools.
 - Depth videos: 1 / depth from black to white, over the least and the greatest of the clip by this camera;
   `CLIP.depth.json` tells these, so that depth_m = 1 / (low + grey / 255 * (high - low)). The sky is black; what is
   nearer than a metre along the viewing direction, as is all behind a fisheye, is as white as that.

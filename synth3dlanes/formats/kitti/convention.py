@@ -66,6 +66,11 @@ def dont_care(box_px: Float[np.ndarray, "4"]) -> KittiObject:
     return KittiObject(DONT_CARE, -1, -1, -10, box_px, np.full(3, -1.0), np.full(3, -1000.0), -10)
 
 
+NOTHING = dont_care(np.zeros(4))
+"""What the label file of a frame without objects has: all files of the original have lines, and OpenPCDet fails on one
+that has none. A region without a size hides no detection."""
+
+
 def parse_line(text: str, where: str) -> KittiObject:
     """A line of `label_2`; raise FormatError for another."""
     words = text.split()

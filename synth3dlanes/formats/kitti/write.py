@@ -11,6 +11,7 @@ from synth3dlanes.formats.kitti.convention import (
     HALF_PX,
     LEAST_SEEN,
     LISTS,
+    NOTHING,
     TYPES,
     VELO_FROM_LIDAR,
     KittiObject,
@@ -34,7 +35,8 @@ README = f"""KITTI's object detection layout.
 - `training/image_2/*.png`, `label_2/*.txt`, `calib/*.txt`, and `velodyne/*.bin` of data sets with a lidar. All frames
   are in `training`, as KITTI's testing frames have no labels; `ImageSets/{{train,val,trainval,test}}.txt` divide them.
 - Types are Car (with pickups), Van, Truck (with tractors and their semitrailers) and Misc (buses). A car of which less
-  than {100 * LEAST_SEEN:.0f} % is seen is a region DontCare; one that is not seen at all is left out.
+  than {100 * LEAST_SEEN:.0f} % is seen is a region DontCare; one that is not seen at all is left out. A frame without
+  objects has one region DontCare without a size, as no label file of the original is empty and OpenPCDet fails on one.
 - Occlusion is 0 if {100 * 0.9:.0f} % or more of the object's pixels are seen, 1 from 50 %, else 2. Truncation is the
   share of the 3D box that is outside the image.
 - The 2D box is that of the 3D box in the image. Pixels count from the middle of the first one, so the principal point
@@ -60,7 +62,10 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
             dropped[reason] += 1
         else:
             lines.append(kitti_object(labels.camera, item).line())
-    files: dict[str, str | bytes] = {path_of("label", name): "\n".join(lines), path_of("calib", name): _calib(labels)}
+    files: dict[str, str | bytes] = {
+        path_of("label", name): "\n".join(lines or [NOTHING.line()]),
+        path_of("calib", name): _calib(labels),
+    }
     if frame.sweep is not None:
         xyz_velo = frame.sweep.points().xyz_lidar @ VELO_FROM_LIDAR[:3, :3].T
         files[path_of("points", name)] = np.column_stack([xyz_velo, np.zeros(len(xyz_velo))]).astype("<f4").tobytes()

@@ -26,6 +26,9 @@ README = f"""YOLO segmentation layout.
 - `images/*`: as in the data set. `labels/*.txt`: a line of text for each object: its class, then x and y of its outline
   in turn, as shares of the width and height. `{SETTINGS_FILE}` is what `yolo segment train data=...` takes; it names
   the classes. `train.txt`, `val.txt` and `test.txt` list the images of each part.
+- Where a data set has no val frames (training frames of fewer than five scenes), or no training frames,
+  `{SETTINGS_FILE}` names those of the other part in their place, because ultralytics wants both. Scores are then those
+  of training frames.
 - An object is a connected piece of a thing: a polygon has one part. So each dash of a lane line is an object, and so
   are the two halves of a car behind a tree. Holes are filled. Pieces of less than {LEAST_PX} pixels are left out.
 """
@@ -88,4 +91,7 @@ def document(path: str, lines: Path) -> Iterator[str]:
     parts = [part for part in PARTS if part in found.splitlines()]
     # Without `path`, ultralytics looks beside the file; with one, from the working directory.
     yield "".join(f"{part}: {part}.txt\n" for part in parts)
+    for lacking, other in (("train", "val"), ("val", "train")):
+        if lacking not in parts:
+            yield f"{lacking}: {other}.txt  # there are no {lacking} frames, and ultralytics wants some\n"
     yield "names:\n" + "".join(f"  {number}: {json.dumps(name)}\n" for number, name in enumerate(NAMES))
