@@ -251,9 +251,9 @@ class MapNetwork(Network):
     ) -> tuple[Points3, Points3, Points3] | None:
         """A lane's middle, its left and its right edge, as its traffic drives: points i are beside each other. None
         where it is farther from a place than about `reach_m`."""
-        road, (first_m, last_m) = self.road(lane.road).stretch_of(lane), lane.driven
+        road, (first_m, last_m) = self.road(lane.road), lane.driven
         s = np.linspace(first_m, last_m, max(2 + int(abs(last_m - first_m) / LINES_STEP_M), 3))
-        middle, low, high = (road.points(s, offset(s)) for offset in road.lines_of(lane))
+        middle, low, high = (road.stretch_of(lane).points(s, offset(s)) for offset in road.lines_of(lane))
         if not _is_near(middle, xy_world, reach_m):
             return None
         return (middle, low, high) if lane.ascends else (middle, high, low)
