@@ -51,9 +51,9 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
         written["figure"] = str(path)
     if as_json:
         columns = numbers_of(shown.scene, shown.labels)
-        click.echo(json.dumps({**written, "columns": columns, **scene_document(shown.scene, shown.labels)}))
+        click.echo(json.dumps({**written, "columns": columns, **scene_document(shown)}))
         return
-    output_console().print(summary(shown.scene, shown.labels))
+    output_console().print(summary(shown))
     for what, name in written.items():
         click.echo(f"{what.capitalize()}: {name}")
 

@@ -15,6 +15,7 @@ from synth3dlanes import scene as scene_format
 from synth3dlanes.arguments import checked
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.change import change_scene as _change_scene
+from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.format import (
     IMAGE_FORMATS,
 )
@@ -389,21 +390,24 @@ def validate_dataset(
 def dataset_stats(
     source: str | Path | Params, *, n: int = 2000, seed: int = 0, assets: Library = BUILT_IN
 ) -> "synth3dlanes.figures.stats.Statistics":
-    """Compute statistics of at most `n` samples, evenly spaced, of a data set or a split: of their scenes and their
-    labels. Given parameters, draw `n` scenes and compute statistics of these, without labels.
+    """Compute statistics of at most `n` samples, evenly spaced, of a data set or a split: of their scenes, if they have
+    any, and their labels. Given parameters, draw `n` scenes and compute statistics of these, without labels.
 
     `document()` of the result returns JSON values.
     """
-    from synth3dlanes.figures.stats import Statistics, label_statistics, scene_statistics
+    from synth3dlanes.figures.stats import NO_SCENES, Statistics, label_statistics, scene_statistics
 
     _at_least(1, n=n)
     if isinstance(source, Params):
         scenes = Scenes(source, seed, assets=assets.assets)
         return Statistics(scene_statistics((_sample_scene(scenes, index) for index in range(n)), source))
     found = readers(str(source))
+    labels = label_statistics(reader.labels(i) for reader, i in evenly_spaced(found, n))
+    if is_lifted(found[0].description):
+        return Statistics(NO_SCENES, labels)
+    origin = provenance_of(found[0])
     shown = (read_scene(reader, i) for reader, i in evenly_spaced(found, n, is_once_a_scene=True))
-    origin, labels = provenance_of(found[0]), (reader.labels(i) for reader, i in evenly_spaced(found, n))
-    return Statistics(scene_statistics(shown, origin.params, bool(origin.shots.cameras)), label_statistics(labels))
+    return Statistics(scene_statistics(shown, origin.params, bool(origin.shots.cameras)), labels)
 
 
 @checked
@@ -417,7 +421,12 @@ def report_dataset(place: str | Path, path: str | Path, *, n: int = 2000, sample
     stats, found = dataset_stats(place, n=n), readers(str(place))
     assert stats.labels is not None, "a data set has labels"
     shown = [
-        (f"{split_name(reader)}:{reader.key(i)}", read_scene(reader, i), reader.labels(i), reader.image(i))
+        (
+            f"{split_name(reader)}:{reader.key(i)}",
+            None if is_lifted(reader.description) else read_scene(reader, i),
+            reader.labels(i),
+            reader.image(i),
+        )
         for reader, i in evenly_spaced(found, samples)
     ]
     write(Path(path), report_page(data_set_name(found[0]), shown, stats.scenes, stats.labels).encode())

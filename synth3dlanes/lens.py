@@ -263,3 +263,14 @@ def _angle(lens: Lens, radius: Numbers) -> Numbers:
             break
     with np.errstate(invalid="ignore"):
         return np.where(radius <= radii[-1], angle, np.nan)
+
+
+def width_rad(img_from_cam: Float[np.ndarray, "3 3"], lens: Lens, width_px: int) -> float:
+    """The angle that an image is wide, in the row of its principal point; for a pinhole, as if that were in the
+    middle."""
+    if lens.is_pinhole:
+        return float(2 * np.arctan(width_px / 2 / img_from_cam[0, 0]))
+    row_px = img_from_cam[1, 1]
+    right, ahead, _ = lens.rays(img_from_cam, np.array([[0.0, row_px], [width_px, row_px]])).T
+    angles = np.arctan2(np.abs(right), ahead)
+    return float(np.where(np.isnan(angles), lens.field_rad, angles).sum())

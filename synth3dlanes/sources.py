@@ -4,7 +4,7 @@ Reads files; needs no Blender.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +16,7 @@ from synth3dlanes.arguments import checked
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.dataset.address import SAMPLE, splits_near
-from synth3dlanes.dataset.description import DESCRIPTION
+from synth3dlanes.dataset.description import DESCRIPTION, is_lifted
 from synth3dlanes.dataset.format import HEIGHT, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
@@ -26,6 +26,7 @@ from synth3dlanes.figures.overlay import draw_overlay
 from synth3dlanes.figures.shown import ShownSample, ShownScene
 from synth3dlanes.files import read_bounded
 from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.host import Shot
 from synth3dlanes.labels import Labels
 from synth3dlanes.params import Params
 from synth3dlanes.sample import Scenes
@@ -73,24 +74,35 @@ def load_shown(
     """
     is_sample = SAMPLE.fullmatch(where) is not None
     name, scene, labels, image = _sample(where, image_path) if is_sample else _rendered(where, image_path)
-    return ShownScene(
+    shown = ShownScene(
         scene,
         labels,
         image,
         load_passes(where, image_path) if with_passes else {},
         load_sweep(where, image_path, labels),
-        load_clip(where).frames if is_sample and with_clip and scene.shot.n_frames > 1 else (),
-        load_rig_pictures(where) if is_sample and scene.shot.n_cameras > 1 else (),
-        name,
+        name=name,
+        lifted_shot=_shot(*find(where)) if scene is None else None,
     )
+    if not is_sample:
+        return shown
+    clip = load_clip(where).frames if with_clip and shown.shot.n_frames > 1 else ()
+    return replace(shown, clip=clip, rig=load_rig_pictures(where) if shown.shot.n_cameras > 1 else ())
 
 
-def _sample(where: str, image_path: Path | None) -> tuple[str, Scene, Labels, RgbImage]:
+def _shot(reader: Reader, i: int) -> Shot:
+    """Which frame of its clip a sample is, by the index and the description of its data set."""
+    shots = reader.description.get("shots", {})
+    n_frames, fps = int(shots.get("frames", 1)), float(shots.get("fps", 10.0))
+    return Shot(frame=int(reader.frame_of[i]), n_frames=n_frames, fps=fps)
+
+
+def _sample(where: str, image_path: Path | None) -> tuple[str, Scene | None, Labels, RgbImage]:
     if image_path is not None:
         raise InputError(f"image {image_path}: expected none beside a sample, which has its own")
     reader, position = find(where)
     sample = reader[position]
-    return sample.key, from_json(sample.scene_json, where), sample.labels, sample.image
+    scene = None if sample.scene_json is None else from_json(sample.scene_json, where)
+    return sample.key, scene, sample.labels, sample.image
 
 
 def _rendered(where: str, image_path: Path | None) -> tuple[str, Scene, Labels, RgbImage | None]:
@@ -118,7 +130,7 @@ def load_clip(where: str) -> Clip:
     """The frames, by the same camera, of the clip that a sample `DIR/SPLIT:KEY` belongs to. Raises InputError for a
     single picture."""
     reader, i = find(where)
-    shot = read_scene(reader, i).shot
+    shot = _shot(reader, i)
     if shot.n_frames == 1:
         raise InputError(f"{where}: expected a sample of a clip (generate --frames), got a single picture")
     positions = reader.clip(int(reader.scene_of[i]), int(reader.camera_of[i]))
@@ -159,7 +171,10 @@ def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | N
 
 @checked
 def read_scene(reader: Reader, i: int) -> Scene:
-    """The scene of one sample, read without its image and labels."""
+    """The scene of one sample, read without its image and labels. Raises InputError for one that has none."""
+    if is_lifted(reader.description):
+        known = "one that was lifted from a real drive, of which only the image and the lanes are known"
+        raise InputError(f"{reader.url}:{reader.key(i)}: expected a sample with a scene, got {known}")
     return from_json(reader.member(i, SCENE), f"{reader.url}:{reader.key(i)}")
 
 

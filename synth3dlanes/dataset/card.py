@@ -5,8 +5,7 @@ from typing import Any
 
 import yaml
 
-from synth3dlanes.dataset.description import is_lifted
-from synth3dlanes.dataset.format import member_names
+from synth3dlanes.dataset.description import is_lifted, names_of
 
 CARD = "README.md"
 # A card is rewritten when the data set grows only if it has this line.
@@ -49,8 +48,8 @@ by the ground or hidden by things on it.
 
 _LIFTED_HOW = """\
 {generator} lifted the drive {drive}: scans put together with its poses, and lanes marked in its images or in its top
-view. {shots}How exact the drive was said to be is in `dataset.json` (`derived`). `scene.json` of a sample knows its
-camera and its frame; its road is a placeholder, and so are columns of the index that describe a scene.
+view. {shots}How exact the drive was said to be is in `dataset.json` (`derived`). Samples have no scene, and the columns
+of the index that describe one are empty.
 """
 
 _TEXT = """\
@@ -105,7 +104,7 @@ def card(description: Mapping[str, Any]) -> bytes:
     splits = {name: int(split["n"]) for name, split in description["splits"].items()}
     licence = description.get("license")
     render = description["render"]
-    names = member_names(description["image_format"], render["passes"])
+    names = names_of(description)
     first = "train" if "train" in splits else next(iter(splits), "train")
     is_measured = is_lifted(description)
     how = (_LIFTED_HOW if is_measured else _RENDERED_HOW).format(

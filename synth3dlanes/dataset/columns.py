@@ -53,29 +53,42 @@ LIDAR_SCHEMA = pa.schema([(name, pa.int64()) for name in place_columns([LIDAR])]
 
 
 def index_row(
-    key: str, places: dict[str, tuple[int, int]], sha256: str, scene: Scene, labels: Labels
+    key: str,
+    places: dict[str, tuple[int, int]],
+    sha256: str,
+    scene: Scene | None,
+    labels: Labels,
+    numbers: tuple[int, int, int] | None = None,
 ) -> dict[str, Any]:
     """One row of the index. `places` maps the name of each member to its offset and size in the tar. `sha256` is the
-    digest of all bytes of the sample in the tar, from its first header to its last block."""
+    digest of all bytes of the sample in the tar, from its first header to its last block. `numbers` are those of the
+    clip, the frame and the camera of a sample without a scene."""
     row: dict[str, Any] = {"key": key, "index": int(key), "sha256": sha256}
-    if scene.shot.n_frames * scene.shot.n_cameras > 1:
-        row |= {"scene": scene.index, "frame": scene.shot.frame, "camera": scene.shot.camera}
+    if scene is not None and scene.shot.n_frames * scene.shot.n_cameras > 1:
+        numbers = scene.index, scene.shot.frame, scene.shot.camera
+    row |= dict(zip(SHOT_COLUMNS, numbers, strict=True)) if numbers else {}
     for member, (offset, size) in places.items():
         column = COLUMN_OF_MEMBER[member]
         row |= {f"{column}_offset": offset, f"{column}_size": size}
-    row |= {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}
+    return row | numbers_of(scene, labels)
+
+
+def numbers_of(scene: Scene | None, labels: Labels) -> dict[str, Any]:
+    """What a row of the index says of a scene and its labels, wherever these lie; without a scene, of the camera and
+    the lanes alone."""
+    if scene is None:
+        camera, k = labels.camera, labels.camera.img_from_cam
+        known = {name: value for name, value in vars(camera).items() if name in Camera.model_fields and name != "lens"}
+        known |= {"fx_px": float(k[0, 0]), "fy_px": -float(k[1, 2]), "cx_px": float(k[0, 1]), "cy_px": float(k[1, 1])}
+        return {PREFIXES["camera"] + name: value for name, value in known.items()} | _summary(labels)
+    row = {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}
     for group in (*PARTS, *ADDED_PARTS):
         prefix = PREFIXES.get(group, "")
         part = getattr(scene, group)
         row |= {prefix + name: value for name, value in (vars(part) if part else {}).items() if name != "lens"}
     row |= {"n_symbols": len(labels.symbols)} | {f"n_{name}": len(getattr(scene.roadside, name)) for name in ROADSIDE}
+    row |= {"n_traffic_elements": len(labels.traffic_elements or ())}
     return row | _topology(scene, labels) | _summary(labels)
-
-
-def numbers_of(scene: Scene, labels: Labels) -> dict[str, Any]:
-    """What a row of the index says of a scene and its labels, wherever these lie."""
-    row = index_row("0", {}, "", scene, labels)
-    return {name: value for name, value in row.items() if name not in ("key", "index", "sha256")}
 
 
 def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
@@ -113,7 +126,6 @@ def _summary(labels: Labels) -> dict[str, Any]:
     count = max(int(in_image.sum()), 1)
     over_ground = in_image & terrain_visible
     summary: dict[str, Any] = {
-        "n_traffic_elements": len(labels.traffic_elements or ()),
         "max_grade": max_grade(labels),
         "terrain_hidden_fraction": int((in_image & ~terrain_visible).sum()) / count,
         "object_hidden_fraction": int((over_ground & ~visible).sum()) / count,

@@ -8,8 +8,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from synth3dlanes.dataset.description import is_lifted
-from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LABELS, member_names
+from synth3dlanes.dataset.description import is_lifted, names_of
+from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LABELS
 
 CROISSANT = "croissant.json"
 # Only a file with this text is written anew when a data set grows.
@@ -52,7 +52,7 @@ def croissant(description: Mapping[str, Any]) -> bytes:
     size = int(description["shard_size"])
     splits = {name: math.ceil(int(split["n"]) / size) for name, split in description["splits"].items()}
     is_listed = sum(splits.values()) <= MOST_SHARDS
-    names = member_names(description["image_format"], description["render"]["passes"])
+    names = names_of(description)
     document = {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",

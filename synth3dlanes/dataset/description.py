@@ -70,7 +70,7 @@ class Description(DocumentPart):
     @property
     def names(self) -> tuple[str, ...]:
         """The members of every sample."""
-        return member_names(self.image_format, self.render.passes)
+        return names_of(self.model_dump())
 
 
 def parse_description(data: bytes, where: str) -> dict[str, Any]:
@@ -94,8 +94,20 @@ def pictures_per_scene(description: Mapping[str, Any]) -> int:
 
 
 def is_lifted(description: Mapping[str, Any]) -> bool:
-    """Whether the labels were measured in a real drive (`lift`): scenes are placeholders then."""
+    """Whether the labels were measured in a real drive (`lift`): there are no scenes then."""
     return "lifted" in (description.get("derived") or {})
+
+
+def names_of(description: Mapping[str, Any]) -> tuple[str, ...]:
+    """The members of every sample of a data set."""
+    has_scene = not is_lifted(description)
+    return member_names(str(description["image_format"]), description["render"]["passes"], has_scene)
+
+
+def numbers_of_lifted(description: Mapping[str, Any], index: int) -> tuple[int, int, int] | None:
+    """The numbers of the clip, the frame and the camera of a lifted sample; None in a data set without clips."""
+    frames = pictures_per_scene(description)
+    return (*divmod(index, frames), 0) if frames > 1 else None
 
 
 _ORIGINS = {False: "samples drawn from parameters", True: "samples derived from other data"}

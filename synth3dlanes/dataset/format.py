@@ -44,13 +44,13 @@ CHANNEL_TYPES = {
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One labelled image as read from a data set. `scene_json` is the scene as text, which `synth3dlanes render`
-    reads."""
+    """One labelled image as read from a data set. `scene_json` is the scene as text, which `synth3dlanes render` reads;
+    None of a sample that was lifted from a real drive."""
 
     key: str
     image: UInt8[np.ndarray, "h w 3"]
     labels: Labels
-    scene_json: bytes
+    scene_json: bytes | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,12 @@ def key_of(index: int) -> str:
     return f"{index:08d}"
 
 
-def member_names(image_format: str, passes: Sequence[str]) -> tuple[str, ...]:
+def member_names(image_format: str, passes: Sequence[str], has_scene: bool = True) -> tuple[str, ...]:
     """The names of a sample's members without their key, in the order of the tar."""
     own = {"height": HEIGHT, "lidar": LIDAR}
     pixel_passes = [PASSES] if set(passes) - set(own) else []
-    return (image_format, SCENE, LABELS, *pixel_passes, *(member for name, member in own.items() if name in passes))
+    scene = [SCENE] if has_scene else []
+    return (image_format, *scene, LABELS, *pixel_passes, *(member for name, member in own.items() if name in passes))
 
 
 def encode(picture: Picture, scene_json: str, image_format: str, jpeg_quality: int = JPEG_QUALITY) -> dict[str, bytes]:

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from synth3dlanes import labels as labels_module
 from synth3dlanes.arguments import checked
 from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, parse_description, pictures_per_scene
+from synth3dlanes.dataset.description import DESCRIPTION, names_of, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
     BLOCK,
     HEIGHT,
@@ -28,7 +28,6 @@ from synth3dlanes.dataset.format import (
     Sample,
     decode_image,
     member_name,
-    member_names,
     read_passes,
     read_sweep,
 )
@@ -68,7 +67,7 @@ class Reader:
     def __init__(self, url: str | Path, columns: Sequence[str] | None = None) -> None:
         self.url = str(url).rstrip("/")
         self.description = self._describe()
-        self._names = member_names(self.description["image_format"], self.description["render"]["passes"])
+        self._names = names_of(self.description)
         has_shots = pictures_per_scene(self.description) > 1
         wanted = ["key", "index", *SIZE_COLUMNS, *place_columns(self._names), *(SHOT_COLUMNS if has_shots else ())]
         chosen = () if columns is None else tuple(dict.fromkeys((*wanted, *columns)))
@@ -99,11 +98,11 @@ class Reader:
     @checked
     def __getitem__(self, i: int) -> Sample:
         image_name, where = self._names[0], self._where(i)
-        raw = self._members(i, (image_name, SCENE, LABELS))
+        raw = self._members(i, (image_name, *(name for name in (SCENE, LABELS) if name in self._names)))
         labels = labels_module.from_json(raw[LABELS], f"{where}.{LABELS}")
         size_px = labels.camera.width_px, labels.camera.height_px
         image = decode_image(raw[image_name], f"{where}.{image_name}", size_px)
-        return Sample(self.key(i), image, labels, raw[SCENE])
+        return Sample(self.key(i), image, labels, raw.get(SCENE))
 
     @checked
     def key(self, i: int) -> str:

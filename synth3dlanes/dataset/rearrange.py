@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.dataset.description import differences, recipe_of_description, recipe_text
+from synth3dlanes.dataset.description import differences, names_of, recipe_of_description, recipe_text
 from synth3dlanes.dataset.destination import Destination
-from synth3dlanes.dataset.format import key_of, member_names
+from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.dataset.read import Reader
@@ -107,7 +107,7 @@ def _union(several: Sequence[Reader]) -> SampleSources:
 def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: SampleSources) -> None:
     """Write the samples that are not there yet, shard by shard. A shard records the recipe of its sources if they all
     have the same."""
-    size, names = int(recipe["shard_size"]), member_names(recipe["image_format"], recipe["render"]["passes"])
+    size, names = int(recipe["shard_size"]), names_of(recipe)
     sources = {id(reader): reader for reader, _ in places.values()}.values()
     is_known = all(reader.recipes == {recipe_text(reader.description)} for reader in sources)
     text = recipe_text(recipe) if is_known else ""

@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from synth3dlanes import labels as labels_module
 from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.columns import index_row, table
-from synth3dlanes.dataset.description import differences
+from synth3dlanes.dataset.description import differences, numbers_of_lifted
 from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes, tar_end, tar_members
 from synth3dlanes.dataset.index import place_columns, read_index, read_recipe
 from synth3dlanes.dataset.local_files import MAX_READ_BYTES
@@ -234,7 +234,6 @@ class Shard:
         with open_regular(place.path) as stream:
             stream.seek(place.offset)
             data = stream.read(place.end - place.offset)
-        scene, labels = (_member(data, place, name) for name in (SCENE, LABELS))
         where = f"{place.path}: {key_of(index)}"
         empty = [name for name, (_, size) in place.members.items() if not size]
         if empty:
@@ -244,8 +243,9 @@ class Shard:
             key_of(index),
             moved,
             hashlib.sha256(data).hexdigest(),
-            scene_module.from_json(scene, f"{where}.{SCENE}"),
-            labels_module.from_json(labels, f"{where}.{LABELS}"),
+            scene_module.from_json(_member(data, place, SCENE), f"{where}.{SCENE}") if SCENE in self.names else None,
+            labels_module.from_json(_member(data, place, LABELS), f"{where}.{LABELS}"),
+            None if SCENE in self.names else numbers_of_lifted(json.loads(self.recipe), index),
         )
 
 

@@ -10,14 +10,15 @@ from jaxtyping import Float
 
 from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.figures.shape import bends, grades
+from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.frames import transform
-from synth3dlanes.geometry.camera import horizontal_fov_rad
 from synth3dlanes.geometry.motion import host_driven, host_speed
 from synth3dlanes.host import Camera, Host
 from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.lens import Lens
+from synth3dlanes.lens import Lens, width_rad
 from synth3dlanes.object_labels import ObjectLabel
 from synth3dlanes.scene import PaperRoad, Scene, Weather
+from synth3dlanes.words import counted
 
 Facts = dict[str, str]
 
@@ -37,13 +38,26 @@ ELEMENT_COLUMNS = (
 )  # fmt: skip
 
 
-def describe(scene: Scene, labels: Labels) -> dict[str, Facts]:
-    """A summary by group: source, road, shape, camera, light, air, sensor, weather, objects, paint and surface."""
+def shown_title(shown: ShownScene) -> str:
+    """What is shown, in a line."""
+    scene = shown.scene
+    if scene is None:
+        return f"sample {shown.name}, lifted from a real drive"
+    lanes = f"{counted(scene.road.n_lanes, 'lane')}, " if scene.road else ""
+    return f"seed {scene.seed}, {scene.split} {scene.index}: {lanes}{road_words(scene)}"
+
+
+def describe(shown: ShownScene) -> dict[str, Facts]:
+    """A summary by group: source, road, shape, camera, light, air, sensor, weather, objects, paint and surface; of a
+    sample that was lifted from a real drive, what is known of it."""
+    scene, labels = shown.scene, shown.labels
+    if scene is None:
+        return {"lifted": {"sample": shown.name}, "shape": _shape(labels), "camera": _camera(shown)}
     return {
         "drawn from": {"seed": str(scene.seed), "split": scene.split, "index": str(scene.index)},
         "road": _road(scene, labels),
-        "shape": _shape(scene, labels),
-        "camera": _camera(scene, labels),
+        "shape": {**_shape(labels), "hills and hollows": str(len(scene.terrain.gaussians))},
+        "camera": _camera(shown),
         "light": {
             "sun": f"{90 - math.degrees(scene.light.sun_zenith_rad):.0f}° above the horizon, "
             f"azimuth {math.degrees(scene.light.sun_azimuth_rad) % 360:.0f}°",
@@ -158,9 +172,9 @@ def element_row(item: ElementLabel) -> tuple[str, ...]:
     return (str(item.id), category, shows.replace("_", " "), ", ".join(item.lanes) or "-", center, size, seen)
 
 
-def scene_document(scene: Scene, labels: Labels) -> dict[str, Any]:
+def scene_document(shown: ShownScene) -> dict[str, Any]:
     """The lanes of a scene and its summary in words, for JSON."""
-    return {"lanes": [lane_document(lane) for lane in labels.lanes], "summary": describe(scene, labels)}
+    return {"lanes": [lane_document(lane) for lane in shown.labels.lanes], "summary": describe(shown)}
 
 
 def lane_document(lane: Lane) -> dict[str, Any]:
@@ -178,7 +192,9 @@ def lane_document(lane: Lane) -> dict[str, Any]:
 
 def heights_over_road_plane(labels: Labels) -> tuple[float, float]:
     """The least and the greatest height of a lane point over the plane of the road at the host."""
-    points_cam = np.concatenate([lane.xyz_cam for lane in labels.lanes])
+    points_cam = np.concatenate([np.zeros((0, 3)), *(lane.xyz_cam for lane in labels.lanes)])
+    if not len(points_cam):
+        return 0.0, 0.0
     heights_m = transform(labels.camera.road_from_cam, points_cam)[:, 2]
     return round(float(heights_m.min()), 3) + 0.0, round(float(heights_m.max()), 3) + 0.0
 
@@ -210,7 +226,7 @@ def _road(scene: Scene, labels: Labels) -> Facts:
     return facts
 
 
-def _shape(scene: Scene, labels: Labels) -> Facts:
+def _shape(labels: Labels) -> Facts:
     centerlines = [lane for lane in labels.lanes if lane.kind == "centerline"]
     bend = _extreme([bends(lane, labels) for lane in centerlines])
     grade = _extreme([grades(lane, labels) for lane in centerlines])
@@ -220,36 +236,44 @@ def _shape(scene: Scene, labels: Labels) -> Facts:
         "sharpest bend": radius,
         "steepest grade": f"{100 * abs(grade):.1f} % {'up' if grade > 0 else 'down'}",
         "lanes over the road plane": f"{low_m:+.1f} to {high_m:+.1f} m",
-        "hills and hollows": str(len(scene.terrain.gaussians)),
     }
 
 
 def _extreme(values: list[Float[np.ndarray, " _"]]) -> float:
     """The value farthest from 0; 0 if there is none."""
-    return float(max(np.concatenate(values), key=abs, default=0.0))
+    return float(max(np.concatenate([np.zeros(0), *values]), key=abs, default=0.0))
 
 
-def _camera(scene: Scene, labels: Labels) -> Facts:
-    camera, shot = scene.camera, scene.shot
+def _place(scene: Scene) -> Facts:
+    """Where the host is, and which of its pictures this is."""
+    camera, shot, facts = scene.camera, scene.shot, Facts()
     side = "right" if camera.offset_m > 0 else "left"
-    clip = {}
     if shot.n_cameras > 1:
-        clip["camera"] = f"{camera.name}, number {shot.camera} of 0 to {shot.n_cameras - 1}, {_mount(camera)}"
+        facts["camera"] = f"{camera.name}, number {shot.camera} of 0 to {shot.n_cameras - 1}, {_mount(camera)}"
     if shot.n_frames > 1:
-        clip["frame"] = (
+        facts["frame"] = (
             f"{shot.frame} of 0 to {shot.n_frames - 1}, {shot.time_s:.2f} s and {host_driven(shot, shot.time_s):.1f} m "
             f"from the clip's start, at {3.6 * host_speed(shot, shot.time_s):.0f} km/h"
         )
+    at = f"lane {camera.lane} at y = {camera.y_m:.1f} m, {abs(camera.offset_m):.2f} m {side} of its centre"
+    return {**facts, f"place{' at the start' * (shot.n_frames > 1)}": at}
+
+
+def _camera(shown: ShownScene) -> Facts:
+    labels, shot = shown.labels, shown.shot
+    camera, k = labels.camera, labels.camera.img_from_cam
+    if shown.scene is not None:
+        place = _place(shown.scene)
+    else:
+        place = {"frame": f"{shot.frame} of 0 to {shot.n_frames - 1}"} if shot.n_frames > 1 else {}
     return {
-        **clip,
-        f"place{' at the start' * (shot.n_frames > 1)}": f"lane {camera.lane} at y = {camera.y_m:.1f} m, "
-        f"{abs(camera.offset_m):.2f} m {side} of its centre",
+        **place,
         "height, pitch, roll": f"{camera.height_m:.3f} m, {_turn('pitch', camera.pitch_rad, 'down', 'up')}, "
         f"{_turn('roll', camera.roll_rad, 'clockwise', 'counter-clockwise')}"
         + (f", turned {_turn('yaw', camera.yaw_rad, 'to the left', 'to the right')}" if camera.yaw_rad else ""),
         "image": f"{camera.width_px} x {camera.height_px} px, "
-        f"{math.degrees(horizontal_fov_rad(camera)):.0f}° wide (fx = {camera.fx_px:.1f}), "
-        f"centre at ({camera.cx_px:.1f}, {camera.cy_px:.1f}){_lens(camera.lens)}",
+        f"{math.degrees(width_rad(k, camera.lens, camera.width_px)):.0f}° wide (fx = {k[0, 0]:.1f}), "
+        f"centre at ({k[0, 1]:.1f}, {k[1, 1]:.1f}){_lens(camera.lens)}",
         "lanes in labels": _counted([_sort_of(lane) for lane in labels.lanes]),
     }
 

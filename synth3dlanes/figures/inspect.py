@@ -16,24 +16,21 @@ from synth3dlanes.figures.describe import (
     element_row,
     lane_row,
     object_row,
-    road_words,
+    shown_title,
 )
 from synth3dlanes.figures.passes import draw_pass
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.shown import ShownScene
-from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
 from synth3dlanes.settings import PASSES
-from synth3dlanes.words import counted
 
 # Images of a rig's cameras in a row.
 RIG_COLUMNS = 3
 
 
-def summary(scene: Scene, labels: Labels) -> RenderableType:
+def summary(shown: ShownScene) -> RenderableType:
     """The scene in words, its lanes, objects and traffic elements in a table each, for `rich.print`."""
-    facts = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for group, values in describe(scene, labels).items():
+    facts, labels = Table(box=None, show_header=False, padding=(0, 2, 0, 0)), shown.labels
+    for group, values in describe(shown).items():
         for number, (name, value) in enumerate(values.items()):
             facts.add_row(f"[bold]{group}[/bold]" if number == 0 else "", name, value)
     lanes = Table(box=None, padding=(0, 2, 0, 0))
@@ -80,11 +77,7 @@ def draw_inspect(
     views.draw_top(figure.add_subplot(grid[-2, :]), view, shown.sweep, [seen.camera for seen, _ in rig])
     views.draw_side(figure.add_subplot(grid[-1, :]), view)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=4, frameon=False)
-    figure.suptitle(
-        f"seed {scene.seed}, {scene.split} {scene.index}: "
-        f"{counted(scene.road.n_lanes, 'lane') + ', ' if scene.road else ''}{road_words(scene)}",
-        fontsize=14, x=0.01, ha="left", color=colors.INK,
-    )  # fmt: skip
+    figure.suptitle(shown_title(shown), fontsize=14, x=0.01, ha="left", color=colors.INK)
     return figure
 
 

@@ -24,6 +24,7 @@ from synth3dlanes.figures.describe import (
     lane_row,
     object_row,
     road_words,
+    shown_title,
 )
 from synth3dlanes.figures.histograms import histograms
 from synth3dlanes.figures.overlay import stretches_img
@@ -117,37 +118,37 @@ def scene_page(
     """A page of one scene: the image, with lanes and masks that can be switched on and off; a 3D view with the lidar's
     points; the passes; and all parameters. A clip adds a slider through its frames (at most MAX_FRAMES, evenly spaced),
     a rig the images of all its cameras."""
-    scene, labels = shown.scene, shown.labels
+    scene, labels, shot = shown.scene, shown.labels, shown.shot
     step = max(1, -(-len(shown.clip) // MAX_FRAMES))
     numbers = range(0, len(shown.clip), step)
     frames = [_frame(number, *shown.clip[number]) for number in numbers]
     return render(
         "scene.html",
-        title=f"seed {scene.seed}, {scene.split} {scene.index}: {road_words(scene)}",
+        title=shown_title(shown),
         switches=_switches([labels]),
         drawn=drawing(labels, shown.image),
         frames=frames,
-        pause_ms=round(1000 / scene.shot.fps * step),
-        start=min(range(len(frames)), key=lambda i: abs(numbers[i] - scene.shot.frame), default=0),
+        pause_ms=round(1000 / shot.fps * step),
+        start=min(range(len(frames)), key=lambda i: abs(numbers[i] - shot.frame), default=0),
         rig=[(found.camera.name, drawing(found, picture)) for found, picture in shown.rig],
         passes=[
             PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in shown.passes.items()
         ],
-        groups=describe(scene, labels),
+        groups=describe(shown),
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],
         object_columns=OBJECT_COLUMNS,
         object_rows=[object_row(item) for item in labels.objects or ()],
         element_columns=ELEMENT_COLUMNS,
         element_rows=[element_row(item) for item in labels.traffic_elements or ()],
-        document=json.dumps(json.loads(to_json(scene)), indent=1),
+        document="" if scene is None else json.dumps(json.loads(to_json(scene)), indent=1),
         space=_space(SceneView(scene, labels), shown.sweep, [found.camera for found, _ in shown.rig]),
     )
 
 
 def report_page(
     title: str,
-    samples: Sequence[tuple[str, Scene, Labels, RgbImage]],
+    samples: Sequence[tuple[str, Scene | None, Labels, RgbImage]],
     scenes: SceneStatistics,
     labels: LabelStatistics,
 ) -> str:
@@ -158,7 +159,10 @@ def report_page(
         title=title,
         n_scenes=scenes.n_scenes,
         switches=_switches(sample for _, _, sample, _ in samples),
-        cards=[Card(name, road_words(scene), drawing(sample, image)) for name, scene, sample, image in samples],
+        cards=[
+            Card(name, road_words(scene) if scene else "", drawing(sample, image))
+            for name, scene, sample, image in samples
+        ],
         topologies=scenes.topologies.items(),
         measured=[
             (row.name, *_short(row.minimum, row.p05, row.median, row.p95, row.maximum, row.mean))

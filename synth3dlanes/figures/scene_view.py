@@ -1,5 +1,7 @@
-"""Outlines of a scene's roads, ground, cars and trees, in the road frame at the host."""
+"""Outlines of a scene's roads, ground, cars, trees and structures, in the road frame at the host; of a sample without a
+scene there are none."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,8 +11,7 @@ from jaxtyping import Float
 from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.network import Network
+from synth3dlanes.geometry.solids import Body
 from synth3dlanes.labels import CameraLabel, Labels
 from synth3dlanes.scene import Car, Scene
 from synth3dlanes.world import World, resolve
@@ -43,25 +44,22 @@ class TreeOutline:
 class SceneView:
     """A scene in the road frame of its camera, as far ahead and behind as its labels reach."""
 
-    scene: Scene
+    scene: Scene | None
     labels: Labels
 
     @cached_property
-    def world(self) -> World:
-        return resolve(self.scene)
+    def world(self) -> World | None:
+        return None if self.scene is None else resolve(self.scene)
 
     @property
     def behind_m(self) -> float:
         """How far behind the host it is shown."""
-        return BEHIND_M + self.scene.shot.behind_m
+        return BEHIND_M + (0.0 if self.scene is None else self.scene.shot.behind_m)
 
-    @property
-    def network(self) -> Network:
-        return self.world.network
-
-    @property
-    def ground(self) -> Ground:
-        return self.world.ground
+    @cached_property
+    def lanes_road(self) -> list[Points3]:
+        """The points of every lane of the labels."""
+        return [transform(self.labels.camera.road_from_cam, lane.xyz_cam) for lane in self.labels.lanes]
 
     @cached_property
     def road_from_world(self) -> Matrix4:
@@ -70,9 +68,11 @@ class SceneView:
     @cached_property
     def roads(self) -> dict[str, tuple[Points3, Points3]]:
         """Both edges of each road in range, shoulders included, by its id."""
-        edges_world = {}
-        for road in self.network.roads:
-            s = self.network.road_stations(road, self.world.view.camera, self.behind_m, AHEAD_M)
+        if self.world is None:
+            return {}
+        edges_world, network = {}, self.world.network
+        for road in network.roads:
+            s = network.road_stations(road, self.world.view.camera, self.behind_m, AHEAD_M)
             if s.size > 1:
                 edges_world[road.id] = road.points(s, road.left(s)), road.points(s, road.right(s))
         return {
@@ -83,21 +83,26 @@ class SceneView:
     @cached_property
     def ground_along_main(self) -> Points3:
         """The surface along the main road's reference line, on a map along the host's way."""
+        if self.world is None:
+            return np.zeros((0, 3))
         y_m = self.world.view.camera.y_m
-        along_world = self.network.along_host(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
+        along_world = self.world.network.along_host(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
         return transform(self.road_from_world, along_world)
 
     @property
     def ramp_foot(self) -> Float[np.ndarray, "3"] | None:
         """The point where a road starts to rise from the terrain; None if the labels have no ramp."""
-        raised = next((road for road in self.network.roads if road.ramp), None)
+        roads = () if self.world is None else self.world.network.roads
+        raised = next((road for road in roads if road.ramp), None)
         if self.labels.graph.ramp_start_s_m is None or raised is None or raised.ramp is None:
             return None
         foot_world = raised.points(np.array([raised.ramp.start_m]), 0.0)
         return np.asarray(transform(self.road_from_world, foot_world)[0])
 
-    def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"]:
+    def ground_grid(self, half_width_m: float, step_m: float) -> Float[np.ndarray, "rows columns 3"] | None:
         """The ground as built on a grid from behind the host to AHEAD_M: rows go forward, columns to the right."""
+        if self.world is None:
+            return None
         y, x = np.meshgrid(
             np.arange(-self.behind_m, AHEAD_M + step_m / 2, step_m),
             np.arange(-half_width_m, half_width_m + step_m / 2, step_m),
@@ -105,30 +110,38 @@ class SceneView:
         )
         flat_world = transform(invert(self.road_from_world), np.stack([x, y, np.zeros_like(x)], -1))
         xy_world = flat_world[..., :2]
-        built_world = np.concatenate([xy_world, self.ground.height(xy_world)[..., None]], -1)
+        built_world = np.concatenate([xy_world, self.world.ground.height(xy_world)[..., None]], -1)
         return transform(self.road_from_world, built_world)
 
     @cached_property
     def cars(self) -> list[CarOutline]:
-        return [
-            self._car(car, pose) for car, pose in zip(self.scene.cars, self.world.view.world_from_cars, strict=True)
-        ]
+        if self.world is None:
+            return []
+        scene, poses = self.world.scene, self.world.view.world_from_cars
+        return [self._car(scene, car, pose) for car, pose in zip(scene.cars, poses, strict=True)]
 
     @cached_property
     def trees(self) -> list[TreeOutline]:
-        feet_world = self.world.site.trees_world
-        models = self.scene.assets.tree_models
+        if self.world is None:
+            return []
+        scene, feet_world = self.world.scene, self.world.site.trees_world
+        models = scene.assets.tree_models
         return [
             TreeOutline(
                 foot_road,
                 models[tree.model - 1].crown_radius_m * tree.scale,
                 models[tree.model - 1].height_m * tree.scale,
             )
-            for tree, foot_road in zip(self.scene.trees, transform(self.road_from_world, feet_world), strict=True)
+            for tree, foot_road in zip(scene.trees, transform(self.road_from_world, feet_world), strict=True)
         ]
 
-    def _car(self, car: Car, world_from_car: Matrix4) -> CarOutline:
-        model = self.scene.assets.car_models[car.model - 1]
+    @property
+    def structures(self) -> Sequence[Body]:
+        """What stands beside or over the road."""
+        return () if self.world is None else self.world.site.structures
+
+    def _car(self, scene: Scene, car: Car, world_from_car: Matrix4) -> CarOutline:
+        model = scene.assets.car_models[car.model - 1]
         half_m = car.scale * np.array([model.width_m, model.length_m, 0.0]) / 2
         corners_car = half_m * [(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)]
         corners_road = transform(self.road_from_world @ world_from_car, corners_car)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from synth3dlanes.arrays import Passes, RgbImage
+from synth3dlanes.host import Shot
 from synth3dlanes.labels import Labels
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.sweep import Sweep
@@ -11,10 +12,11 @@ from synth3dlanes.sensors.sweep import Sweep
 
 @dataclass(frozen=True, eq=False)
 class ShownScene:
-    """A scene with its name (of a sample: its key) and its labels. What else there is of it: its image, passes and
-    lidar sweep; the frames of its clip; and what all cameras of its rig see at its instant."""
+    """A scene with its name (of a sample: its key) and its labels; a sample that was lifted from a real drive has no
+    scene. What else there is of it: its image, passes and lidar sweep; the frames of its clip, of which it is that of
+    `shot`; and what all cameras of its rig see at its instant."""
 
-    scene: Scene
+    scene: Scene | None
     labels: Labels
     image: RgbImage | None = None
     passes: Passes = field(default_factory=dict)
@@ -22,6 +24,12 @@ class ShownScene:
     clip: Sequence[tuple[Labels, RgbImage]] = ()
     rig: Sequence[tuple[Labels, RgbImage]] = ()
     name: str = "scene"
+    lifted_shot: Shot | None = None
+
+    @property
+    def shot(self) -> Shot:
+        """Which picture of its scene it is; of a lifted sample `lifted_shot`."""
+        return self.scene.shot if self.scene is not None else self.lifted_shot or Shot()
 
 
 @dataclass(frozen=True, eq=False)

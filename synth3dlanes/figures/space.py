@@ -18,6 +18,7 @@ from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_col
 from synth3dlanes.geometry.solids import Body
 from synth3dlanes.labels import CameraLabel, LaneKind
 from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.world import World
 
 # The area shown extends this far to each side of the camera, in metres.
 _ASIDE_M = 70.0
@@ -52,16 +53,8 @@ class Triangles:
 
 def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> list[Triangles]:
     """The groups of everything near the host, a lidar's points, and the frusta of the rig's other cameras."""
-    world = view.world
-    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.site.verges]
-    roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.site.pavement]
-    yellow = {line.id for line in world.site.lines if paint_color(line, world.scene.markings) == "yellow"}
-    strips = world.paint(world.view)
-    paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in strips.items()]
     return [
-        _merge("terrain", [_mesh(view, world.site.terrain, _GRASS), *surfaces]),
-        _merge("road", roads),
-        _merge("paint", paint),
+        *(() if view.world is None else _surfaces(view, view.world)),
         *(_merge(f"{colors.KIND_WORDS[kind]}s", _lanes(view, kind)) for kind in colors.KINDS),
         _merge(
             "cars",
@@ -72,14 +65,21 @@ def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[Came
             ],
         ),
         _merge("trees", [part for tree in view.trees if _is_near(view, tree.foot_road[None]) for part in _tree(tree)]),
-        *(
-            [_merge("structures", [_body(view, body) for body in world.site.structures])]
-            if world.site.structures
-            else []
-        ),
+        *([_merge("structures", [_body(view, body) for body in view.structures])] if view.structures else []),
         _merge("cameras" if others else "camera", [_camera(view, camera) for camera in (view.labels.camera, *others)]),
         *([_lidar(view, sweep)] if sweep else []),
     ]
+
+
+def _surfaces(view: SceneView, world: World) -> list[Triangles]:
+    """The ground, the roads and their paint."""
+    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.site.verges]
+    roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.site.pavement]
+    yellow = {line.id for line in world.site.lines if paint_color(line, world.scene.markings) == "yellow"}
+    strips = world.paint(world.view)
+    paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in strips.items()]
+    terrain = [_mesh(view, world.site.terrain, _GRASS), *surfaces]
+    return [_merge("terrain", terrain), _merge("road", roads), _merge("paint", paint)]
 
 
 def _lidar(view: SceneView, sweep: Sweep) -> Triangles:

@@ -78,6 +78,10 @@ class SceneStatistics:
     declared: dict[str, Cases]
 
 
+# Of samples that were lifted from a real drive.
+NO_SCENES = SceneStatistics(0, (), {}, {}, {})
+
+
 @dataclass(frozen=True, eq=False)
 class LabelStatistics:
     """Statistics of labels; `measured` keeps the values for plots."""

@@ -21,6 +21,20 @@ _TOP, _BOTTOM = 0.65, 0.5
 
 def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) -> RenderableType:
     """Tables of the parameters as declared and as drawn, of the topologies, and of the label quantities."""
+    tables = [] if not scenes.n_scenes else _of_scenes(scenes)
+    if labels is None:
+        return Group(*tables)
+    measured = _table(
+        f"labels of {counted(labels.n_images, 'image')}", "quantity", "min", "5 %", "median", "95 %", "max", "mean"
+    )
+    for summary in labels.summaries:
+        values = (summary.minimum, summary.p05, summary.median, summary.p95, summary.maximum, summary.mean)
+        measured.add_row(escape(summary.name), *(f"{value:.3g}" for value in values))
+    return Group(*tables, measured)
+
+
+def _of_scenes(scenes: SceneStatistics) -> list[Table]:
+    """The tables of parameters and of topologies."""
     parameters = _table(
         counted(scenes.n_scenes, "scene"), "parameter", "declared", "from", "to", "mean", "n", "test", "p"
     )
@@ -32,19 +46,13 @@ def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) ->
     topologies = _table("topologies", "road", "scenes")
     for name, count in scenes.topologies.items():
         topologies.add_row(name, str(count))
-    if labels is None:
-        return Group(parameters, topologies)
-    measured = _table(
-        f"labels of {counted(labels.n_images, 'image')}", "quantity", "min", "5 %", "median", "95 %", "max", "mean"
-    )
-    for summary in labels.summaries:
-        values = (summary.minimum, summary.p05, summary.median, summary.p95, summary.maximum, summary.mean)
-        measured.add_row(escape(summary.name), *(f"{value:.3g}" for value in values))
-    return Group(parameters, topologies, measured)
+    return [parameters, topologies]
 
 
 def verdict(scenes: SceneStatistics) -> str:
     """One line: how many parameters are as declared, and which are not."""
+    if not scenes.n_scenes:
+        return "No scenes: the samples were lifted from a real drive."
     bad = [row.key for row in scenes.parameters if not is_fine(row)]
     fine = f"{len(scenes.parameters) - len(bad)} of {len(scenes.parameters)} parameters as declared"
     return f"{fine}; not: {', '.join(bad)}" if bad else fine

@@ -61,14 +61,14 @@ def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Se
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     for camera in (*others, view.labels.camera):
         _frustum_from_above(axes, view, camera)
-    for body in view.world.site.structures:
+    for body in view.structures:
         corners_road = transform(view.road_from_world, body.corners_world)
         axes.add_collection(PolyCollection([*corners_road[..., [1, 0]]], color=colors.STRUCTURE, alpha=0.5, zorder=3))
     for tree in view.trees:
         patch = Circle((tree.foot_road[1], tree.foot_road[0]), tree.radius_m, color=colors.TREE, alpha=0.45, zorder=2)
         axes.add_patch(patch)
-    for lane in view.labels.lanes:
-        _plot(axes, lane, transform(view.labels.camera.road_from_cam, lane.xyz_cam)[:, [1, 0]])
+    for lane, points_road in zip(view.labels.lanes, view.lanes_road, strict=True):
+        _plot(axes, lane, points_road[:, [1, 0]])
     for car in view.cars:
         face = colors.hexadecimal(car.color)
         axes.add_patch(Polygon(car.corners_road[:, [1, 0]], facecolor=face, edgecolor=colors.INK, zorder=5))
@@ -85,40 +85,40 @@ def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Se
 def draw_side(axes: Axes, view: SceneView) -> None:
     """Side view: heights over the road plane at the host against the distance ahead."""
     ground = view.ground_along_main
-    floor = ground[:, 2].min() - 5
-    axes.fill_between(ground[:, 1], ground[:, 2], floor, color=colors.GROUND, alpha=0.5, zorder=1)
-    heights = [ground[:, 2]]
-    for lane in view.labels.lanes:
-        points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
-        heights.append(points_road[:, 2])
+    if len(ground):
+        floor = ground[:, 2].min() - 5
+        axes.fill_between(ground[:, 1], ground[:, 2], floor, color=colors.GROUND, alpha=0.5, zorder=1)
+    for lane, points_road in zip(view.labels.lanes, view.lanes_road, strict=True):
         _plot(axes, lane, points_road[:, [1, 2]])
+    heights = np.concatenate([np.zeros(1), *(points[:, 2] for points in (ground, *view.lanes_road))])
     foot = view.ramp_foot
     if foot is not None and -view.behind_m < foot[1] < AHEAD_M:
         axes.axvline(foot[1], color=colors.FAINT, linestyle="--", linewidth=1)
-        words = "ramp of the exit ends" if view.scene.paper_road.flip_lateral else "ramp of the exit begins"
+        is_merge = view.scene is not None and view.scene.paper_road.flip_lateral
+        words = "ramp of the exit ends" if is_merge else "ramp of the exit begins"
         side, gap = ("left", 4) if foot[1] < AHEAD_M / 2 else ("right", -4)
         axes.annotate(words, (foot[1], 0.95), (gap, 0), ("data", "axes fraction"), "offset points", ha=side, va="top")
     height_m = view.labels.camera.height_m
     axes.plot(0, height_m, "o", color=colors.FRUSTUM, markeredgecolor=colors.INK, zorder=6)
     axes.axhline(0, color=colors.FAINT, linewidth=0.8, zorder=0)
-    low, high = min(map(np.min, heights)), max(height_m, *map(np.max, heights))
+    low, high = heights.min(), max(height_m, heights.max())
     margin = max(0.5, 0.08 * (high - low))
     axes.set(xlim=(-view.behind_m, AHEAD_M), ylim=(low - margin, high + margin))
     axes.set(xlabel="y forward [m]", ylabel="z up [m]")
-    axes.set_title("from the side (ground along the main road in green)")
+    axes.set_title(f"from the side{' (ground along the main road in green)' * (len(ground) > 0)}")
 
 
 def draw_3d(axes: Axes3D, view: SceneView) -> None:
     """3D view of terrain, roads, lanes, cars and camera; heights are exaggerated so that hills are visible."""
     grid = view.ground_grid(_HALF_WIDTH_3D_M, 4.0)
-    look = {"color": colors.GROUND, "edgecolor": "#8fa883", "linewidth": 0.2, "alpha": 0.55}
-    axes.plot_surface(*np.moveaxis(grid, -1, 0), **look, zorder=0)
+    if grid is not None:
+        look = {"color": colors.GROUND, "edgecolor": "#8fa883", "linewidth": 0.2, "alpha": 0.55}
+        axes.plot_surface(*np.moveaxis(grid, -1, 0), **look, zorder=0)
     for left, right in view.roads.values():
         keep = (np.abs(left[:, 0]) < _HALF_WIDTH_3D_M) & (np.abs(right[:, 0]) < _HALF_WIDTH_3D_M)
         quads = np.stack([left[:-1], left[1:], right[1:], right[:-1]], 1)[keep[1:] & keep[:-1]]
         axes.add_collection3d(art3d.Poly3DCollection(quads, facecolor=colors.ROAD, edgecolor="none", zorder=1))
-    for lane in view.labels.lanes:
-        points_road = transform(view.labels.camera.road_from_cam, lane.xyz_cam)
+    for lane, points_road in zip(view.labels.lanes, view.lanes_road, strict=True):
         points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
         _plot(axes, lane, points_road)
     for car in view.cars:
@@ -132,7 +132,9 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
     ):
         axes.plot([x, x], [y, y], [z, z + height_m], color=colors.TREE, linewidth=1, alpha=0.5, zorder=2)
     axes.scatter(0, 0, view.labels.camera.height_m, color=colors.FRUSTUM, edgecolor=colors.INK, s=36, zorder=6)
-    low, high = grid[..., 2].min(), grid[..., 2].max() + 2
+    shown = [points.reshape(-1, 3)[:, 2] for points in ([grid] if grid is not None else view.lanes_road)]
+    heights = np.concatenate([np.zeros(1), *shown])
+    low, high = heights.min(), heights.max() + 2
     high = max(high, low + _LEAST_HEIGHT_3D_M)
     axes.zaxis.set_major_locator(MaxNLocator(min(6, round((high - low) / 5) + 1)))
     axes.set(xlim=(-_HALF_WIDTH_3D_M, _HALF_WIDTH_3D_M), ylim=(-view.behind_m, AHEAD_M), zlim=(low, high))
@@ -169,9 +171,7 @@ def _frustum_from_above(axes: Axes, view: SceneView, camera: CameraLabel) -> Non
 
 def _lateral_extent(view: SceneView) -> tuple[float, float]:
     """Lateral limits around the middle of the lanes: _WINDOW_M wide, or wider if the lanes need it."""
-    lanes_road = np.concatenate(
-        [transform(view.labels.camera.road_from_cam, lane.xyz_cam) for lane in view.labels.lanes]
-    )
+    lanes_road = np.concatenate([np.zeros((1, 3)), *view.lanes_road])
     low, high = lanes_road[:, 0].min(), lanes_road[:, 0].max()
     half_m = max(_WINDOW_M, high - low + 6) / 2
     return (low + high) / 2 - half_m, (low + high) / 2 + half_m

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes import scene as scene_format
 from synth3dlanes.arrays import RgbImage, Scalars
+from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.frames import transform
@@ -47,6 +48,11 @@ class SourceSample:
     def labels(self) -> Labels:
         """Its labels as they are."""
         return self.reader.labels(self.place)
+
+    @property
+    def has_scene(self) -> bool:
+        """Whether it was drawn: a sample that was lifted from a real drive has no scene."""
+        return not is_lifted(self.reader.description)
 
     @cached_property
     def scene(self) -> Scene:

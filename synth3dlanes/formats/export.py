@@ -81,7 +81,7 @@ class Export:
         chunks = plan(self.source, self.cameras, foreign.is_per_scene, takes_rigs=True)
         for url in dict.fromkeys(chunk.url for chunk in chunks):
             description = open_reader(url).description
-            if foreign.needs_scenes and is_lifted(description):
+            if is_lifted(description):
                 told = "one that was lifted from a real drive, of which only the lanes are known"
                 raise InputError(f"{url}: expected a data set of scenes for {self.format_name}, got {told}")
             found = description["render"]["passes"]

@@ -124,12 +124,11 @@ class SampleFormat(Format):
     asks for the other image format.
 
     Data sets must have the passes `passes`; frames come with their sweeps if it `takes_sweeps`. If it `is_per_scene`,
-    only the first frame of each scene is written. If it `needs_scenes`, its files say more than where lanes are, and
-    data sets that were lifted from real drives cannot have it.
+    only the first frame of each scene is written. Its files say more than where lanes are, so data sets that were
+    lifted from real drives cannot have it: they have no scenes.
     """
 
     passes: tuple[str, ...] = ()
     takes_sweeps: bool = False
     is_per_scene: bool = False
-    needs_scenes: bool = False
     write: Callable[[SampleFrame], FrameAnnotation | None]

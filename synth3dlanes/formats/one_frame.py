@@ -27,6 +27,7 @@ Record = dict[str, Any]
 FRAMES_PER_SPLIT = 10**8
 JPEG_QUALITY = 95
 EXPOSURE_STEPS = (5 / 3, 7 / 3)  # thirds of the paper's range 1..3
+USUAL_EXPOSURE = 2.0  # taken for images of real drives, whose own is not known
 NO_LINES = "no lane line is left, which the benchmark cannot score"
 NARROW = "its field of view is narrower than the format's one camera"
 
@@ -35,16 +36,16 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     """Write a frame as an upright pinhole camera would have seen it."""
     sample = reader[index]
     where = f"{chunk.url}:{sample.key}"
-    scene, labels = scene_format.from_json(sample.scene_json, where), rectified_labels(sample.labels)
-    pinhole = fitting_pinhole(sample.labels.camera, foreign.camera)
-    frame_of, shot = _frame(reader, index, chunk, labels), scene.shot
+    scene = None if sample.scene_json is None else scene_format.from_json(sample.scene_json, where)
+    labels, pinhole = rectified_labels(sample.labels), fitting_pinhole(sample.labels.camera, foreign.camera)
+    frame_of, n_frames = _frame(reader, index, chunk, labels), int(reader.description.get("shots", {}).get("frames", 1))
     frame = PinholeFrame(
         **vars(frame_of),
         pinhole=pinhole,
-        tags=scene_tags(labels, pinhole) | conditions(scene, labels),
-        illumination=int(np.digitize(scene.light.exposure, EXPOSURE_STEPS)),
-        clip=frame_of.number - shot.frame * shot.n_cameras if shot.n_frames > 1 else None,
-        kerbs=kerb_lanes(scene, labels.camera) if foreign.has_kerbs else (),
+        tags=scene_tags(labels, pinhole) | (conditions(scene, labels) if scene else frozenset()),
+        illumination=int(np.digitize(scene.light.exposure if scene else USUAL_EXPOSURE, EXPOSURE_STEPS)),
+        clip=frame_of.number - int(reader.frame_of[index]) * max(1, len(reader.cameras)) if n_frames > 1 else None,
+        kerbs=kerb_lanes(scene, labels.camera) if scene and foreign.has_kerbs else (),
     )
     if pinhole != foreign.camera and not foreign.is_f_free:
         return _left_out(frame, NARROW)

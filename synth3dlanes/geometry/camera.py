@@ -1,6 +1,5 @@
 """Pose and projection of the host's camera. World and camera frames (docs/frames.md)."""
 
-import math
 from functools import lru_cache
 
 import numpy as np
@@ -10,6 +9,7 @@ from synth3dlanes.arrays import AnyPoints3, Matrix4
 from synth3dlanes.frames import from_axes
 from synth3dlanes.geometry.network import Network
 from synth3dlanes.host import Camera
+from synth3dlanes.lens import width_rad
 
 TANGENT_STEP_M = 1e-3
 BORDER_PX = 1
@@ -48,13 +48,8 @@ def rays_of_pixels(camera: Camera) -> Float[np.ndarray, "h w 3"]:
 
 
 def horizontal_fov_rad(camera: Camera) -> float:
-    """The angle that the image is wide, in the row of its principal point; for a pinhole, as if that were in the
-    middle."""
-    if camera.lens.is_pinhole:
-        return 2 * math.atan(camera.width_px / 2 / camera.fx_px)
-    right, ahead, _ = rays(camera, np.array([[0.0, camera.cy_px], [camera.width_px, camera.cy_px]])).T
-    angles = np.arctan2(np.abs(right), ahead)
-    return float(np.where(np.isnan(angles), camera.lens.field_rad, angles).sum())
+    """The angle that the image is wide (`lens.width_rad`)."""
+    return width_rad(img_from_cam(camera), camera.lens, camera.width_px)
 
 
 def world_from_host(network: Network, camera: Camera) -> Matrix4:

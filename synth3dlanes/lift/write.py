@@ -11,16 +11,14 @@ import numpy as np
 
 from synth3dlanes import __version__
 from synth3dlanes import labels as labels_format
-from synth3dlanes import scene as scene_format
 from synth3dlanes.assets.catalogue import KINDS
-from synth3dlanes.dataset.description import recipe_text
+from synth3dlanes.dataset.description import names_of, recipe_text
 from synth3dlanes.dataset.destination import Destination
-from synth3dlanes.dataset.format import LABELS, SCENE, decode_image, encode_image, member_names
+from synth3dlanes.dataset.format import LABELS, decode_image, encode_image
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame
 from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.host import MAX_FRAMES, Shot
-from synth3dlanes.lift.placeholder import placeholder_scene
+from synth3dlanes.host import MAX_FRAMES
 from synth3dlanes.lift.precision import Precision
 from synth3dlanes.lift.run import AROUND, LiftedFrame, lifted_frames
 from synth3dlanes.production.plan import SHARD_SIZE
@@ -70,7 +68,7 @@ def lift_to(
     image_format = _format(frames[0])
     recipe = _recipe(drive, image_format, shots, precision, around)
     numbers = range(-(-n // SHARD_SIZE))
-    names, text = member_names(image_format, ()), recipe_text(recipe)
+    names, text = names_of(recipe), recipe_text(recipe)
     tally = _Tally({lane.id for lane in drive.rejected})
     destination = Destination(out)
     with destination.claim(recipe, split, n, numbers):
@@ -80,7 +78,7 @@ def lift_to(
                 missing = set(shard.missing(n))
                 for index, lifted in frames_of:
                     if index in missing:
-                        shard.write_part(index, _members(lifted, drive.camera, (image_format, split), shots, index))
+                        shard.write_part(index, _members(lifted, drive.camera, image_format))
                     tally.add(lifted)
                     progress(index + 1, n)
                 _finish(shard, n)
@@ -97,17 +95,10 @@ def _finish(shard: Shard, n: int) -> None:
         raise FormatError(f"{shard.path('tar')}: expected samples that can be read, got {told}")
 
 
-def _members(
-    lifted: LiftedFrame, camera: DriveCamera, named: tuple[str, str], shots: Shots, index: int
-) -> dict[str, bytes]:
-    """The members of a sample."""
-    image_format, split = named
-    place = shots.place(index)
-    shot = Shot(frame=place.frame, n_frames=shots.frames, fps=shots.fps) if shots.frames > 1 else Shot()
-    scene = placeholder_scene(lifted.labels.camera, shot, split, place.scene)
+def _members(lifted: LiftedFrame, camera: DriveCamera, image_format: str) -> dict[str, bytes]:
+    """The members of a sample: image and labels. Nobody drew its world, so it has no scene."""
     return {
         image_format: _image(lifted.frame, camera, image_format),
-        SCENE: scene_format.to_json(scene).encode(),
         LABELS: labels_format.to_json(lifted.labels).encode(),
     }
 

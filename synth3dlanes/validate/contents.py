@@ -59,7 +59,8 @@ def read_contents(members: Mapping[str, bytes]) -> tuple[Contents, list[Finding]
     pictures = [read(name, _passes) for name in (PASSES, HEIGHT) if name in members]
     passes = {name: pixels for found in pictures if found is not None for name, pixels in found.items()}
     is_read = not any(found is None for found in pictures)
-    scene, labels, image = read(SCENE, _scene), read(LABELS, _labels), read(image_name, _image)
+    scene = read(SCENE, _scene) if SCENE in members else None
+    labels, image = read(LABELS, _labels), read(image_name, _image)
     found = read(LIDAR, sweep) if LIDAR in members else None
     return Contents(scene, labels, image, passes if is_read else None, found), findings
 

@@ -143,11 +143,13 @@ def read_sample(entry: Entry) -> tuple[dict[str, bytes], str]:
     return members, fault
 
 
-def check_row(entry: Entry, scene: Scene, labels: Labels) -> Iterator[Finding]:
+def check_row(
+    entry: Entry, scene: Scene | None, labels: Labels, numbers: tuple[int, int, int] | None = None
+) -> Iterator[Finding]:
     """Finding if a sample's row in the index differs from its scene, labels and offsets."""
     parquet = _parquet_of(entry.tar)
     found = _read_index(parquet).slice(entry.row, 1).to_pylist()[0]
-    expected = index_row(key_of(entry.index), entry.members, entry.sha256, scene, labels)
+    expected = index_row(key_of(entry.index), entry.members, entry.sha256, scene, labels, numbers)
     wrong = list(differences(expected, {name: found.get(name) for name in dict.fromkeys([*SCHEMA.names, *expected])}))
     if wrong:
         yield Finding("", f"{_place(parquet)}: {some(wrong)}")

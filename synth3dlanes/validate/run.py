@@ -3,21 +3,33 @@
 import hashlib
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from synth3dlanes.arrays import Passes, RgbImage
+import numpy as np
+from jaxtyping import Shaped
+
+from synth3dlanes.arrays import Passes
 from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, Description, is_lifted, parse_description, recipe_text
+from synth3dlanes.dataset.description import (
+    DESCRIPTION,
+    Description,
+    is_lifted,
+    numbers_of_lifted,
+    parse_description,
+    recipe_text,
+)
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_data_sets
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
+from synth3dlanes.host import Camera
+from synth3dlanes.labels import CameraLabel
 from synth3dlanes.processes import process_pool
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.cameras import black_pictures
@@ -177,17 +189,17 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     members, fault = read_sample(entry)
     (scene, labels, image, passes, sweep), unread = read_contents(members)
     results: list[Result] = [*([Finding("", fault)] if fault else []), *unread]
-    is_measured = is_lifted({"derived": description.derived})
-    digest = "" if scene is None or is_measured else world_digest(scene)
+    digest = "" if scene is None else world_digest(scene)
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
-    if scene is None or labels is None or image is None or passes is None:
+    if labels is None or image is None or passes is None or (scene is None and SCENE in description.names):
         return SampleCheck(entry.name, digest, redrawn, results)
-    misshapen = [*_pictures(scene, description, image, passes)]
-    if is_measured:
-        # Its scene is a placeholder.
-        results += [*misshapen, *check_measured(labels), *check_row(entry, scene, labels)]
+    camera = labels.camera if scene is None else scene.camera
+    misshapen = [*_sizes({"image": image}, camera)]
+    if scene is None:
+        numbers = numbers_of_lifted(description.model_dump(), entry.index)
+        results += [*misshapen, *check_measured(labels), *check_row(entry, None, labels, numbers)]
     else:
-        misshapen += check_shape(scene, labels)
+        misshapen += [*_passes(scene, description, passes), *check_shape(scene, labels)]
         own = None if origin is None else origin.own_values(entry.split)
         results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry, own))
     if findings_of(results):
@@ -218,22 +230,29 @@ def world_digest(scene: Scene) -> str:
     return hashlib.sha256(document.encode()).hexdigest()
 
 
-def _pictures(scene: Scene, description: Description, image: RgbImage, passes: Passes) -> Iterator[Finding]:
-    """Findings if passes differ from those in dataset.json, or a picture does not have the camera's size."""
-    expected = [name for name in description.render.passes if name != "lidar"]
-    if set(passes) != set(expected):
-        names = ", ".join(expected)
-        yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
-    camera = scene.camera
-    for name, pixels in {"image": image, **passes}.items():
+def _sizes(pictures: Mapping[str, Shaped[np.ndarray, "h w *c"]], camera: Camera | CameraLabel) -> Iterator[Finding]:
+    """Findings for pictures that do not have the camera's size."""
+    for name, pixels in pictures.items():
         rows, columns = height_map.SHAPE if name == "height" else (camera.height_px, camera.width_px)
         if pixels.shape[:2] != (rows, columns):
             found = "x".join(str(size) for size in pixels.shape[1::-1])
             yield Finding("", f"{name}: expected {columns}x{rows} pixels, got {found}")
-        elif name == "depth" and (pixels < 0).any():
-            wrong = int(((pixels < 0) & ~(rays_of_pixels(camera)[..., 1] < 0)).sum())
-            if wrong:
-                yield Finding("", f"depth: expected distances or infinity, got another at {wrong} places")
+
+
+def _passes(scene: Scene, description: Description, passes: Passes) -> Iterator[Finding]:
+    """Findings if passes differ from those in dataset.json, do not have the camera's size, or have other distances than
+    a camera measures."""
+    expected = [name for name in description.render.passes if name != "lidar"]
+    if set(passes) != set(expected):
+        names = ", ".join(expected)
+        yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
+    misshapen = [*_sizes(passes, scene.camera)]
+    yield from misshapen
+    depth_m = passes.get("depth")
+    if not misshapen and depth_m is not None and (depth_m < 0).any():
+        wrong = int(((depth_m < 0) & ~(rays_of_pixels(scene.camera)[..., 1] < 0)).sum())
+        if wrong:
+            yield Finding("", f"depth: expected distances or infinity, got another at {wrong} places")
 
 
 @contextmanager

@@ -68,6 +68,6 @@ def test_a_page_of_a_long_clip_has_some_of_its_frames(flat_scene, gray_image):
 
 def test_inspect_says_frame_and_time(flat_scene):
     scene = shown_in(flat_scene, 2)
-    camera = describe(scene, labelled(scene))["camera"]
+    camera = describe(ShownScene(scene, labelled(scene)))["camera"]
     assert camera["frame"] == "2 of 0 to 2, 0.50 s and 10.0 m from the clip's start, at 72 km/h"
-    assert "frame" not in describe(flat_scene, labelled(flat_scene))["camera"]
+    assert "frame" not in describe(ShownScene(flat_scene, labelled(flat_scene)))["camera"]

@@ -41,7 +41,7 @@ def test_four_views_with_their_units(with_image, gray_image, exit_scene):
 
 def test_the_summary_names_what_a_reader_looks_for_on_80_columns(exit_scene):
     scene = exit_scene
-    text = text_of(summary(scene, ground_truth(scene)))
+    text = text_of(summary(ShownScene(scene, ground_truth(scene))))
     for words in (
         "merge from the left",
         "two-lane exit",
@@ -113,7 +113,7 @@ def test_no_number_of_the_3d_view_overprints_another_or_the_name_of_an_axis(exit
 )
 def test_angles_are_told_without_signs(flat_scene, camera, words):
     scene = changed(flat_scene, camera=camera)
-    assert describe(scene, ground_truth(scene))["camera"]["height, pitch, roll"].endswith(words)
+    assert describe(ShownScene(scene, ground_truth(scene)))["camera"]["height, pitch, roll"].endswith(words)
 
 
 def test_the_legend_explains_every_kind_of_line_and_shape(exit_scene):

@@ -69,10 +69,53 @@ def test_openlane_takes_it(made: tuple[Path, LiftReport], tmp_path: Path) -> Non
 
 
 def test_formats_that_say_more_than_lanes_do_not_take_it(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
-    """They would have the placeholder's road, or lack objects and passes."""
+    """They say more than is known of a real drive."""
     for name in ("argoverse2", "coco", "kitti", "masks", "opendrive", "openlane_v2", "yolo"):
         with pytest.raises(InputError, match=f"expected a data set of scenes for {name}, got one that was lifted"):
             Export(str(made[0]), tmp_path / name, name).write(1)
+
+
+def test_its_samples_have_no_scene_and_no_command_tells_of_one(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
+    """What is not known is absent: no member, no value in the index, no sun in words, no road in pictures."""
+    place, page, report = str(made[0]), tmp_path / "sample.html", tmp_path / "report.html"
+    reader = Reader(f"{place}/train")
+    assert reader[0].scene_json is None
+    assert set(reader.raw(0)) == {"png", "labels.json"} or set(reader.raw(0)) == {"jpg", "labels.json"}
+    row = reader.index.slice(3, 1).to_pylist()[0]
+    assert (row["scene"], row["frame"], row["camera"], row["camera_width_px"]) == (0, 3, 0, 1280)
+    unknown = (
+        "sun_zenith_rad",
+        "marking_dash_cycle_m",
+        "n_lanes",
+        "n_cars",
+        "junction",
+        "visibility_m",
+        "weather_kind",
+    )
+    assert [row[name] for name in unknown if name in row] == [None] * sum(name in row for name in unknown)
+    for words in (
+        ("inspect", f"{place}/train:3", "--out", str(tmp_path / "sample.png")),
+        ("inspect", f"{place}/train:3", "--html", str(page)),
+        ("inspect", f"{place}/train:3", "--out", str(tmp_path / "sample.png"), "--json"),
+        ("stats", place, "--out", str(tmp_path / "stats.png")),
+        ("stats", place, "--json"),
+        ("report", place, "--html", str(report)),
+        ("gallery", place, "--out", str(tmp_path / "gallery.png")),
+        ("clip", f"{place}/train:0", "--out", str(tmp_path / "clip.webp")),
+        ("info", place),
+    ):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 0, (words, result.output)
+        assert not {"sun", "dashes", "visibility", "topology"} & set(result.stdout.lower().split()), words
+    assert "scene.json" not in page.read_text()
+    assert "topologies" not in report.read_text()
+    for words in (
+        ("render", f"{place}/train:0", "--out", str(tmp_path / "again.png")),
+        ("twins", place, "--vary", "light.exposure=1,2", "--out", str(tmp_path / "twins")),
+    ):
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == 2, words
+        assert "expected a sample with a scene, got one that was lifted from a real drive" in result.stderr, words
 
 
 def test_faults_of_measured_labels_are_found(made: tuple[Path, LiftReport]) -> None:

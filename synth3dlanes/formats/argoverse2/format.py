@@ -15,5 +15,4 @@ FORMAT = SampleFormat(
     document=document,
     takes_sweeps=True,
     counted="lane segments",
-    needs_scenes=True,
 )

@@ -16,5 +16,4 @@ FORMAT = SampleFormat(
     document=document,
     passes=PASSES,
     counted="objects",
-    needs_scenes=True,
 )

@@ -14,5 +14,4 @@ FORMAT = SampleFormat(
     lists=tuple(f"ImageSets/{part}.txt" for part in ("train", "val", "trainval", "test")),
     takes_sweeps=True,
     counted="objects",
-    needs_scenes=True,
 )

@@ -14,5 +14,4 @@ FORMAT = SampleFormat(
     tolerances={RULE.unit: RULE.limit},
     document=document,
     passes=PASSES,
-    needs_scenes=True,
 )

@@ -13,5 +13,4 @@ FORMAT = SampleFormat(
     tolerances={RULE.unit: RULE.limit},
     is_per_scene=True,
     counted="lanes",
-    needs_scenes=True,
 )

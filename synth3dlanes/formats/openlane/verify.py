@@ -57,7 +57,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in metres; their pixels; category, place beside the camera and track."""
     found: OpenLaneFrame = frame.content
     camera, to_vehicle = truth.labels.camera, found.vehicle_from_cam_waymo
-    kerbs = kerb_lanes(truth.scene, camera)
+    kerbs = kerb_lanes(truth.scene, camera) if truth.has_scene else ()
     delimiters = truth.lanes("delimiter")
     curbs = [UprightLane(camera, kerb.id, upright(camera, kerb.xyz_cam), kerb.terrain_visible) for kerb in kerbs]
     view = ExportView(found.img_from_cv, (round(2 * found.img_from_cv[0, 2]), round(2 * found.img_from_cv[1, 2])))
@@ -81,7 +81,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
                 problems.append(f"line {i} ({name}): expected uv where xyz is seen, got it {apart.max():.3g} px away")
         problems += (f"line {i}: {text}" for text in _paint_problems(line, by_id[name], lines[i]))
         problems += (f"line {i}: {text}" for text in _place_problems(line, name, lines[i], places, ours))
-        scene = f"{truth.scene.split}:{truth.scene.index} {name}"
+        scene = f"{truth.reader.url}:{truth.reader.scene_of[truth.place]} {name}"
         tracks[f"{PurePath(found.file_path).parent.name}/{line.track_id}"] = scene
     if len(tracks) < len(found.lines) == len(ids):
         problems.append(f"expected a track_id for each of {len(found.lines)} lines, got {len(tracks)} different ones")

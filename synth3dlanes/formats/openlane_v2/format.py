@@ -13,5 +13,4 @@ FORMAT = SampleFormat(
     tolerances={RULE.unit: RULE.limit, "px": LIMIT_PX},
     document=document,
     counted="lane segments",
-    needs_scenes=True,
 )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from synth3dlanes.sampling.town.lanes import LaneLines, Route
 from synth3dlanes.sampling.town.lights import Lights
 from synth3dlanes.sampling.town.paint import line_m
-from synth3dlanes.sampling.town.rules import Conflict, Group, JunctionRules
+from synth3dlanes.sampling.town.rules import Conflict, JunctionRules, LightGroup
 
 STEP_S = 0.2
 # Of following (the intelligent driver model): acceleration, comfortable deceleration, time gap, standing gap.
@@ -39,7 +39,7 @@ class Gate(NamedTuple):
     line_m: float
     end_m: float
     zones: tuple[Zone, ...]
-    group: Group
+    group: LightGroup
     rules: JunctionRules
     lanes: tuple[str, ...]
 

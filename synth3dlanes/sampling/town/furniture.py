@@ -18,7 +18,7 @@ from synth3dlanes.sampling.town.layout import TownMap
 from synth3dlanes.sampling.town.lights import Lights
 from synth3dlanes.sampling.town.paint import line_m
 from synth3dlanes.sampling.town.plan import PlanPose, poses
-from synth3dlanes.sampling.town.rules import Group, JunctionRules
+from synth3dlanes.sampling.town.rules import JunctionRules, LightGroup
 from synth3dlanes.sampling.town.streets import LaneAt, Street
 from synth3dlanes.scene import Tree
 from synth3dlanes.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
@@ -76,16 +76,16 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
     """The heads of an arm: beside the line, and over the lanes of several or behind the junction."""
     has_far, back_m = style
     arm = rules.junction.arms[number]
-    groups: dict[Group, list[LaneAt]] = {}
+    groups: dict[LightGroup, list[LaneAt]] = {}
     for lane in arm.lanes(incoming=True):
         groups.setdefault(rules.group(number, lane.key), []).append(lane)
     near = _beside(arm, back_m - 0.2)
     is_wide = sum(map(len, groups.values())) > 1
     far = _far(rules, number) if has_far else None
     over = far or (near if is_wide else None)
-    main: Group = "minor" if "minor" in groups else "major"
+    main: LightGroup = "minor" if "minor" in groups else "major"
 
-    def head(at: PlanPose, group: Group, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
+    def head(at: PlanPose, group: LightGroup, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
         form: LensForm = "left" if group == "major_left" else "ball"
         return TrafficSignal(
             x_m=round(at.x, DECIMALS),

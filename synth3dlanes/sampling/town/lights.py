@@ -4,17 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.sampling.town.rules import Group, JunctionRules
+from synth3dlanes.sampling.town.rules import JunctionRules, LightGroup
 from synth3dlanes.traffic_elements import Phase, SignalState
 
 AMBER_S, RED_AMBER_S, CLEAR_S = 3.0, 1.0, 2.0
-GREEN_S: dict[Group, tuple[float, float]] = {"major": (12.0, 24.0), "major_left": (6.0, 9.0), "minor": (9.0, 16.0)}
+GREEN_S: dict[LightGroup, tuple[float, float]] = {"major": (12.0, 24.0), "major_left": (6.0, 9.0), "minor": (9.0, 16.0)}
 
 
 class Lights(NamedTuple):
     """The green times of a junction's groups, one after the other, from `shift_s` seconds before time 0."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[LightGroup, ...]
     green_s: tuple[float, ...]
     shift_s: float
 
@@ -22,12 +22,12 @@ class Lights(NamedTuple):
     def draw(cls, rules: JunctionRules, rng: np.random.Generator) -> "Lights":
         """The lights of a junction."""
         has_arrow = any(rules.has_arrow(i) for i in rules.major)
-        groups: tuple[Group, ...] = ("major", "major_left", "minor") if has_arrow else ("major", "minor")
+        groups: tuple[LightGroup, ...] = ("major", "major_left", "minor") if has_arrow else ("major", "minor")
         green_s = tuple(round(float(rng.uniform(*GREEN_S[group])), 1) for group in groups)
         cycle_s = sum(green_s) + len(groups) * (AMBER_S + CLEAR_S)
         return cls(groups, green_s, round(float(rng.uniform(0, cycle_s)), 1))
 
-    def phases(self, group: Group) -> tuple[Phase, ...]:
+    def phases(self, group: LightGroup) -> tuple[Phase, ...]:
         """What the signals of a group show through a cycle, which begins with the first group's green."""
         before_s = 0.0
         for other, green_s in zip(self.groups, self.green_s, strict=True):
@@ -49,7 +49,7 @@ class Lights(NamedTuple):
         """Seconds of a cycle."""
         return sum(self.green_s) + len(self.groups) * (AMBER_S + CLEAR_S)
 
-    def state(self, group: Group, time_s: float) -> SignalState:
+    def state(self, group: LightGroup, time_s: float) -> SignalState:
         """What a group shows at a time."""
         left_s = (time_s + self.shift_s) % self.cycle_s
         for phase in self.phases(group):

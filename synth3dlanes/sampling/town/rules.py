@@ -12,7 +12,7 @@ from synth3dlanes.sampling.town.plan import sampled
 from synth3dlanes.town import Control
 
 # Lanes before a junction whose signals change together.
-Group = Literal["major", "major_left", "minor"]
+LightGroup = Literal["major", "major_left", "minor"]
 # Ways closer than this cannot be driven at the same time: the width of a truck and some air.
 TOUCH_M, STEP_M = 2.75, 0.5
 # An arm is on the right of another between these angles.
@@ -94,7 +94,7 @@ class JunctionRules:
                 found.add((at.lane, at.other))
         return tuple(sorted(found))
 
-    def group(self, arm: int, key: str) -> Group:
+    def group(self, arm: int, key: str) -> LightGroup:
         """Which lights the lane `key` before the junction has."""
         if arm not in self.major:
             return "minor"
@@ -106,7 +106,7 @@ class JunctionRules:
             return False
         return self._group_before(one) != self._group_before(other)
 
-    def _group_before(self, connector: Connector) -> Group:
+    def _group_before(self, connector: Connector) -> LightGroup:
         assert connector.from_arm is not None, "lanes of crossings come from arms"
         lanes = self.junction.arms[connector.from_arm].lanes(incoming=True)
         return self.group(connector.from_arm, next(lane.key for lane in lanes if lane.name == connector.before[0]))
