@@ -12,7 +12,7 @@ from jaxtyping import Int, Integer
 from synth3dlanes.errors import InputError
 
 
-class Room(NamedTuple):
+class IdRange(NamedTuple):
     """Ids of a kind: thing `first_number` has `first_id`, the next one the next id, up to the next room."""
 
     first_id: int
@@ -22,16 +22,16 @@ class Room(NamedTuple):
 
 # In the order of ids. The rooms from 11,000 on go on where the first room of a kind is full, mostly on large maps.
 ROOMS = (
-    Room(1, "car"),
-    Room(200, "delimiter"),
-    Room(300, "tree"),
-    Room(6000, "structure"),
-    Room(9000, "symbol"),
-    Room(10_000, "bonnet"),
-    Room(11_000, "car", 199),
-    Room(12_000, "tree", 5700),
-    Room(20_100, "delimiter", 100),
-    Room(50_000, "structure", 3000),
+    IdRange(1, "car"),
+    IdRange(200, "delimiter"),
+    IdRange(300, "tree"),
+    IdRange(6000, "structure"),
+    IdRange(9000, "symbol"),
+    IdRange(10_000, "bonnet"),
+    IdRange(11_000, "car", 199),
+    IdRange(12_000, "tree", 5700),
+    IdRange(20_100, "delimiter", 100),
+    IdRange(50_000, "structure", 3000),
 )
 # Ids are stored in 16 bits.
 END = 2**16
