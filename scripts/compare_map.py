@@ -3,9 +3,9 @@
     python -m scripts.compare_map maps/*.xodr --scenes 4 [--render 2]
 
 For every file: its roads, how many of them are read, what is left out, how many scenes cannot be drawn, the farthest
-that a point of the labels is from the file's own lines (tests/maps/standard.py, which shares nothing with the package)
-from above and in height, and the processor time of a scene before its picture. With --render, that many scenes are
-rendered and checked by `validate`, whose problems are counted.
+that a point of the labels, or of any lane of the file, is from the file's own lines (tests/maps/standard.py, which
+shares nothing with the package) from above and in height, and the processor time of a scene before its picture. With
+--render, that many scenes are rendered and checked by `validate`, whose problems are counted.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from synth3dlanes.maps.given_map import read_map
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.sampling.on_map import MapPlace
-from tests.maps.comparing import Apart, apart
+from tests.maps.comparing import Apart, apart, everywhere
 from tests.maps.standard import read
 
 PRESET = "realistic"
@@ -40,10 +40,10 @@ class Drawn(NamedTuple):
     cpu_s: float
 
 
-def counts(path: Path) -> tuple[int, int, str]:
-    """The roads of a file, those that are read, and what is left out."""
-    given = read_map(path)
-    return len(read(path.read_bytes())), len(given.roads), given.text().partition("left out: ")[2]
+def whole(path: Path) -> tuple[Apart, tuple[int, int, str]]:
+    """How far all lanes of a file are from it; its roads, those that are read, and what is left out."""
+    given, roads = read_map(path), read(path.read_bytes())
+    return everywhere(given, roads), (len(roads), len(given.roads), given.text().partition("left out: ")[2])
 
 
 def drawn(path: Path, index: int) -> Drawn:
@@ -57,19 +57,19 @@ def drawn(path: Path, index: int) -> Drawn:
     return Drawn(apart(world, labels, given, read(path.read_bytes())), seconds)
 
 
-def row(path: Path, scenes: int, rendered: int) -> dict[str, object]:
-    """What holds for one file, found in a process of its own."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        read_first = pool.submit(counts, path)
-        if failed := read_first.exception():
-            return {"file": path.name, "read": 0, "left out": f"refused: {_line(failed).removeprefix(f'map {path}: ')}"}
-        found = dict(zip(COLUMNS, (path.name, *read_first.result()), strict=False))
-        tried = [pool.submit(drawn, path, index) for index in range(scenes)]
-        problems = [_line(error) for error in (at.exception() for at in tried) if error]
-        made = [at.result() for at in tried if not at.exception()]
+def row(pool: ProcessPoolExecutor, path: Path, scenes: int, rendered: int) -> dict[str, object]:
+    """What holds for one file, found in another process."""
+    read_first = pool.submit(whole, path)
+    if failed := read_first.exception():
+        return {"file": path.name, "read": 0, "left out": f"refused: {_line(failed).replace(str(path), path.name)}"}
+    lanes, told = read_first.result()
+    found: dict[str, object] = dict(zip(COLUMNS, (path.name, *told), strict=False))
+    tried = [pool.submit(drawn, path, index) for index in range(scenes)]
+    problems = [_line(error) for error in (at.exception() for at in tried) if error]
+    made = [at.result() for at in tried if not at.exception()]
     found["scenes that fail"] = f"{len(problems)} of {scenes}" + (f" ({problems[0]})" if problems else "")
     if made:
-        aside_m, height_m, *_ = np.fmax.reduce(np.array([at.apart for at in made]))
+        aside_m, height_m, *_ = np.fmax.reduce(np.array([lanes, *(at.apart for at in made)]))
         found["cm aside"] = f"{100 * aside_m:.2f}"
         found["cm in height"] = "on hills" if np.isnan(height_m) else f"{100 * height_m:.2f}"
         found["CPU s"] = f"{np.median([at.cpu_s for at in made]):.1f}"
@@ -115,10 +115,11 @@ def main() -> None:
     parser.add_argument("--render", type=int, default=0)
     given = parser.parse_args()
     sys.stdout.write(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}\n")
-    for path in given.files:
-        found = row(path, given.scenes, given.render)
-        sys.stdout.write(f"| {' | '.join(str(found.get(column, '')) for column in COLUMNS)} |\n")
-        sys.stdout.flush()
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for path in given.files:
+            found = row(pool, path, given.scenes, given.render)
+            sys.stdout.write(f"| {' | '.join(str(found.get(column, '')) for column in COLUMNS)} |\n")
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -4,16 +4,19 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from synth3dlanes.frames import transform
+from synth3dlanes.geometry.map_lines import plan_line
 from synth3dlanes.geometry.map_network import MapNetwork
+from synth3dlanes.geometry.section_road import CrossSection
 from synth3dlanes.labels import Labels
 from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.world import World
 from tests.maps.standard import KERB_M, Road
 
 # Labels reach less far from any point of a line; lines are looked at in such steps first.
-REACH_M, COARSE_M = 240.0, 10.0
+REACH_M, COARSE_M, EVERY_M = 240.0, 10.0, 2.0
 
 
 class Apart(NamedTuple):
@@ -72,18 +75,42 @@ def apart(world: World, labels: Labels, given: GivenMap, roads: Mapping[str, Roa
     return Apart(float(np.max(np.concatenate(plan))), height_m, max(jump), sum(map(len, plan)) - 1)
 
 
+def everywhere(given: GivenMap, roads: Mapping[str, Road]) -> Apart:
+    """The middles and outer edges of all lanes of a file that is read, `EVERY_M` apart."""
+    aside_m, height_m, n_points = 0.0, 0.0, 0
+    for road_id, name in given.names.items():
+        if (road := given.roads.get(name)) is None:
+            continue
+        line = plan_line(road.plan)
+        for i in range(len(road.sections)):
+            section = CrossSection.of(road, i)
+            s = np.linspace(section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / EVERY_M))
+            own, edges = line.within(section.start_m, section.end_m), section.edges(s)
+            for told in roads[road_id].edges(section.start_m, section.end_m):
+                k = section.n_left - told.number
+                outer, inner = edges[k], edges[k + np.sign(told.number)]
+                for t, wanted in ((outer, told.edge), ((inner + outer) / 2, told.middle)):
+                    z = section.height(s, t) if road.heights else 0 * s
+                    off = _off(np.column_stack([own.xy(s, t) + given.origin, z]), wanted)
+                    aside_m, height_m = max(aside_m, off[:, 0].max()), max(height_m, off[:, 1].max())
+                    n_points += len(s)
+    has_heights = any(road.heights for road in given.roads.values())
+    return Apart(float(aside_m), float(height_m) if has_heights else np.nan, 0.0, n_points)
+
+
 def _off(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     """The distance of each point from a line from above, and its height over the nearest place of it."""
-    a, step = line[:-1], np.diff(line, axis=0)
+    flat = np.array([1.0, 1.0, 0.1])
+    _, nearest = cKDTree(line * flat).query(points * flat)
     found = []
-    for point in points:
-        to = point - a
-        share = np.clip((to[:, :2] * step[:, :2]).sum(1) / np.maximum((step[:, :2] ** 2).sum(1), 1e-18), 0, 1)
-        off = to - share[:, None] * step
-        away = np.hypot(*off[:, :2].T)
-        i = int(np.argmin(np.hypot(away, 0.1 * off[:, 2])))
-        found.append((away[i], abs(off[i, 2])))
-    return np.array(found)
+    for first in (nearest - 1, nearest):
+        a = line[np.clip(first, 0, len(line) - 2)]
+        step, to = line[np.clip(first, 0, len(line) - 2) + 1] - a, points - a
+        share = (to[:, :2] * step[:, :2]).sum(axis=1) / np.maximum((step[:, :2] ** 2).sum(axis=1), 1e-18)
+        off = to - np.clip(share, 0, 1)[:, None] * step
+        found.append(np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])]))
+    nearer = found[0] @ [1, 0.1] < found[1] @ [1, 0.1]
+    return np.where(nearer[:, None], *found)
 
 
 def _jump(points: np.ndarray) -> float:
