@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from operator import attrgetter
@@ -23,15 +24,23 @@ Begun = TypeVar("Begun", Polynomial, MapMark)
 BEGIN = attrgetter("s_m")
 
 
-def read_cubics(elements: Iterable[Element], key: str, where: str) -> Cubics:
-    """The pieces that elements with a, b, c and d describe, by the station in `key`; of those at one station the last
-    one holds."""
-    found: dict[float, Polynomial] = {}
-    for element in elements:
+def read_cubics(elements: Iterable[Element], key: str, where: str, end_m: float, left_out: Counter[str]) -> Cubics:
+    """The pieces that elements with a, b, c and d describe, by the station in `key`, of which the last one holds up to
+    `end_m`; of those at one station the last one holds. Pieces that hold for less than SAME_M are passed over."""
+    by_station = {number(element, key, where, 0.0): element for element in elements}
+    if end_m < SAME_M:
+        return ()
+    found: list[Polynomial] = []
+    first = min(by_station, default=0.0)
+    for station in sorted(by_station, reverse=True):
+        element = by_station[station]
+        if end_m - station < SAME_M and (found or station > first):
+            left_out["records without length"] += 1
+            continue
         a, b, c, d = (number(element, name, where, 0.0) for name in "abcd")
-        station = number(element, key, where, 0.0)
-        found[station] = Polynomial(s_m=station, a=a, b=b, c=c, d=d)
-    return _plain([found[station] for station in sorted(found)])
+        found.append(Polynomial(s_m=station, a=a, b=b, c=c, d=d))
+        end_m = station
+    return _plain(found[::-1])
 
 
 def _plain(cubics: Iterable[Polynomial]) -> Cubics:

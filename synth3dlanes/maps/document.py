@@ -2,8 +2,13 @@
 
 import math
 import zlib
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
+
+from pydantic import ValidationError
 
 from synth3dlanes.errors import FormatError
 from synth3dlanes.schema import shown
@@ -67,6 +72,15 @@ def parse_xml(data: bytes, where: str) -> Element:
             raise
         raise FormatError(f"{where}: expected XML, got {error}") from None
     return builder.close()
+
+
+@contextmanager
+def passing_over(item: Element, left_out: Counter[str]) -> Iterator[None]:
+    """Count an item that is broken, instead of raising its FormatError."""
+    try:
+        yield
+    except (FormatError, ValidationError):
+        left_out[f"broken {item.tag}s"] += 1
 
 
 def number(element: Element, key: str, where: str, default: float | None = None) -> float:

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
-from synth3dlanes.maps.document import number
+from synth3dlanes.maps.document import number, passing_over
 from synth3dlanes.maps.furniture import driving_at, is_facing, is_paint, object_outline, valid_lanes
 from synth3dlanes.maps.links import ascends
 from synth3dlanes.maps.plan import places, plan_points
@@ -96,27 +96,31 @@ def read_elements(
     also: dict[str, list[GovernedLane]] = {}
     for at in roads:
         for item in at.element.iterfind("signals/signalReference"):
-            also.setdefault(item.get("id", ""), []).extend(_governed(item, at.road, at.where))
+            with passing_over(item, left_out):
+                also.setdefault(item.get("id", ""), []).extend(_governed(item, at.road, at.where))
     junctions = {lane: name for at in roads for lane, name in _junctions(at)}
     found = list[GivenElement]()
     for at in roads:
         for item in at.element.iterfind("signals/signal"):
-            if is_paint(item):
-                continue
-            name = item.get("id", "")
-            read = _element(item, at.road, [*_governed(item, at.road, at.where), *also.get(name, ())], at.where)
-            if read is None:
-                left_out[f"signals of type {item.get('type', 'none')}"] += 1
-            elif isinstance(read, TrafficSign):
-                found.append(GivenElement(read))
-            else:
-                junction = next((junctions[lane] for lane in read.lanes if lane in junctions), "")
-                axis = f"axis {round(read.yaw_rad / (math.pi / 4)) % 4}" if junction else f"alone {len(found)}"
-                found.append(GivenElement(read, junction, controllers.get(name, axis)))
+            with passing_over(item, left_out):
+                if is_paint(item):
+                    continue
+                name = item.get("id", "")
+                read = _element(item, at.road, [*_governed(item, at.road, at.where), *also.get(name, ())], at.where)
+                if read is None:
+                    left_out[f"signals of type {item.get('type', 'none')}"] += 1
+                elif isinstance(read, TrafficSign):
+                    found.append(GivenElement(read))
+                else:
+                    junction = next((junctions[lane] for lane in read.lanes if lane in junctions), "")
+                    axis = f"axis {round(read.yaw_rad / (math.pi / 4)) % 4}" if junction else f"alone {len(found)}"
+                    found.append(GivenElement(read, junction, controllers.get(name, axis)))
         for item in at.objects:
             limit = _speed_of_object(item)
             if limit is not None:
-                found.append(GivenElement(_sign(limit, item, at.road, _governed(item, at.road, at.where), at.where)))
+                with passing_over(item, left_out):
+                    governed = _governed(item, at.road, at.where)
+                    found.append(GivenElement(_sign(limit, item, at.road, governed, at.where)))
     return tuple(found)
 
 
@@ -129,14 +133,15 @@ def _speed_of_object(item: Element) -> SignKind | None:
 def read_bodies(at: FileRoad, left_out: Counter[str]) -> Iterator[GivenBody]:
     """The buildings and trees of a road; `left_out` counts the other objects that are no signs."""
     for item in at.objects:
-        kind, height_m = item.get("type", "none"), _height(item, at.where)
-        if kind.lower() in TREES and height_m >= LEAST_HEIGHT_M:
-            x, y, heading = _place(item, at.road, at.where)
-            yield GivenBody("tree", x, y, heading, (0.0, 0.0, height_m))
-        elif (building := _building(item, at, height_m)) is not None:
-            yield building
-        elif _speed_of_object(item) is None:
-            left_out[f"objects of type {kind if kind not in NO_TYPES else item.get('name', kind)}"] += 1
+        with passing_over(item, left_out):
+            kind, height_m = item.get("type", "none"), _height(item, at.where)
+            if kind.lower() in TREES and height_m >= LEAST_HEIGHT_M:
+                x, y, heading = _place(item, at.road, at.where)
+                yield GivenBody("tree", x, y, heading, (0.0, 0.0, height_m))
+            elif (building := _building(item, at, height_m)) is not None:
+                yield building
+            elif _speed_of_object(item) is None:
+                left_out[f"objects of type {kind if kind not in NO_TYPES else item.get('name', kind)}"] += 1
 
 
 def _building(item: Element, at: FileRoad, height_m: float) -> GivenBody | None:

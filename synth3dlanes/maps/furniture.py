@@ -10,7 +10,7 @@ import numpy as np
 
 from synth3dlanes.arrays import Points2
 from synth3dlanes.maps.cubics import value
-from synth3dlanes.maps.document import number
+from synth3dlanes.maps.document import number, passing_over
 from synth3dlanes.maps.links import ascends
 from synth3dlanes.maps.plan import places, plan_points
 from synth3dlanes.road_map import MAX_LANES, MapIsland, MapLane, MapPaint, MapRoad
@@ -57,37 +57,39 @@ def read_furniture(element: Element, road: MapRoad, where: str, left_out: Counte
     """The paint and the islands among the objects and signals of a road; `left_out` counts those without a shape."""
     paint, islands, others = list[MapPaint](), list[MapIsland](), list[Element]()
     for item in element.iterfind("objects/object"):
-        kind = item.get("type", "none")
-        words = "".join(c for c in f"{item.get('name', '')}{kind}{item.get('subtype', '')}".lower() if c.isalnum())
-        arrow = next((found for word, found in ARROWS.items() if word in words), None)
-        if "crosswalk" in words:
-            outline = object_outline(item, road, where)
-            if len(outline) == 4:
-                paint.append(MapPaint(kind="crosswalk", outline=_across(outline, item, road, where)))
+        with passing_over(item, left_out):
+            kind = item.get("type", "none")
+            words = "".join(c for c in f"{item.get('name', '')}{kind}{item.get('subtype', '')}".lower() if c.isalnum())
+            arrow = next((found for word, found in ARROWS.items() if word in words), None)
+            if "crosswalk" in words:
+                outline = object_outline(item, road, where)
+                if len(outline) == 4:
+                    paint.append(MapPaint(kind="crosswalk", outline=_across(outline, item, road, where)))
+                else:
+                    left_out["crosswalks without four corners"] += 1
+            elif any(word in words for word in (*STOP_WORDS, *YIELD_WORDS)):
+                paint += _lines(
+                    "give_way_line" if any(word in words for word in YIELD_WORDS) else "stop_line", item, road, where
+                )
+            elif arrow is not None:
+                paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(item, road, where)]
+            elif kind == "trafficIsland":
+                outline = object_outline(item, road, where)
+                if 3 <= len(outline) <= MAX_CORNERS:
+                    height_m = min(max(number(item, "height", where, ISLAND_M), 0.0), MAX_ISLAND_M)
+                    islands.append(MapIsland(outline=outline, height_m=height_m))
+                else:
+                    left_out["islands without an outline"] += 1
             else:
-                left_out["crosswalks without four corners"] += 1
-        elif any(word in words for word in (*STOP_WORDS, *YIELD_WORDS)):
-            paint += _lines(
-                "give_way_line" if any(word in words for word in YIELD_WORDS) else "stop_line", item, road, where
-            )
-        elif arrow is not None:
-            paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(item, road, where)]
-        elif kind == "trafficIsland":
-            outline = object_outline(item, road, where)
-            if 3 <= len(outline) <= MAX_CORNERS:
-                height_m = min(max(number(item, "height", where, ISLAND_M), 0.0), MAX_ISLAND_M)
-                islands.append(MapIsland(outline=outline, height_m=height_m))
-            else:
-                left_out["islands without an outline"] += 1
-        else:
-            others.append(item)
+                others.append(item)
     for signal in filter(is_paint, element.iterfind("signals/signal")):
-        kind = signal.get("type", "")
-        if kind == ARROW_SIGNAL:
-            arrow = ARROW_SUBTYPES[signal.get("subtype", "")]
-            paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(signal, road, where)]
-        else:
-            paint += _lines("stop_line" if kind == STOP_SIGNAL else "give_way_line", signal, road, where)
+        with passing_over(signal, left_out):
+            kind = signal.get("type", "")
+            if kind == ARROW_SIGNAL:
+                arrow = ARROW_SUBTYPES[signal.get("subtype", "")]
+                paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(signal, road, where)]
+            else:
+                paint += _lines("stop_line" if kind == STOP_SIGNAL else "give_way_line", signal, road, where)
     for tag in ("objects/tunnel", "objects/bridge"):
         left_out[f"{tag.partition('/')[2]}s"] += len(element.findall(tag))
     return Furniture(tuple(paint), tuple(islands), tuple(others))
@@ -98,9 +100,12 @@ def drop_beyond(element: Element, length_m: float, where: str, left_out: Counter
     for group, tag in (("objects", "object"), ("signals", "signal"), ("signals", "signalReference")):
         for parent in element.iterfind(group):
             for item in parent.findall(tag):
-                if not -BEYOND_M <= number(item, "s", where, 0.0) <= length_m + BEYOND_M:
+                is_on = False
+                with passing_over(item, left_out):
+                    is_on = -BEYOND_M <= number(item, "s", where, 0.0) <= length_m + BEYOND_M
+                    left_out[f"{tag}s beyond the ends of their roads"] += not is_on
+                if not is_on:
                     parent.remove(item)
-                    left_out[f"{tag}s beyond the ends of their roads"] += 1
 
 
 def is_paint(signal: Element) -> bool:

@@ -5,7 +5,8 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +18,7 @@ from pydantic import ValidationError
 from synth3dlanes.arrays import Points2
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
-from synth3dlanes.maps.cubics import is_zero, part, read_cubics, steepened, times, value
+from synth3dlanes.maps.cubics import SAME_M, is_zero, part, read_cubics, steepened, times, value
 from synth3dlanes.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml
 from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
 from synth3dlanes.maps.furniture import drop_beyond, edges_at, read_furniture
@@ -25,8 +26,18 @@ from synth3dlanes.maps.jumps import divided
 from synth3dlanes.maps.lanes import Section, read_sections
 from synth3dlanes.maps.links import LinkedRoad, ascends, lane_links, read_end
 from synth3dlanes.maps.plan import places, read_plan
-from synth3dlanes.road_map import LaneName, MapIsland, MapJunction, MapLane, MapPaint, MapRoad, MapSection, MapShape
-from synth3dlanes.schema import Name, shown, validation_problems
+from synth3dlanes.road_map import (
+    LaneName,
+    MapIsland,
+    MapJunction,
+    MapLane,
+    MapPaint,
+    MapRoad,
+    MapSection,
+    MapShape,
+    Polynomial,
+)
+from synth3dlanes.schema import MAX_NUMBER, Name, shown, validation_problems
 from synth3dlanes.words import counted
 
 # Files whose coordinates are larger than this are read relative to a round number near their first road.
@@ -34,6 +45,8 @@ FAR_M, ROUND_M = 1e5, 1000.0
 # Places of a road that say how near it is.
 NEAR_STEP_M = 20.0
 MAX_MAP_ROADS = 100_000
+# The number of broken roads whose reasons `GivenMap.text` has.
+MOST_TOLD = 5
 # Ways are followed no farther than this.
 FAR_ENOUGH_M = 600.0
 # Lanes that follow each other are at most so far apart.
@@ -69,7 +82,8 @@ class LanePlace(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class GivenMap:
     """A map file, read. `origin` is where (0, 0) lies in the file, `names` are our ids of its roads by its own.
-    `left_out` counts what has no counterpart here, by what it is. A copy for another process is the `packed` file,
+    `left_out` counts what has no counterpart here, by what it is; `broken` has a line for each road that is left out,
+    with the reason. A copy for another process is the `packed` file,
     which that process reads once."""
 
     source: str
@@ -85,6 +99,7 @@ class GivenMap:
     elements: tuple[GivenElement, ...]
     bodies: tuple[GivenBody, ...]
     left_out: dict[str, int] = field(default_factory=dict)
+    broken: tuple[str, ...] = ()
 
     def __reduce__(self) -> tuple[Callable[[bytes, str, str], "GivenMap"], tuple[bytes, str, str]]:
         return _read_packed, (self.packed, self.source, f"map {self.source}")
@@ -145,8 +160,13 @@ class GivenMap:
         """What was read and what was not, as one line."""
         driving_m = sum(place.length_m for place in self.lanes.values())
         read = f"{counted(len(self.roads), 'road')}, {counted(len(self.junctions), 'junction')}"
-        left = ", ".join(f"{n} {what}" for what, n in sorted(self.left_out.items()))
-        return f"map {self.source}: {read}, {driving_m / 1000:.1f} km of driving lanes; left out: {left or 'nothing'}"
+        left = [f"{n} {what}" for what, n in sorted(self.left_out.items())]
+        if self.broken:
+            more = [f"{len(self.broken) - MOST_TOLD} more"] if len(self.broken) > MOST_TOLD else []
+            told = "; ".join([*self.broken[:MOST_TOLD], *more])
+            left.append(f"{counted(len(self.broken), 'broken road')} ({told})")
+        driving = f"{driving_m / 1000:.1f} km of driving lanes"
+        return f"map {self.source}: {read}, {driving}; left out: {', '.join(left) or 'nothing'}"
 
 
 def read_map(path: Path) -> GivenMap:
@@ -187,23 +207,38 @@ def _read(root: Element, digest: str, packed: bytes, source: str, where: str) ->
     header = root.find("header")
     if header is not None and header.find("offset") is not None:
         left_out["the offset of the header"] += 1
-    origin, names = _origin(elements, where), _names(_ids(elements, where))
-    has_heights = any(_has_heights(element, where) for element in elements)
-    roads, linked = dict[Name, MapRoad](), dict[str, LinkedRoad]()
+    origin, names = _origin(elements, where), _names([element.get("id", "") for element in elements])
+    roads, linked, broken = dict[Name, MapRoad](), dict[str, LinkedRoad](), list[str]()
     paint, islands, in_file = list[MapPaint](), list[MapIsland](), list[FileRoad]()
     by_id = {element.get("id", ""): element for element in root.iterfind("junction")}
     junction_names = _names([name for name, at in by_id.items() if at.get("type", "default") == "default"])
-    for element, (id_of_file, name) in zip(elements, names.items(), strict=True):
-        at = f"{where}: road {id_of_file}"
-        road, ends = _road(element, name, origin, has_heights, at, left_out)
-        in_junction = element.get("junction", "-1")
-        roads[name] = road.model_copy(update={"junction": junction_names.get(in_junction)})
-        linked[id_of_file] = ends
+    for element in elements:
+        id_of_file, of_road = element.get("id", ""), Counter[str]()
+        name, at = names[id_of_file], f"road {id_of_file}"
+        try:
+            if id_of_file in linked:
+                raise FormatError(f"{at}: expected ids of roads that differ, got one twice")
+            road, linked[id_of_file] = _road(element, name, origin, at, of_road)
+        except FormatError as error:
+            broken.append(str(error))
+            continue
+        except ValidationError as error:
+            broken.append(validation_problems(error, at)[0])
+            continue
+        left_out += of_road
+        if road is None:
+            left_out["roads without length"] += 1
+            continue
+        roads[name] = road.model_copy(update={"junction": junction_names.get(element.get("junction", "-1"))})
         drop_beyond(element, road.length_m, at, left_out)
         found = read_furniture(element, roads[name], at, left_out)
         paint += found.paint
         islands += found.islands
         in_file.append(FileRoad(element, roads[name], found.others, at))
+    if not roads:
+        more = f"; {len(broken) - 1} more roads are broken" if len(broken) > 1 else ""
+        raise FormatError(f"{where}: {broken[0] if broken else 'expected a road with a length, got none'}{more}")
+    roads = _with_heights(roads)
     links = _touching(lane_links(linked, by_id, left_out), roads, left_out)
     junctions = tuple(
         MapJunction(id=name, yields=_yields(by_id[id_of_file], linked, left_out))
@@ -222,15 +257,24 @@ def _read(root: Element, digest: str, packed: bytes, source: str, where: str) ->
         left_out[f"{tag}s"] += len(root.findall(tag))
     counts = {what: n for what, n in left_out.items() if n}
     lying = tuple(paint), tuple(islands)
-    return GivenMap(source, digest, packed, origin, names, roads, links, junctions, *lying, *standing, counts)
+    read = origin, names, roads, links, junctions, *lying, *standing
+    return GivenMap(source, digest, packed, *read, counts, tuple(broken))
 
 
 def _origin(elements: list[Element], where: str) -> tuple[float, float]:
-    """A round place near the first road of a map that lies far from (0, 0), else that."""
-    first = next((geometry for element in elements for geometry in element.iterfind("planView/geometry")), None)
-    if first is None:
+    """A round place near the roads of a map that is far from (0, 0), else that: near the first road, unless that is far
+    from most."""
+    firsts = [at for at in (element.find("planView/geometry") for element in elements) if at is not None]
+    if not firsts:
         raise FormatError(f"{where}: expected roads with geometry, got none")
-    x, y = (number(first, key, where) for key in "xy")
+    found = list[tuple[float, float]]()
+    for first in firsts:
+        with suppress(FormatError):
+            found.append((number(first, "x", where), number(first, "y", where)))
+    if not found:
+        return 0.0, 0.0
+    middle = float(np.median([x for x, _ in found])), float(np.median([y for _, y in found]))
+    x, y = found[0] if math.dist(found[0], middle) <= MAX_NUMBER / 2 else middle
     if max(abs(x), abs(y)) < FAR_M:
         return 0.0, 0.0
     return round(x / ROUND_M) * ROUND_M, round(y / ROUND_M) * ROUND_M
@@ -253,44 +297,40 @@ def _names(ids: Sequence[str]) -> dict[str, Name]:
     return found
 
 
-def _ids(elements: list[Element], where: str) -> list[str]:
-    """The ids of roads in the file. Raises FormatError where two are equal."""
-    ids = [element.get("id", "") for element in elements]
-    if twice := [text for text, n in Counter(ids).items() if n > 1]:
-        raise FormatError(f"{where}: expected ids of roads that differ, got {shown(twice[0])} twice")
-    return ids
-
-
-def _has_heights(element: Element, where: str) -> bool:
-    profiles = (("elevationProfile/elevation", "s"), ("lateralProfile/superelevation", "s"))
-    is_level = all(is_zero(read_cubics(element.iterfind(path), key, where)) for path, key in profiles)
-    return not is_level or element.find("lateralProfile/shape") is not None
+def _with_heights(roads: dict[Name, MapRoad]) -> dict[Name, MapRoad]:
+    """The roads, all with heights if any has a height, a bank or a shape, else all without."""
+    if all(is_zero(road.heights) and is_zero(road.banks) and not road.shapes for road in roads.values()):
+        return {name: road.model_copy(update={"heights": (), "banks": ()}) for name, road in roads.items()}
+    level = {"heights": (Polynomial(s_m=0.0, a=0.0),)}
+    return {name: road if road.heights else road.model_copy(update=level) for name, road in roads.items()}
 
 
 def _road(
-    element: Element, name: Name, origin: tuple[float, float], has_heights: bool, where: str, left_out: Counter[str]
-) -> tuple[MapRoad, LinkedRoad]:
-    plan = read_plan(element, where, origin)
+    element: Element, name: Name, origin: tuple[float, float], where: str, left_out: Counter[str]
+) -> tuple[MapRoad | None, LinkedRoad]:
+    """A road and what is linked to it; no road if it is shorter than SAME_M, and then only joins others."""
+    plan = read_plan(element, where, origin, left_out)
     length_m = sum(piece.length_m for piece in plan)
+    before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
     for tag in ("crossfall", "crossSectionSurface"):
         left_out[f"{tag} of lateral profiles"] += len(element.findall(f"lateralProfile/{tag}"))
-    elevations = element.findall("elevationProfile/elevation") or [Element("elevation")]
     offsets, heights, banks = (
-        part(read_cubics(elements, "s", where), 0.0, length_m)
-        for elements in (
-            element.iterfind("lanes/laneOffset"),
-            elevations if has_heights else (),
-            element.iterfind("lateralProfile/superelevation") if has_heights else (),
-        )
+        part(read_cubics(element.iterfind(path), "s", where, length_m, left_out), 0.0, length_m)
+        for path in ("lanes/laneOffset", "elevationProfile/elevation", "lateralProfile/superelevation")
     )
     shapes = tuple(_shape(shape, where) for shape in element.iterfind("lateralProfile/shape"))
-    is_tilted = not is_zero(banks) or bool(shapes)
-    sections = read_sections(element, length_m, is_tilted, where, left_out)
+    sections = read_sections(element, length_m, not is_zero(banks) or bool(shapes), where, left_out)
     keeps_left = element.get("rule", "RHT") == "LHT"
+    linked = LinkedRoad(element.get("id", ""), name, sections, before, after, element.get("junction"), keeps_left)
+    if not plan:
+        return None, linked
+    whole = tuple(section for section in sections if not section.is_short)
+    if not whole:
+        raise FormatError(f"{where}: expected a lane section of {SAME_M:g} m or more, got none")
     road = MapRoad(
         id=name,
         plan=plan,
-        sections=_whole(sections),
+        sections=_whole(whole),
         lane_offsets=offsets,
         heights=heights,
         banks=banks,
@@ -298,12 +338,11 @@ def _road(
         keeps_left=keeps_left,
     )
     _check_sizes(road, where)
-    sections = divided(road, sections)
-    road = road.model_copy(update={"sections": _whole(sections)})
-    if not is_zero(banks):
-        road = _from_above(road)
-    before, after = read_end(element, "predecessor", left_out), read_end(element, "successor", left_out)
-    return road, LinkedRoad(name, sections, before, after, element.get("junction"), keeps_left)
+    parts = divided(road, whole)
+    road = road.model_copy(update={"sections": _whole(parts)})
+    joints = (section for section in sections if section.is_short)
+    sections = tuple(sorted((*parts, *joints), key=lambda section: (section.s_m, not section.is_short)))
+    return road if is_zero(banks) else _from_above(road), replace(linked, sections=sections)
 
 
 def _whole(sections: Iterable[Section]) -> tuple[MapSection, ...]:
@@ -394,8 +433,9 @@ def _yields(
             continue
         low, high = (
             [
-                f"{road.id}.0.{number}"
-                for number, lane in road.sections[0].lanes.items()
+                f"{road.name}.0.{number}"
+                for i in list(road.numbers)[:1]
+                for number, lane in road.sections[i].lanes.items()
                 if lane.lane.kind == "driving" and number
             ]
             for road in pair

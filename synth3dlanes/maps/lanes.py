@@ -44,10 +44,12 @@ class SectionLane:
 
 @dataclass(frozen=True)
 class Section:
-    """A lane section as a file has it: the lanes by their numbers, from the left."""
+    """A lane section as a file has it: the lanes by their numbers, from the left. One that is shorter than SAME_M only
+    joins the lanes before and behind it."""
 
     s_m: float
     lanes: dict[int, SectionLane]
+    is_short: bool = False
 
     def whole(self) -> MapSection:
         """Without the links."""
@@ -86,42 +88,42 @@ def lane_between(lane: MapLane, from_m: float, to_m: float) -> MapLane:
 def read_sections(
     road: Element, length_m: float, is_tilted: bool, where: str, left_out: Counter[str]
 ) -> tuple[Section, ...]:
-    """The lane sections of a road, each with what holds in it, level lanes where the road `is_tilted`. One for a single
-    side keeps the lanes of the other."""
+    """The lane sections of a road, short ones included, each with what holds in it, level lanes where the road
+    `is_tilted`. One for a single side keeps the lanes of the other."""
     elements = sorted(road.iterfind("lanes/laneSection"), key=lambda at: number(at, "s", where, 0.0))
     if not elements:
         raise FormatError(f"{where}: expected a lane section, got none")
+    stations = [0.0, *(number(element, "s", where, 0.0) for element in elements[1:])]
     found: list[Section] = []
-    for element in elements:
-        s_m = number(element, "s", where, 0.0)
-        section = Section(s_m if found else 0.0, _lanes(element, is_tilted, f"{where}: laneSection {s_m:g}", left_out))
+    for element, (s_m, end_m) in zip(elements, pairwise([*stations, length_m]), strict=True):
+        at, is_short = f"{where}: laneSection {s_m:g}", end_m - s_m < SAME_M
+        section = Section(s_m, _lanes(element, end_m - s_m, is_tilted, at, left_out), is_short)
+        left_out["lane sections without length"] += is_short
         if found and element.get("singleSide") == "true":
             section = _with_other_side(section, found[-1])
-        if found and section.s_m - found[-1].s_m < SAME_M:
-            # A section without length: the lanes of the next one follow those before it.
-            left_out["lane sections without length"] += 1
-            found.pop()
-        if not found or section.s_m < length_m - SAME_M:
-            found.append(section)
-        else:
-            left_out["lane sections without length"] += 1
-    ends = [section.s_m for section in found[1:]] + [length_m]
-    return tuple(section.between(section.s_m, end_m) for section, end_m in zip(found, ends, strict=True))
+        found.append(section)
+    whole = [section.s_m for section in found if not section.is_short]
+    ends = dict(pairwise([*whole, length_m]))
+    return tuple(at if at.is_short else at.between(at.s_m, ends[at.s_m]) for at in found)
 
 
-def _lanes(section: Element, is_tilted: bool, where: str, left_out: Counter[str]) -> dict[int, SectionLane]:
+def _lanes(
+    section: Element, length_m: float, is_tilted: bool, where: str, left_out: Counter[str]
+) -> dict[int, SectionLane]:
     found = {0: SectionLane(MapLane(number=0, kind="none"))}
     borders: dict[int, Cubics] = {}
     for side, sign in SIDES.items():
         for element in section.iterfind(f"{side}/lane"):
             at = whole(element, "id", where)
-            if at * sign < 0 or (at == 0) != (sign == 0) or abs(at) > MAX_LANES:
+            # SUMO's left-hand nets have lanes of the right in the group of the left: numbers decide.
+            if (at == 0) != (sign == 0) or abs(at) > MAX_LANES:
                 raise FormatError(f"{where}: {side}: expected lanes numbered up to {MAX_LANES}, got {at}")
             if at and at in found:
                 raise FormatError(f"{where}: expected one lane {at}, got another")
             name = f"{where}: lane {at}"
-            widths = read_cubics(element.iterfind("width"), "sOffset", name)
-            borders[at] = () if widths else read_cubics(element.iterfind("border"), "sOffset", name)
+            widths, borders[at] = read_cubics(element.iterfind("width"), "sOffset", name, length_m, left_out), ()
+            if not widths:
+                borders[at] = read_cubics(element.iterfind("border"), "sOffset", name, length_m, left_out)
             found[at] = SectionLane(_lane(element, at, widths, is_tilted, name, left_out), *_linked(element, name))
     if borders:
         found |= _by_borders(found, borders)
@@ -181,4 +183,4 @@ def _with_other_side(section: Section, before: Section) -> Section:
     gone_on = before.between(section.s_m, math.inf).lanes
     kept = {at: replace(lane, before=(at,)) for at, lane in gone_on.items() if at and (at > 0) - (at < 0) not in own}
     lanes = section.lanes | kept
-    return Section(section.s_m, {at: lanes[at] for at in sorted(lanes, reverse=True)})
+    return replace(section, lanes={at: lanes[at] for at in sorted(lanes, reverse=True)})

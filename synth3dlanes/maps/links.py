@@ -1,17 +1,19 @@
 """Links between the lanes of a given map, as traffic drives: within roads, from road to road, and through junctions."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 from xml.etree.ElementTree import Element
 
 from synth3dlanes.maps.lanes import Section
 from synth3dlanes.road_map import LaneName, MapLane
+from synth3dlanes.schema import Name
 
 End = Literal["start", "end"]
-# A lane at an end of its road: the road, the number of its section, its own number.
+# A lane at an end of its road: the road's id in the file, the number of its section, its own number.
 LaneKey = tuple[str, int, int]
 
 
@@ -26,14 +28,21 @@ class RoadEnd:
 
 @dataclass(frozen=True)
 class LinkedRoad:
-    """A road of a file as far as links need it."""
+    """A road of a file as far as links need it: its id there, ours, and its sections, those too that only join
+    others."""
 
     id: str
+    name: Name
     sections: tuple[Section, ...]
     before: RoadEnd | None
     after: RoadEnd | None
     junction: str | None
     keeps_left: bool
+
+    @cached_property
+    def numbers(self) -> dict[int, int]:
+        """Of each section that is no mere joint: its number without these."""
+        return {i: n for n, i in enumerate(i for i, section in enumerate(self.sections) if not section.is_short)}
 
     def section_at(self, end: End) -> int:
         """The number of the section at an end."""
@@ -58,17 +67,12 @@ def read_end(road: Element, tag: Literal["predecessor", "successor"], left_out: 
     return None
 
 
-def lane_name(place: LaneKey) -> LaneName:
-    """ROAD.SECTION.NUMBER."""
-    return "{}.{}.{}".format(*place)
-
-
 def lane_links(
     roads: Mapping[str, LinkedRoad], junctions: Mapping[str, Element], left_out: Counter[str]
 ) -> tuple[tuple[LaneName, LaneName], ...]:
     """The links between driving lanes, each once, as traffic drives."""
     found: dict[tuple[LaneName, LaneName], None] = {}
-    for one, one_end, other, other_end in _touching(roads, junctions, left_out):
+    for one, one_end, other, other_end in _joined(_touching(roads, junctions, left_out), roads):
         if 0 in (one[2], other[2]):
             continue
         lanes = [_lane(roads, place) for place in (one, other)]
@@ -89,8 +93,42 @@ def lane_links(
             left_out["links of lanes against each other's traffic"] += 1
             continue
         a, b = (one, other) if leaves[0] else (other, one)
-        found[lane_name(a), lane_name(b)] = None
+        found[_name(roads, a), _name(roads, b)] = None
     return tuple(found)
+
+
+def _joined(pairs: Iterable["LanePair"], roads: Mapping[str, LinkedRoad]) -> Iterator["LanePair"]:
+    """Pairs of lanes that touch, or have between them only lanes of sections without length."""
+    found = list(pairs)
+    beside: dict[tuple[LaneKey, End], dict[tuple[LaneKey, End], None]] = {}
+    for one, one_end, other, other_end in found:
+        for at, there in (((one, one_end), (other, other_end)), ((other, other_end), (one, one_end))):
+            if _is_joint(roads, at[0]):
+                beside.setdefault(at, {})[there] = None
+    for one, one_end, other, other_end in found:
+        if _is_joint(roads, one):
+            one, one_end, other, other_end = other, other_end, one, one_end
+        if _is_joint(roads, one):
+            continue
+        known, reached = set[tuple[LaneKey, End]](), [(other, other_end)]
+        while reached:
+            place, end = at = reached.pop()
+            if not _is_joint(roads, place):
+                yield one, one_end, place, end
+            elif at not in known and (lane := _lane(roads, place)) and lane.kind == "driving":
+                known.add(at)
+                reached += beside.get((place, "start" if end == "end" else "end"), ())
+
+
+def _is_joint(roads: Mapping[str, LinkedRoad], place: LaneKey) -> bool:
+    road, section, _ = place
+    return roads[road].sections[section].is_short
+
+
+def _name(roads: Mapping[str, LinkedRoad], place: LaneKey) -> LaneName:
+    """ROAD.SECTION.NUMBER."""
+    road, section, number = place
+    return f"{roads[road].name}.{roads[road].numbers[section]}.{number}"
 
 
 def ascends(lane: MapLane, keeps_left: bool) -> bool:

@@ -1,5 +1,6 @@
 """The plan of a road of a given map: its reference line from above, and places beside it. Frame of the map, metres."""
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from xml.etree.ElementTree import Element
@@ -9,11 +10,13 @@ from jaxtyping import Float
 
 from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.errors import FormatError
+from synth3dlanes.maps.cubics import SAME_M
 from synth3dlanes.maps.document import number
 from synth3dlanes.road_map import PlanPiece
+from synth3dlanes.schema import MAX_NUMBER
 
-# Shorter pieces are left out; pieces may begin this far from where the one before ends.
-SHORT_M, GAP_M = 1e-6, 1.0
+# Pieces may begin this far from where the one before ends; shorter curves are points.
+GAP_M, POINT_M = 1.0, 1e-6
 # Points at which the length of a cubic is measured.
 N_LENGTH = 257
 # Nodes and weights on [0, 1] for integrals along spirals.
@@ -21,18 +24,22 @@ NODES, WEIGHTS = (half / 2 for half in np.polynomial.legendre.leggauss(40))  # t
 NODES = NODES + 0.5
 
 
-def read_plan(road: Element, where: str, origin: tuple[float, float]) -> tuple[PlanPiece, ...]:
-    """The pieces of a road's `planView`; `origin` is where (0, 0) of the result lies in the file. Raises FormatError
-    for a road without length, with unknown geometry or with a gap."""
+def read_plan(road: Element, where: str, origin: tuple[float, float], left_out: Counter[str]) -> tuple[PlanPiece, ...]:
+    """The pieces of a road's `planView` that are no shorter than SAME_M: none of a road that is shorter itself.
+    `origin` is where (0, 0) of the result lies in the file. Raises FormatError for a road without geometry, with an
+    unknown one or with a gap."""
     geometries = sorted(road.iterfind("planView/geometry"), key=lambda at: number(at, "s", where, 0.0))
     lengths = [number(geometry, "length", where) for geometry in geometries]
-    if any(length < 0 for length in lengths) or sum(lengths) < SHORT_M:
-        raise FormatError(f"{where}: expected a plan with a length of more than 0 m, got {sum(lengths):g} m")
-    pieces = [
-        _piece(geometry, length, where, origin)
-        for geometry, length in zip(geometries, lengths, strict=True)
-        if length >= SHORT_M
-    ]
+    if not geometries or min(lengths) < 0:
+        got = f"{min(lengths):g} m" if lengths else "none"
+        raise FormatError(f"{where}: planView: expected pieces of 0 m or more, got {got}")
+    if sum(lengths) < SAME_M:
+        return ()
+    kept = [at for at in zip(geometries, lengths, strict=True) if at[1] >= SAME_M]
+    if not kept:
+        raise FormatError(f"{where}: planView: expected a piece of {SAME_M:g} m or more, got {max(lengths):g} m")
+    left_out["pieces of plans without length"] += len(geometries) - len(kept)
+    pieces = [_piece(geometry, length, where, origin) for geometry, length in kept]
     for one, other in pairwise(pieces):
         x, y, _ = plan_points([one], np.array([one.length_m]))[0]
         gap = float(np.hypot(x - other.x_m, y - other.y_m))
@@ -43,6 +50,11 @@ def read_plan(road: Element, where: str, origin: tuple[float, float]) -> tuple[P
 
 def _piece(geometry: Element, length: float, where: str, origin: tuple[float, float]) -> PlanPiece:
     x, y = (number(geometry, key, where) - at for key, at in zip("xy", origin, strict=True))
+    if not max(abs(x), abs(y)) <= MAX_NUMBER:
+        raise FormatError(
+            f"{where}: planView: expected places at most {MAX_NUMBER / 1000:g} km from ({origin[0]:g}, {origin[1]:g}), "
+            f"got one at ({x + origin[0]:g}, {y + origin[1]:g})"
+        )
     start = {"x_m": x, "y_m": y, "heading_rad": number(geometry, "hdg", where), "length_m": length}
     for form in geometry:
         if form.tag == "line":
@@ -59,7 +71,7 @@ def _piece(geometry: Element, length: float, where: str, origin: tuple[float, fl
         if form.tag == "paramPoly3":
             end = 1.0 if form.get("pRange", "normalized") == "normalized" else length
             u, v = (_four(form, axis, where) for axis in "UV")
-            if not _lengths(u, v, np.linspace(0, end, N_LENGTH))[-1] > SHORT_M:
+            if not _lengths(u, v, np.linspace(0, end, N_LENGTH))[-1] > POINT_M:
                 raise FormatError(f"{where}: geometry: paramPoly3: expected a curve with a length, got a point")
             return PlanPiece(**start, u=u, v=v, parameter_end=end)
     raise FormatError(f"{where}: geometry: expected line, arc, spiral, poly3 or paramPoly3, got none of them")
@@ -109,7 +121,7 @@ def _piece_points(piece: PlanPiece, s: Scalars) -> Float[np.ndarray, "n 3"]:
     else:
         p = np.linspace(0, piece.parameter_end, N_LENGTH)
         lengths = _lengths(piece.u, piece.v, p)
-        at = np.interp(inside, lengths * piece.length_m / max(lengths[-1], SHORT_M), p)
+        at = np.interp(inside, lengths * piece.length_m / max(lengths[-1], POINT_M), p)
         u, v = (c[0] + at * (c[1] + at * (c[2] + at * c[3])) for c in (piece.u, piece.v))
         heading = np.arctan2(*(c[1] + at * (2 * c[2] + at * 3 * c[3]) for c in (piece.v, piece.u)))
     beyond = s - inside

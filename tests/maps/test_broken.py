@@ -1,0 +1,372 @@
+"""Maps that are broken in parts: a piece without length is passed over and its links joined, a broken road is left out
+with its reason, and the rest is used. Mutations of small maps end in no traceback, and in no refusal of a file with a
+road to drive on."""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
+from typing import TypeVar
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pytest
+
+from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.maps.given_map import GivenMap, read_opendrive
+from synth3dlanes.maps.part import part_around
+from synth3dlanes.maps.places import draw_place
+from tests.maps.files import lane, opendrive, plan, road, section
+from tests.maps.test_parts import link
+
+LINE = ("<line/>", 60.0)
+ON = '<predecessor id="{0}"/><successor id="{1}"/>'
+
+
+def read(data: bytes) -> GivenMap:
+    """The map in the bytes of a file."""
+    return read_opendrive(data, "x.xodr", "map x.xodr")
+
+
+def through(before: int = -1, number: int = -1, after: int = -1, s: float = 0.0) -> str:
+    """A section of one lane, linked to lanes of these numbers; of number -2 beside another."""
+    inner = [lane(-1)] if number == -2 else []
+    return section(*inner, lane(number, link=ON.format(before, after)), s=s)
+
+
+def straight(name: str, x: float, length: float, lanes: str, before: str = "", after: str = "", more: str = "") -> str:
+    """A straight road along x."""
+    pieces = f'<planView><geometry s="0" x="{x}" y="0" hdg="0" length="{length}"><line/></geometry></planView>'
+    return road(pieces, lanes, name, link=link(before, after), more=more)
+
+
+FIRST = straight("1", 0, 60, through(), after="2:start")
+LAST = straight("3", 60, 60, through(), before="2:end")
+JUNCTION = (
+    '<junction id="9"><connection id="0" incomingRoad="1" connectingRoad="2" contactPoint="start">'
+    '<laneLink from="-1" to="-2"/></connection></junction>'
+)
+INTO_9 = '<successor elementType="junction" elementId="9"/>'
+RENAMED = through(-1, -2, -1)
+JOINED = {
+    "a road of 1e-8 m": (FIRST, straight("2", 60, 1e-8, through(), "1:end", "3:start"), LAST),
+    "a road of 0.9 mm": (FIRST, straight("2", 60, 9e-4, through(), "1:end", "3:start"), LAST),
+    "a road of 0 m with other lanes": (
+        straight("1", 0, 60, through(after=-2), after="2:start"),
+        straight("2", 60, 0.0, RENAMED, "1:end", "3:start"),
+        straight("3", 60, 60, through(before=-2), before="2:end"),
+    ),
+    "two roads of 0 m": (
+        FIRST,
+        straight("2", 60, 0.0, through(), "1:end", "2b:start"),
+        straight("2b", 60, 0.0, through(), "2:end", "3:start"),
+        straight("3", 60, 60, through(), before="2b:end"),
+    ),
+    "a connecting road of 0 m": (
+        road(plan(LINE), through(), "1", link=INTO_9),
+        straight("2", 60, 0.0, RENAMED, "1:end", "3:start", 'junction="9"'),
+        straight("3", 60, 60, through(), before="2:end"),
+        JUNCTION,
+    ),
+    "sections without length at both ends": (
+        straight(
+            "1", 0, 60, through() + through(-1, -1, -2, s=59.9995) + through(-2, -2, -2, s=59.9999), after="3:start"
+        ),
+        straight("3", 60, 60, through(-2, -2, -1) + through(-2, -1, -1, s=1e-7), before="1:end"),
+    ),
+    "sections without length in between": (
+        straight(
+            "1",
+            0,
+            60,
+            through() + through(-1, -1, -2, s=30) + through(-1, -2, -1, s=40) + through(-2, s=40.0005),
+            after="3:start",
+        ),
+        straight("3", 60, 60, through(), before="1:end"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", JOINED)
+def test_the_links_of_what_has_no_length_are_joined(name: str) -> None:
+    found = read(opendrive(*JOINED[name]))
+    assert not found.broken
+    assert {"1", "3"} == set(found.roads)
+    assert any("without length" in what for what in found.left_out)
+    assert "links" not in " ".join(found.left_out)
+    assert set(found.following) == set(found.lanes) - {"3.0.-1"}
+    at = "1.0.-1"
+    for _ in found.lanes:
+        at = found.following.get(at, [at])[0]
+    assert at == "3.0.-1"
+    assert found.reach_m["1.0.-1"] == pytest.approx(120, abs=1e-3)
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-7, 9e-4])
+def test_records_without_length_are_passed_over_whatever_they_say(length: float) -> None:
+    wild = '<width sOffset="{}" a="1e300" b="nan" c="-3e11" d="no"/>'
+    widths = wild.format(0) + f'<width sOffset="{length}" a="3" b="0" c="0" d="0"/>' + wild.format(60 - length)
+    heights = (
+        f'<elevation s="20" a="inf"/><elevation s="{20 + length}" a="0" b="0.1"/><elevation s="{60 - length}" a="x"/>'
+    )
+    profile = f"<elevationProfile><elevation s='0' a='0'/>{heights}</elevationProfile>"
+    found = read(opendrive(road(plan(LINE), section(lane(-1, widths)), profile=profile)))
+    assert not found.broken
+    (one,) = found.roads.values()
+    (width,), (level, climb) = one.sections[0].lanes[1].widths, one.heights
+    assert (width.s_m, width.a) == (pytest.approx(0, abs=1e-3), 3.0)
+    assert (level.b, climb.b, climb.s_m) == (0.0, 0.1, 20 + length)
+
+
+def test_many_records_close_together_still_hold() -> None:
+    widths = "".join(f'<width sOffset="{i * 4e-4:.4f}" a="{3 + i / 1000}" b="0"/>' for i in range(1000))
+    (one,) = read(opendrive(road(plan(LINE), section(lane(-1, widths))))).roads.values()
+    stations = np.array([at.s_m for at in one.sections[0].lanes[1].widths])
+    assert np.diff(stations).min() >= 1e-3
+    assert np.diff(stations).max() < 2e-3
+
+
+GAP = (
+    '<planView><geometry s="0" x="0" y="0" hdg="0" length="5"><line/></geometry>'
+    '<geometry s="5" x="5" y="{}" hdg="0" length="5"><line/></geometry></planView>'
+)
+BROKEN = {
+    "a gap": (road(GAP.format(9), name="7"), "road 7: planView: expected geometry without gaps, got one of 9 m"),
+    "a gap of 2000 km": (
+        road(GAP.format(-2e6), name="7"),
+        "road 7: planView: expected places at most 1000 km from (0, 0), got one at (5, -2e+06)",
+    ),
+    "a length below 0": (
+        straight("7", 0, 5, through()).replace('length="5"><line', 'length="-1"><line'),
+        "road 7: planView: expected pieces of 0 m or more, got -1 m",
+    ),
+    "no plan": ('<road id="7"><lanes/></road>', "road 7: planView: expected pieces of 0 m or more, got none"),
+    "no lanes": (road(plan(LINE), "", "7"), "road 7: expected a lane section, got none"),
+    "not a number": (
+        road(plan(LINE), section(lane(-1, '<width sOffset="0" a="nan"/>')), "7"),
+        "road 7: laneSection 0: lane -1: width: a: expected a number up to 1e+08, got 'nan'",
+    ),
+    "a number beyond ours": (
+        road(plan(LINE), section(lane(-1, '<width sOffset="0" a="3" d="2e6"/>')), "7"),
+        "road 7: d: expected at most 1e+06, got 2000000.0",
+    ),
+    "heights": (
+        road(plan(LINE), through(), "7", profile='<elevationProfile><elevation s="x"/></elevationProfile>'),
+        "road 7: elevation: s: expected a number up to 1e+08, got 'x'",
+    ),
+    "an id of another": (straight("1", 0, 60, through()), "road 1: expected ids of roads that differ, got one twice"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_road_is_left_out_with_its_reason(name: str) -> None:
+    broken, reason = BROKEN[name]
+    sound = straight("1", 0, 60, through())
+    found = read(opendrive(sound, broken))
+    assert found.broken == (reason,)
+    assert list(found.roads) == ["1"]
+    assert found.text().endswith(f"left out: 1 broken road ({reason})")
+    assert found.roads == read(opendrive(sound)).roads
+    with pytest.raises(FormatError, match=r"^map x.xodr: road 7: [^\n]*; 1 more roads are broken$"):
+        read(opendrive(*(BROKEN[other][0] for other in ("no lanes", "a gap"))))
+
+
+def test_broken_objects_and_signals_are_left_out_alone() -> None:
+    things = (
+        '<objects><object type="building" s="nan" t="3" height="4"/>'
+        '<object type="trafficIsland" s="0" t="x"/></objects>'
+        '<signals><signal type="1000001" s="" t="1e300" id="1"/><signal type="294" s="z"/>'
+        '<signalReference id="1" s="no"/></signals>'
+    )
+    found = read(opendrive(road(plan(LINE), through(), after=things)))
+    assert (found.broken, list(found.roads)) == ((), ["1"])
+    assert found.left_out == {"broken objects": 2, "broken signals": 2, "broken signalReferences": 1}
+
+
+def test_ids_that_are_written_in_another_way_here_are_linked() -> None:
+    found = read(
+        opendrive(
+            straight("a b", 0, 60, through(), after="c/d:start"),
+            straight("c/d", 60, 60, through(), before="a b:end"),
+        )
+    )
+    assert found.links == (("a_b.0.-1", "c_d.0.-1"),)
+    assert not found.left_out
+
+
+def test_numbers_of_lanes_count_not_their_group() -> None:
+    """SUMO writes lanes of the right in the group of the left in left-hand nets."""
+    text = section(lane(-1)).replace("right>", "left>")
+    assert read(opendrive(road(plan(LINE), text))).roads == read(opendrive(road(plan(LINE), section(lane(-1))))).roads
+
+
+# -- mutations
+
+
+def a_map() -> bytes:
+    """A junction of a road with two others, with heights, banks, marks, an object, a signal and a controller."""
+    two = section(lane(1, link=ON.format(1, 1)), lane(-1, link=ON.format(-1, -1)))
+    wide = '<width sOffset="0" a="3" b="0.01" c="0" d="0"/><width sOffset="20" a="3.2" b="0" c="0" d="0"/>'
+    parts = section(
+        lane(-1, wide + '<roadMark sOffset="0" type="broken"/>', link=ON.format(-1, -1)),
+        lane(-2, kind="sidewalk"),
+        s=30,
+    )
+    profile = (
+        '<elevationProfile><elevation s="0" a="1" b="0.02" c="0" d="0"/></elevationProfile>'
+        '<lateralProfile><superelevation s="0" a="0.03" b="0" c="0" d="0"/></lateralProfile>'
+    )
+    things = (
+        '<objects><object type="building" id="1" s="20" t="20" length="9" width="8" height="7"/></objects>'
+        '<signals><signal id="5" type="1000001" s="50" t="-5" orientation="+"/></signals>'
+    )
+    incoming = '<successor elementType="junction" elementId="9"/>'
+    leaving = '<predecessor elementType="junction" elementId="9"/>'
+    bend = plan(('<arc curvature="0.02"/>', 30.0), start=(60.0, 0.0, 0.0))
+    return opendrive(
+        road(plan(LINE), two + parts, "1", link=incoming, profile=profile, after=things),
+        road(plan(LINE, start=(80.0, 0.0, 0.0)), two, "2", link=leaving, profile=profile),
+        road(plan(LINE, start=(88.0, 9.0, 0.6)), two, "3", link=leaving),
+        straight("4", 60, 20, through(), "1:end", "2:start", 'junction="9"'),
+        road(bend, through(), "5", link=link("1:end", "3:start"), more='junction="9"'),
+        '<controller id="8"><control signalId="5"/></controller><junction id="9">'
+        '<connection id="0" incomingRoad="1" connectingRoad="4" contactPoint="start">'
+        '<laneLink from="-1" to="-1"/></connection>'
+        '<connection id="1" incomingRoad="1" connectingRoad="5" contactPoint="start">'
+        '<laneLink from="-1" to="-1"/></connection>'
+        '<priority high="4" low="5"/></junction>',
+    )
+
+
+VALUES = (
+    "nan",
+    "inf",
+    "-1",
+    "0",
+    "1e-9",
+    "0.0005",
+    "1e8",
+    "1e300",
+    "",
+    "x",
+    "-7",
+    "99",
+    "1",
+    "2",
+    "4",
+    "9",
+    "30",
+    "start",
+    "end",
+)
+
+
+T = TypeVar("T")
+
+
+def one_of(items: Sequence[T], rng: np.random.Generator) -> T:
+    """Any of some items."""
+    return items[int(rng.integers(len(items)))]
+
+
+def _attribute(root: Element, rng: np.random.Generator) -> None:
+    at = one_of([at for at in root.iter() if at.attrib], rng)
+    at.set(one_of(list(at.attrib), rng), one_of(VALUES, rng))
+
+
+def _drop_attribute(root: Element, rng: np.random.Generator) -> None:
+    at = one_of([at for at in root.iter() if at.attrib], rng)
+    del at.attrib[one_of(list(at.attrib), rng)]
+
+
+def _drop_element(root: Element, rng: np.random.Generator) -> None:
+    above = one_of([at for at in root.iter() if len(at)], rng)
+    above.remove(one_of(list(above), rng))
+
+
+def _twice(root: Element, rng: np.random.Generator) -> None:
+    above = one_of([at for at in root.iter() if len(at)], rng)
+    above.append(deepcopy(one_of(list(above), rng)))
+
+
+def _elsewhere(root: Element, rng: np.random.Generator) -> None:
+    one_of(list(root.iter()), rng).append(deepcopy(one_of(list(root), rng)))
+
+
+def _shuffled(root: Element, rng: np.random.Generator) -> None:
+    above = one_of([at for at in root.iter() if len(at) > 1], rng)
+    items = list(above)
+    above[:] = [items[i] for i in rng.permutation(len(items))]
+
+
+def _renamed(root: Element, rng: np.random.Generator) -> None:
+    one_of(list(root.iter())[1:], rng).tag = one_of(["road", "lane", "junction", "spiral", "width", "object", "x"], rng)
+
+
+MUTATIONS: tuple[Callable[[Element, np.random.Generator], None], ...] = (
+    *(_attribute,) * 4,
+    *(_drop_attribute, _drop_element, _twice, _elsewhere, _shuffled, _renamed),
+)
+
+
+def mutants(n: int, seed: int) -> Iterator[bytes]:
+    """Maps with one to four mutations."""
+    for i in range(n):
+        rng = np.random.default_rng([seed, i])
+        root = ElementTree.fromstring(a_map())
+        for _ in range(int(rng.choice([1, 1, 2, 4]))):
+            one_of(MUTATIONS, rng)(root, rng)
+        yield ElementTree.tostring(root)
+
+
+def refusal(data: bytes) -> tuple[GivenMap | None, str]:
+    """The map, or why it is refused."""
+    try:
+        return read(data), ""
+    except FormatError as error:
+        return None, str(error)
+
+
+def has_sound_road(data: bytes) -> bool:
+    """Whether any road of a file, alone, is one to drive on."""
+    roads = ElementTree.fromstring(data).findall("road")
+    alone = (refusal(opendrive(ElementTree.tostring(element).decode()))[0] for element in roads)
+    return any(found and found.lanes for found in alone)
+
+
+def no_place(found: GivenMap, rng: np.random.Generator) -> str:
+    """Why a map has no place for a host; empty if it has one."""
+    try:
+        part_around(found, draw_place(found, rng), rng)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+def examined(n: int, seed: int) -> tuple[int, int]:
+    """Read mutants and draw a place on each; return how many had a broken road, and how many were refused."""
+    broken = refused = 0
+    for data in mutants(n, seed):
+        found, reason = refusal(data)
+        if found is None:
+            assert re.fullmatch("map x.xodr: [^\n]+", reason)
+            assert not has_sound_road(data), reason
+            refused += 1
+            continue
+        broken += bool(found.broken)
+        assert all(re.fullmatch("road [^\n]+", line) for line in found.broken)
+        assert re.search("^$|expected a way of|expected driving lanes", no_place(found, np.random.default_rng(seed)))
+    return broken, refused
+
+
+def test_mutants_are_read_without_their_broken_roads() -> None:
+    broken, refused = examined(150, seed=1)
+    assert broken > 15
+    assert refused < 15
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", range(2, 6))
+def test_more_mutants(seed: int) -> None:
+    broken, _ = examined(600, seed)
+    assert broken > 60
