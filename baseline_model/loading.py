@@ -21,6 +21,7 @@ from torch import Tensor
 
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.labels import Labels
+from synth3dlanes.machine import workers_here
 
 from .cache import (
     SLOT_BYTES,
@@ -56,7 +57,7 @@ class Process:
 
 def spare_cores(neighbours: int = 1) -> int:
     """How many processes may decode for one of several neighbours: its share of the cores, less one for itself."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = workers_here()
     return min(MAX_WORKERS, max(1, cores // neighbours - 1))
 
 

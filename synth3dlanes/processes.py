@@ -11,6 +11,7 @@ from threading import current_thread, main_thread
 from typing import Any
 
 from synth3dlanes.errors import WorkerError
+from synth3dlanes.machine import workers_here
 
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Linear algebra in numpy and scipy has a thread for each core, in each process, which wait for each other.
@@ -66,7 +67,7 @@ def _begin() -> None:
 def process_pool(workers: int | None = None) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes, by default one per core. Tasks that have not begun when the pool closes are dropped.
     Raises WorkerError if one of the processes is killed."""
-    pool = QuietPool(workers, mp_context=get_context("spawn"), initializer=_begin)
+    pool = QuietPool(workers or workers_here(), mp_context=get_context("spawn"), initializer=_begin)
     try:
         yield pool
     except BrokenProcessPool:

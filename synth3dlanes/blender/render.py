@@ -1,6 +1,5 @@
 """World and View -> radiance and id layers, and the labels' `object_visible`. Why Cycles: docs/decisions.md."""
 
-import os
 import time
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -25,6 +24,7 @@ from synth3dlanes.geometry.visibility import seen_over_ground
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.labels import Labels
+from synth3dlanes.machine import usable_cores
 from synth3dlanes.object_labels import as_seen
 from synth3dlanes.sensors.sweep import Sweep
 from synth3dlanes.settings import RenderSettings
@@ -112,7 +112,7 @@ def configure(settings: RenderSettings, film: float) -> None:
     blender.render.engine = "CYCLES"
     use_device(settings.device)
     blender.render.threads_mode = "FIXED"
-    blender.render.threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    blender.render.threads = usable_cores()
     blender.render.use_compositing = False
     blender.render.use_sequencer = False
     blender.render.film_transparent = False

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from synth3dlanes.machine import RENDERER_BYTES, workers_here
 from synth3dlanes.production.recipe import Recipe, require_blender
 from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.settings import Device, choose_device
@@ -46,7 +47,7 @@ def resolve_device(recipe: Recipe) -> tuple[Recipe, WorkerSlots]:
     kind = choose_device(asked, found)
     each = masks(kind, found, os.environ)
     names = tuple(device.name for device in found if device.kind == kind)
-    slots = WorkerSlots(tuple(each), default_workers(kind, len(each), n_cores()), names)
+    slots = WorkerSlots(tuple(each), default_workers(kind, len(each), workers_here(RENDERER_BYTES)), names)
     return replace(recipe, settings=replace(recipe.settings, device=kind)), slots
 
 
@@ -66,14 +67,9 @@ def masks(kind: str, found: Sequence[Device], environment: Mapping[str, str]) ->
     return [{variable: name} for name in names[:count]]
 
 
-def default_workers(kind: str, n_gpus: int, n_cores: int) -> int:
-    """The default number of workers: one per core; on GPUs, as many as keep them busy."""
-    return n_cores if kind == "cpu" else min(n_cores, WORKERS_PER_GPU * n_gpus)
-
-
-def n_cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def default_workers(kind: str, n_gpus: int, most: int) -> int:
+    """The default number of workers: the most there is room for; on GPUs, as many as keep them busy."""
+    return most if kind == "cpu" else min(most, WORKERS_PER_GPU * n_gpus)
 
 
 def list_devices() -> tuple[Device, ...]:

@@ -11,7 +11,8 @@ from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
-from synth3dlanes.production.devices import WorkerSlots, n_cores, resolve_device
+from synth3dlanes.machine import RENDERER_BYTES, workers_here
+from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.measured import measured
 from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
@@ -110,7 +111,12 @@ class Plan:
         missing = self.n_missing()
         here = None if self.destination.is_store else self.destination.folder
         before = None if here is None else measured(here, self.recipe.scenes.split)
-        found = forecast(self.recipe, missing, max(1, min(n_workers or self.workers or n_cores(), missing)), before)
+        found = forecast(
+            self.recipe,
+            missing,
+            max(1, min(n_workers or self.workers or workers_here(RENDERER_BYTES), missing)),
+            before,
+        )
         if here is not None:
             found.require_room(here)
         return found
@@ -137,4 +143,4 @@ class Plan:
 
     def n_workers(self, n_tasks: int) -> int:
         """The number of workers that have work and room."""
-        return max(1, min(self.workers or n_cores(), n_tasks))
+        return max(1, min(self.workers or workers_here(RENDERER_BYTES), n_tasks))

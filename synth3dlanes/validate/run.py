@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -30,6 +29,7 @@ from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.host import Camera
 from synth3dlanes.labels import CameraLabel
+from synth3dlanes.machine import workers_here
 from synth3dlanes.processes import process_pool
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.cameras import black_pictures
@@ -259,7 +259,7 @@ def _passes(scene: Scene, description: Description, passes: Passes) -> Iterator[
 def _mapping(workers: int, n: int) -> Iterator[Map]:
     """`map` in this process or in several (0: as many as `n` samples are worth, at most one per core); results are in
     order."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = workers_here()
     workers = workers or min(cores, math.ceil(n / SAMPLES_A_START))
     if workers <= 1:
         yield map
