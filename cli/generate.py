@@ -39,7 +39,7 @@ from .options import (
 
 # Columns of a terminal that has room for a bar beside the numbers.
 WIDE = 100
-WORKERS_HELP = "Worker processes. auto: one per core, or up to four per GPU."
+WORKERS_HELP = "Worker processes. auto: one per core and GB of memory that may be used, or up to four per GPU."
 
 
 class Workers(click.ParamType):

@@ -111,12 +111,8 @@ class Plan:
         missing = self.n_missing()
         here = None if self.destination.is_store else self.destination.folder
         before = None if here is None else measured(here, self.recipe.scenes.split)
-        found = forecast(
-            self.recipe,
-            missing,
-            max(1, min(n_workers or self.workers or workers_here(RENDERER_BYTES), missing)),
-            before,
-        )
+        workers = n_workers or self.workers or workers_here(RENDERER_BYTES)
+        found = forecast(self.recipe, missing, max(1, min(workers, missing)), before)
         if here is not None:
             found.require_room(here)
         return found
