@@ -83,10 +83,13 @@ def _add_symbol(world: World, symbol: Symbol, roads: Sequence[OdrRoad], groups: 
     if symbol.kind == "crosswalk":
         (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
         rectangle = form.points_world(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
-        middle = rectangle.mean(axis=0)
-        s, t, _ = roads[road].places(middle[None])[0].tolist()
-        corners = (rectangle - middle) @ roads[road].axes[np.searchsorted(roads[road].s_m[:-1], s)].T
-        groups[road].append(add_crosswalk(Element("objects"), 0, corners, s, t, name=kind[1], subtype=kind[1]))
+        # Its own place is the nearest one of the road, also of a crosswalk beyond the road's end.
+        along = roads[road]
+        i = int(np.linalg.norm(along.xy_world - rectangle.mean(axis=0)[:2], axis=1).argmin())
+        t = float((rectangle.mean(axis=0) - along.line_world[i]) @ along.axes[i, 1])
+        corners = (rectangle - along.line_world[i] - t * along.axes[i, 1]) @ along.axes[i].T
+        words = {"name": kind[1], "subtype": kind[1]}
+        groups[road].append(add_crosswalk(Element("objects"), 0, corners, float(along.s_m[i]), t, **words))
         return
     places = roads[road].places(outline)
     # Corners go counter-clockwise.
