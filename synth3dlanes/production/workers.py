@@ -303,7 +303,11 @@ def _work(pipe: Connection) -> None:
             reply = ("done", function(*args), "")
         except (OSError, ImportError) as error:
             full = isinstance(error, OSError) and error.errno in DISK_FULL
-            reply = ("full" if full else "broken", None, f"{type(error).__name__}: {error}")
+            # Not at the top: the worker's program imports nothing of ours before it is pinned.
+            from synth3dlanes.system_libraries import install_hint
+
+            reason = f"{type(error).__name__}: {error}{install_hint(str(error))}"
+            reply = ("full" if full else "broken", None, reason)
         pipe.send(reply)
 
 
