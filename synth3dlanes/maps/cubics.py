@@ -11,14 +11,15 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.maps.document import number
 from synth3dlanes.road_map import MapMark, Polynomial
 
 Cubics = tuple[Polynomial, ...]
 # Stations this near to each other are one: files round them.
 SAME_M = 1e-3
-# Products are told by cubics so long.
-STEP_M = 5.0
+# A product is told by cubics that are this exact, or this long; exactness is measured at these shares of them.
+EXACT, STEP_M, SHARES = 1e-7, 5.0, (0.25, 0.5, 0.75)
 # What holds from a station on.
 Begun = TypeVar("Begun", Polynomial, MapMark)
 BEGIN = attrgetter("s_m")
@@ -81,6 +82,16 @@ def slope(cubics: Sequence[Polynomial], s_m: float, end_m: float = math.inf) -> 
     return 0.0 if piece is None else _begun(piece, s_m)[1]
 
 
+def values(cubics: Sequence[Polynomial], s: Scalars) -> Scalars:
+    """The values at stations; 0 without any piece."""
+    if not cubics:
+        return np.zeros(s.shape)
+    rows = np.array([(piece.s_m, *_numbers(piece)) for piece in cubics])
+    start, a, b, c, d = rows[np.clip(np.searchsorted(rows[:, 0], s, side="right") - 1, 0, None)].T
+    x = s - start
+    return np.asarray(a + x * (b + x * (c + x * d)))
+
+
 def begun_at(piece: Polynomial, s_m: float) -> Polynomial:
     """The same cubic, told from another station on."""
     a, b, c, d = _begun(piece, s_m)
@@ -111,14 +122,15 @@ def times(
     cubics: Sequence[Polynomial], factor: Callable[[float, float], float], to_m: float, breaks: Iterable[float] = ()
 ) -> Cubics:
     """A value times another that changes slowly but at its `breaks`, from station 0 to `to_m`: cubics with its values
-    and slopes at places STEP_M apart. `factor` takes a station, and where the cubic ends: there it is from below."""
+    and slopes at their ends, as few as it takes. `factor` takes a station, and where the cubic ends: there it is from
+    below."""
     if not cubics:
         return ()
-    steps = np.arange(0.0, to_m, STEP_M).tolist()
     starts = (*breaks, *(piece.s_m for piece in cubics))
-    stations = sorted({*steps, to_m, *(s_m for s_m in starts if 0 < s_m < to_m)})
-    found = []
-    for low, high in pairwise(stations):
+    stations = sorted({0.0, to_m, *(s_m for s_m in starts if 0 < s_m < to_m)})
+    found, left = [], list(pairwise(stations))[::-1]
+    while left:
+        low, high = left.pop()
         h = high - low
         if h < SAME_M:
             continue
@@ -130,7 +142,14 @@ def times(
             ends.append((at * here, bend * here + at * rate))
         (a, b), (end, rise) = ends
         c, d = (3 * (end - a) / h - 2 * b - rise) / h, (b + rise - 2 * (end - a) / h) / h**2
-        found.append(Polynomial(s_m=low, a=a, b=b, c=c, d=d))
+        piece = Polynomial(s_m=low, a=a, b=b, c=c, d=d)
+        places = (low + share * h for share in SHARES)
+        if h <= STEP_M or all(
+            abs(value([piece], s_m) - value(cubics, s_m, high) * factor(s_m, high)) <= EXACT for s_m in places
+        ):
+            found.append(piece)
+        else:
+            left += [(low + h / 2, high), (low, low + h / 2)]
     return _plain(found)
 
 

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from synth3dlanes.arrays import Points2
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
-from synth3dlanes.maps.cubics import SAME_M, is_zero, part, read_cubics, steepened, times, value
+from synth3dlanes.maps.cubics import SAME_M, is_zero, part, read_cubics, steepened, times, value, values
 from synth3dlanes.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml
 from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
 from synth3dlanes.maps.furniture import drop_beyond, edges_at, read_furniture
@@ -351,17 +351,22 @@ def _whole(sections: Iterable[Section]) -> tuple[MapSection, ...]:
 
 def _check_sizes(road: MapRoad, where: str) -> None:
     """Raise FormatError for a road that is somewhere absurdly wide, high or banked."""
-    for i in range(len(road.sections)):
+    for i, section in enumerate(road.sections):
         start_m, end_m = road.span_m(i)
-        for s_m in np.linspace(start_m, end_m, 2 + int((end_m - start_m) / CHECK_STEP_M)).tolist():
-            edges = [value(road.lane_offsets, s_m, end_m), *(outer for _, _, outer in edges_at(road, i, s_m))]
-            for what, most, found in (
-                ("edges of lanes", MAX_ASIDE_M, max(map(abs, edges))),
-                ("heights", MAX_HEIGHT_M, abs(value(road.heights, s_m, end_m))),
-                ("superelevations", MAX_BANK_RAD, abs(value(road.banks, s_m, end_m))),
-            ):
-                if not found <= most:
-                    raise FormatError(f"{where}: {what}: expected at most {most:g}, got {found:.4g} at s = {s_m:.4g}")
+        s = np.linspace(start_m, end_m, 2 + int((end_m - start_m) / CHECK_STEP_M))
+        widths = {lane.number: np.maximum(values(lane.widths, s - start_m), 0.0) for lane in section.lanes}
+        sides = (sum(at for number, at in widths.items() if number * side > 0) for side in (1, -1))
+        left, right = (
+            np.abs(values(road.lane_offsets, s) + side * of) for side, of in zip((1, -1), sides, strict=True)
+        )
+        for what, most, found in (
+            ("edges of lanes", MAX_ASIDE_M, np.maximum(left, right)),
+            ("heights", MAX_HEIGHT_M, np.abs(values(road.heights, s))),
+            ("superelevations", MAX_BANK_RAD, np.abs(values(road.banks, s))),
+        ):
+            for k in np.flatnonzero(~(found <= most))[:1]:
+                got = f"{found[k]:.4g} at s = {s[k]:.4g}"
+                raise FormatError(f"{where}: {what}: expected at most {most:g}, got {got}")
 
 
 def _touching(

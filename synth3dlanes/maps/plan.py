@@ -1,7 +1,7 @@
 """The plan of a road of a given map: its reference line from above, and places beside it. Frame of the map, metres."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from xml.etree.ElementTree import Element
 
@@ -17,6 +17,8 @@ from synth3dlanes.schema import MAX_NUMBER
 
 # Pieces may begin this far from where the one before ends; shorter curves are points.
 GAP_M, POINT_M = 1.0, 1e-6
+# Pieces longer than this are divided.
+LONG_M = 1000.0
 # Points at which the length of a cubic is measured.
 N_LENGTH = 257
 # Nodes and weights on [0, 1] for integrals along spirals.
@@ -39,13 +41,28 @@ def read_plan(road: Element, where: str, origin: tuple[float, float], left_out: 
     if not kept:
         raise FormatError(f"{where}: planView: expected a piece of {SAME_M:g} m or more, got {max(lengths):g} m")
     left_out["pieces of plans without length"] += len(geometries) - len(kept)
-    pieces = [_piece(geometry, length, where, origin) for geometry, length in kept]
+    pieces = [part for geometry, length in kept for part in _parts(_piece(geometry, length, where, origin))]
     for one, other in pairwise(pieces):
         x, y, _ = plan_points([one], np.array([one.length_m]))[0]
         gap = float(np.hypot(x - other.x_m, y - other.y_m))
         if not gap <= GAP_M:
             raise FormatError(f"{where}: planView: expected geometry without gaps, got one of {gap:.3g} m")
     return tuple(pieces)
+
+
+def _parts(piece: PlanPiece) -> Iterator[PlanPiece]:
+    """A piece, one of a kilometre and more in parts: a scene keeps those near its host."""
+    n = int(piece.length_m / LONG_M) if piece.u is None else 0
+    if not n:
+        yield piece
+        return
+    ends = np.linspace(0, piece.length_m, 2 * n + 1)
+    bends = np.interp(ends, (0, piece.length_m), (piece.curvature, piece.curvature_end)).tolist()
+    for (x, y, heading), (low, high), (bend, bend_end) in zip(
+        plan_points([piece], ends[:-1]).tolist(), pairwise(ends.tolist()), pairwise(bends), strict=True
+    ):
+        start = {"x_m": x, "y_m": y, "heading_rad": heading, "length_m": high - low}
+        yield PlanPiece(**start, curvature=bend, curvature_end=bend_end)
 
 
 def _piece(geometry: Element, length: float, where: str, origin: tuple[float, float]) -> PlanPiece:
