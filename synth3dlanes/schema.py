@@ -14,8 +14,10 @@ from synth3dlanes.errors import FormatError
 
 # The most bytes of a document, far above ours: labels take 30 kB, a scene with 5000 trees 1 MB.
 MAX_BYTES = 16 << 20
-# The most lines of problems that are shown.
-MAX_PROBLEMS = 8
+# The most commas and brackets of a document: each takes 110 bytes. Ten hours of 2D lanes have 4 million.
+MOST_VALUES = 6_000_000
+# The most lines of problems that are shown, and the most that are looked at.
+MAX_PROBLEMS, MOST_PROBLEMS = 8, 100_000
 # An image's longest side.
 MAX_PX = 8192
 # A camera turned by no more than this looks ahead.
@@ -113,12 +115,16 @@ def parse(model: type[Document], data: str | bytes, where: str, what: str, most_
     """
     if len(data) > most_bytes:
         raise FormatError(f"{where}: expected {what} of at most {most_bytes >> 20} MiB, got {len(data) >> 20} MiB")
+    n_values = sum(data.count(mark) for mark in (",[{" if isinstance(data, str) else (b",", b"[", b"{")))
+    if n_values > MOST_VALUES:
+        raise FormatError(f"{where}: expected {what} of at most {MOST_VALUES:,} values, got {n_values:,}")
     # Some editors begin UTF-8 with a byte order mark.
     data = data.removeprefix("\ufeff") if isinstance(data, str) else data.removeprefix(codecs.BOM_UTF8)
     try:
         return model.model_validate_json(data, strict=True)
     except ValidationError as error:
-        found = _other(error)
+        n_problems = error.error_count()
+        found = f"one with {n_problems:,} problems" if n_problems > MOST_PROBLEMS else _other(error)
         if found:
             raise FormatError(f"{where}: expected {what}, got {found}") from None
         raise FormatError("\n".join(validation_problems(error, where))) from None

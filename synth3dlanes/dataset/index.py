@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from synth3dlanes.columnar import Bounds, read_parquet
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of
 from synth3dlanes.errors import FormatError
 from synth3dlanes.settings import MAX_SHARD_SIZE
@@ -61,6 +61,8 @@ TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float6
 )
 # Far above any tar; sums of such numbers do not overflow.
 MAX_TAR_BYTES = 1 << 50
+# A row of 111 columns takes 1 KB, decoded or in pages.
+BOUNDS = Bounds(most_rows=MAX_SHARD_SIZE, row_bytes=2048)
 
 
 def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table:
@@ -71,15 +73,9 @@ def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table
     shard may have, and for a missing column.
     """
     try:
-        # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
-        with pq.ParquetFile(pa.BufferReader(data)) as file:
-            rows = file.metadata.num_rows
-            if rows > MAX_SHARD_SIZE:
-                raise FormatError(f"{where}: expected at most {MAX_SHARD_SIZE} samples, got {rows}")
-            known = file.schema_arrow.names
-            table = file.read(columns=[name for name in columns if name in known] or None, use_threads=False)
+        table = read_parquet(data, where, BOUNDS, columns or None)
         for field in ADDED_SCHEMA:
-            if field.name not in known and (field.name in columns or not columns):
+            if field.name not in table.column_names and (field.name in columns or not columns):
                 default = pa.scalar(ADDED[field.name], field.type)
                 table = table.append_column(field, pa.repeat(default, table.num_rows))
         table.validate(full=True)

@@ -14,7 +14,7 @@ from synth3dlanes.drives.gather import Recording, TimedFiles, gather, timed
 from synth3dlanes.drives.lines import ImageLines, read_lines_of
 from synth3dlanes.drives.marks import read_marks
 from synth3dlanes.drives.poses import PoseTrack, read_kitti_poses, read_pose_feather, read_pose_json, read_tum
-from synth3dlanes.drives.tables import read_lines, read_rows
+from synth3dlanes.drives.tables import matching, read_lines, read_rows
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.reading import image_size
 from synth3dlanes.frames import invert, road_from_cam, turned
@@ -99,10 +99,7 @@ def read_described(path: Path) -> Drive:
 def _files(folder: Path, told: _Sensor, what: str, lines: ImageLines | None = None) -> TimedFiles:
     """The files of a pattern in the order of their names, or the images that a file of lanes lists, with their
     times."""
-    try:
-        paths = sorted(folder.glob(told.files))
-    except (ValueError, NotImplementedError) as error:
-        raise InputError(f"{folder / told.files}: expected a pattern of files, got {error}") from None
+    paths = sorted(matching(folder, told.files, MAX_FILES))
     if not paths and lines is not None:
         paths = [folder / name for name in lines.names]
     if not 0 < len(paths) <= MAX_FILES:

@@ -1,5 +1,6 @@
 """2D lanes of a drive's images: tuSimple's and CULane's files, and our own JSON."""
 
+import io
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from synth3dlanes.formats.tusimple.read import parse as parse_tusimple
 from synth3dlanes.schema import DocumentPart, PathBelow, parse
 
 LINES_FORMAT, LINES_VERSION = "synth3dlanes.lines", 1
+# Of an image. Benchmarks have up to 20 lines of a few hundred points.
+MOST_LINES, MOST_POINTS = 500, 50_000
 
 _Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]
 _Line = Annotated[list[tuple[_Pixel, _Pixel]], Field(min_length=2)]
@@ -34,11 +37,20 @@ class _Lines(DocumentPart):
 @dataclass(frozen=True, eq=False)
 class ImageLines:
     """The lines of a drive's images. `names` are the images that a file of lines lists, in its order; empty where each
-    image has a file of its own. `of` gives the lines of an image by its path; `path` is where they come from."""
+    image has a file of its own. `read` gives the lines of an image by its path; `path` is where they come from."""
 
     names: tuple[str, ...]
-    of: Callable[[Path], tuple[Polyline2, ...]]
+    read: Callable[[Path], tuple[Polyline2, ...]]
     path: Path
+
+    def of(self, image: Path) -> tuple[Polyline2, ...]:
+        """The lines of an image. Raises FormatError for too many."""
+        lines = self.read(image)
+        n_points = sum(map(len, lines))
+        if len(lines) > MOST_LINES or n_points > MOST_POINTS:
+            most, got = f"{MOST_LINES} lines of {MOST_POINTS:,} points", f"{len(lines):,} of {n_points:,}"
+            raise FormatError(f"{self.path}: expected at most {most} in an image, got {got} in {image.name[:60]}")
+        return lines
 
     def expect_some(self, images: Iterable[Path]) -> None:
         """Raise FormatError where none of these images has a line."""
@@ -60,8 +72,7 @@ def read_lines_of(path: Path) -> ImageLines:
 
 def _tusimple(path: Path) -> dict[str, tuple[Polyline2, ...]]:
     found: dict[str, tuple[Polyline2, ...]] = {}
-    lines = read_bytes(path, MAX_TEXT_BYTES).split(b"\n")
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(io.BytesIO(read_bytes(path, MAX_TEXT_BYTES)), start=1):
         if line.strip():
             frame = parse_tusimple(line, f"{path}:{number}")
             columns = (np.stack([lane, frame.rows_px.astype(float)], axis=-1)[lane >= 0] for lane in frame.lanes_u_px)
@@ -76,14 +87,14 @@ def _listed(lines: dict[str, tuple[Polyline2, ...]], path: Path) -> ImageLines:
     for name in lines:
         by_name.setdefault(Path(name).name, []).append(name)
 
-    def of(image: Path) -> tuple[Polyline2, ...]:
+    def read(image: Path) -> tuple[Polyline2, ...]:
         names = by_name.get(image.name, [])
         fitting = names if len(names) == 1 else [name for name in names if image.as_posix().endswith(f"/{name}")]
         if len(fitting) > 1:
             raise FormatError(f"{path}: expected one entry for {image}, got {len(fitting)}")
         return lines[fitting[0]] if fitting else ()
 
-    return ImageLines(tuple(lines), of, path)
+    return ImageLines(tuple(lines), read, path)
 
 
 def _of_culane(folder: Path, image: Path) -> tuple[Polyline2, ...]:

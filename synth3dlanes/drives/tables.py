@@ -1,19 +1,38 @@
 """Files of numbers that the readers of drives share: lines of text, and tables in feather files, within bounds."""
 
+import io
+import re
 from array import array
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Shaped
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.columnar import DAMAGED, Bounds, read_arrow
+from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.schema import shown
 
 # A pose every 10 ms for three hours takes 100 MB as text.
-MAX_TEXT_BYTES, MAX_TABLE_BYTES, MAX_ROWS = 128 << 20, 256 << 20, 1 << 23
+MAX_TEXT_BYTES, MAX_TABLE_BYTES = 128 << 20, 256 << 20
+# A point of Argoverse 2 takes 24 bytes, a pose 64.
+BOUNDS = Bounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
+
+
+def matching(folder: Path, pattern: str, most: int) -> list[Path]:
+    """The files of a folder whose paths in it fit a pattern, with `**` for folders of any depth. Raises InputError for
+    another pattern; ends after `most` + 1 files."""
+    where = folder / pattern
+    if pattern.split("/").count("**") > 1:
+        # Each one more goes through all folders for each folder.
+        raise InputError(f"{where}: expected ** at most once in a pattern of files")
+    try:
+        return list(islice(folder.glob(pattern), most + 1))
+    except (ValueError, NotImplementedError, re.error) as error:
+        raise InputError(f"{where}: expected a pattern of files, got {error}") from None
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -29,13 +48,14 @@ def read_bytes(path: Path, most: int) -> bytes:
 def read_lines(path: Path) -> Iterator[tuple[str, str]]:
     """The lines of a text file that are neither empty nor comments (#), each after the place where it is. Raises
     FormatError at the first where the file cannot be read."""
+    # One by one: short lines take many times their bytes as texts.
+    text = io.TextIOWrapper(io.BytesIO(read_bytes(path, MAX_TEXT_BYTES)), encoding="utf-8-sig")
     try:
-        text = read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig")
+        for number, line in enumerate(text, start=1):
+            if line.strip() and not line.lstrip().startswith("#"):
+                yield f"{path}:{number}", line.strip()
     except UnicodeDecodeError:
         raise FormatError(f"{path}: expected text in UTF-8, got other bytes") from None
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            yield f"{path}:{number}", line.strip()
 
 
 def read_rows(path: Path, columns: int, what: str) -> Float[np.ndarray, "n c"]:
@@ -68,27 +88,17 @@ def read_feather(
     try:
         with pa.ipc.open_file(pa.BufferReader(data)) as file:
             known = file.schema.names
-            missing = [name for name in columns if name not in known]
-            if missing:
-                raise FormatError(f"{path}: expected a column {missing[0]}, got {', '.join(known)[:80] or 'none'}")
-            wanted = [name for name in (*columns, *optional) if name in known]
-        chosen = pa.ipc.IpcReadOptions(included_fields=[known.index(name) for name in wanted], use_threads=False)
-        with pa.ipc.open_file(pa.BufferReader(data), options=chosen) as file:
-            batches, rows = [], 0
-            for number in range(file.num_record_batches):
-                batches.append(file.get_batch(number))
-                rows += batches[-1].num_rows
-                if rows > MAX_ROWS:
-                    raise FormatError(f"{path}: expected at most {MAX_ROWS:,} rows, got more")
-            table = pa.Table.from_batches(batches, file.schema)
-            table.validate(full=True)
-        found = {name: table[name] for name in wanted}
+        missing = [name for name in columns if name not in known]
+        if missing:
+            raise FormatError(f"{path}: expected a column {missing[0]}, got {', '.join(known)[:80] or 'none'}")
+        table = read_arrow(data, str(path), BOUNDS, (*columns, *optional))
+        found = {name: table[name] for name in table.column_names}
         if any(column.null_count for column in found.values()):
             raise FormatError(f"{path}: expected a value in every row, got an empty one")
         return {name: column.to_numpy() for name, column in found.items()}
     except FormatError:
         raise
-    except (pa.ArrowException, ValueError, OSError, MemoryError):
+    except (*DAMAGED, MemoryError):
         raise FormatError(f"{path}: expected a feather file (Arrow IPC), got other or damaged bytes") from None
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
-from pyarrow import feather
 
 from synth3dlanes import schema
+from synth3dlanes.columnar import DAMAGED, Bounds, read_arrow
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import (
     ANNOTATIONS,
@@ -25,6 +25,8 @@ from synth3dlanes.formats.reading import read_file
 from synth3dlanes.frames import rotation
 from synth3dlanes.schema import Excerpt, Number
 
+# A point takes 24 bytes, a box 130.
+BOUNDS = Bounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
 IMAGE = re.compile(r"(?P<timestamp>\d{1,19})\.jpg")
 
 Columns = dict[str, np.ndarray]
@@ -161,11 +163,13 @@ class Log:
         where = self.out / path
         data = read_file(where)
         try:
-            table = feather.read_table(io.BytesIO(data), columns=wanted.names).cast(wanted)
+            table = read_arrow(data, str(where), BOUNDS, wanted.names).cast(wanted)
             if any(column.null_count for column in table.columns):
                 raise ValueError("missing values")
             return {name: table[name].to_numpy() for name in wanted.names}
-        except (pa.ArrowException, ValueError, OSError, KeyError) as error:
+        except FormatError:
+            raise
+        except DAMAGED as error:
             reason = " ".join(str(error).split())[:120]
             raise FormatError(f"{where}: expected a table of {', '.join(wanted.names)}, got {reason}") from None
 

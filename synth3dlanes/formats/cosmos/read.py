@@ -1,6 +1,5 @@
 """Read a clip of Cosmos: its tables as plain arrays, and its videos frame by frame."""
 
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,18 +9,21 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
-from pyarrow import parquet
 from pydantic import RootModel
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes import schema
 from synth3dlanes.arrays import Matrix4, Points3, RgbImage
+from synth3dlanes.columnar import Bounds, read_parquet
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.cosmos.convention import TABLES, ClipFiles
 from synth3dlanes.formats.reading import json_object, read_file
 from synth3dlanes.frames import rotation
 from synth3dlanes.schema import Excerpt, Number
 from synth3dlanes.video import open_video
+
+# Rows are few, and may have long lines.
+BOUNDS = Bounds(most_rows=1 << 20, row_bytes=256, base_bytes=256 << 20)
 
 
 class _Time(Excerpt):
@@ -141,10 +143,12 @@ class CosmosClip:
     def _rows(self, name: str) -> list[dict[str, Any]]:
         where, wanted = self.out / self.files.table(name), TABLES[name]
         try:
-            table = parquet.read_table(io.BytesIO(read_file(where)))
+            table = read_parquet(read_file(where), str(where), BOUNDS)
             if table.schema.names != wanted.names:
                 raise ValueError(f"columns {', '.join(table.schema.names)}")
             rows = [{**row["key"], **row[name]} for row in table.cast(wanted).to_pylist()]
+        except FormatError:
+            raise
         except (pa.ArrowException, ValueError, TypeError, OSError, KeyError) as error:
             reason = " ".join(str(error).split())[:120]
             raise FormatError(f"{where}: expected a table of {', '.join(wanted.names)}, got {reason}") from None
