@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from .generate import Workers
 from .options import json_option, progress_bar
 
 if TYPE_CHECKING:
@@ -60,7 +61,13 @@ def _size(text: str | None) -> tuple[int, int] | None:
     help="Cameras of a rig, separated by commas. Default: those that look ahead; all for formats that take images as "
     "they are.",
 )
-@click.option("--workers", default=1, show_default=True, type=click.IntRange(min=1), help="Worker processes.")
+@click.option(
+    "--workers",
+    metavar="N|auto",
+    type=Workers(),
+    default="auto",
+    help="Worker processes; auto: one per core, fewer for few samples.",
+)
 @json_option
 def export(
     source: str,

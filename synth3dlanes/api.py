@@ -257,9 +257,9 @@ def export_dataset(
 
     `out` is a new folder, or the folder of an earlier export of the same data, whose frames are kept. `size_px` is
     (width, height) of the images, by default that of the format. `cameras` are names of cameras of a rig; by default
-    those that look ahead, or all cameras for formats that keep images unchanged. Raises InputError for a wrong
-    argument, and for a format, a size or a camera that does not exist. `Export(...).write` does the same and reports
-    its progress.
+    those that look ahead, or all cameras for formats that keep images unchanged. `workers` is the number of processes,
+    0 for one per core. Raises InputError for a wrong argument, and for a format, a size or a camera that does not
+    exist. `Export(...).write` does the same and reports its progress.
     """
     return Export(str(source), Path(out), format_name, size_px, tuple(several(cameras))).write(workers)
 

@@ -18,6 +18,12 @@ STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
+def n_workers(asked: int, n_tasks: int) -> int:
+    """The number of processes for some tasks: as many as asked for; 0 is as many as there is room for, or one per task
+    where these are fewer."""
+    return asked or max(1, min(workers_here(), n_tasks))
+
+
 class QuietPool(ProcessPoolExecutor):
     """A pool whose processes end without a word when Ctrl-C is pressed, also while they start.
 

@@ -3,14 +3,18 @@
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 from click.testing import CliRunner
+from synth3dlanes_cli.main import main
 
-from synth3dlanes.errors import WorkerError
-from synth3dlanes.processes import process_pool
+import synth3dlanes
+from synth3dlanes.errors import InputError, WorkerError
+from synth3dlanes.machine import workers_here
+from synth3dlanes.processes import n_workers, process_pool
 
 
 def die(number: int) -> None:
@@ -60,3 +64,20 @@ def test_nothing_else_makes_pools() -> None:
     root = Path(__file__).parents[1]
     programs = [path for folder in ("synth3dlanes", "cli", "baseline_model") for path in (root / folder).rglob("*.py")]
     assert [path.name for path in programs if "ProcessPoolExecutor" in path.read_text()] == ["processes.py"]
+
+
+def test_workers_mean_one_thing_everywhere(tmp_path: Path) -> None:
+    """0 is one per core, fewer for few tasks; less is refused."""
+    assert [n_workers(0, n_tasks) for n_tasks in (0, 1, 10_000)] == [1, 1, workers_here()]
+    assert n_workers(3, 1) == 3
+    refused: tuple[Callable[[], object], ...] = (
+        lambda: synth3dlanes.export_dataset("none", tmp_path / "e", "tusimple", workers=-1),
+        lambda: synth3dlanes.validate_dataset("none", workers=-1),
+        lambda: synth3dlanes.generate_dataset(synth3dlanes.load_params("tiny"), tmp_path / "d", n=1, workers=-1),
+    )
+    for call in refused:
+        with pytest.raises(InputError, match="workers: expected 0 or more, got -1"):
+            call()
+    for command in ("export", "validate", "generate", "twins", "benchmark", "bench"):
+        (option,) = (option for option in main.commands[command].params if option.name == "workers")
+        assert (option.default, option.metavar) == ("auto", "N|auto")

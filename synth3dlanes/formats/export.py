@@ -28,7 +28,7 @@ from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.registry import open_format
 from synth3dlanes.formats.summary import ExportSummary, readme, summarize, warnings
 from synth3dlanes.formats.writing import Part
-from synth3dlanes.processes import process_pool
+from synth3dlanes.processes import n_workers, process_pool
 from synth3dlanes.schema import Excerpt, PathBelow, parse
 
 MARKS = ".parts"
@@ -106,8 +106,10 @@ class Export:
         }
 
     def write(self, workers: int = 1, progress: Progress = lambda done, total: None) -> ExportSummary:
-        """Write it, or what is missing of it; `progress` gets (frames done, frames in all). Raises ClaimedError while
-        another process or thread writes it."""
+        """Write it, or what is missing of it, by `workers` processes (0: one per core); `progress` gets (frames done,
+        frames in all). Raises ClaimedError while another process or thread writes it."""
+        if workers < 0:
+            raise InputError(f"workers: expected 0 or more, got {workers}")
         foreign, chunks, folder = self.format, self.chunks, Folder(self.out)
         with _claimed(folder, self.options):
             for stale in set(folder.names(MARKS)) - {chunk.mark for chunk in chunks} - {LOCK_FILE}:
@@ -162,6 +164,7 @@ def _require_options(out: Path, options: dict[str, Any], expected: str = "the ex
 
 
 def _run(chunks: Sequence[Chunk], out: Path, foreign: Format, workers: int) -> Iterator[int]:
+    workers = n_workers(workers, len(chunks))
     if workers == 1 or len(chunks) < 2:
         for chunk in chunks:
             yield _export_chunk(chunk, out, foreign)

@@ -29,8 +29,7 @@ from synth3dlanes.geometry import height_map
 from synth3dlanes.geometry.camera import rays_of_pixels
 from synth3dlanes.host import Camera
 from synth3dlanes.labels import CameraLabel
-from synth3dlanes.machine import workers_here
-from synth3dlanes.processes import process_pool
+from synth3dlanes.processes import n_workers, process_pool
 from synth3dlanes.scene import Scene
 from synth3dlanes.sensors.cameras import black_pictures
 from synth3dlanes.validate.checks import CHECKS
@@ -259,9 +258,8 @@ def _passes(scene: Scene, description: Description, passes: Passes) -> Iterator[
 def _mapping(workers: int, n: int) -> Iterator[Map]:
     """`map` in this process or in several (0: as many as `n` samples are worth, at most one per core); results are in
     order."""
-    cores = workers_here()
-    workers = workers or min(cores, math.ceil(n / SAMPLES_A_START))
-    if workers <= 1:
+    workers = n_workers(workers, math.ceil(n / SAMPLES_A_START))
+    if workers == 1:
         yield map
         return
     with process_pool(workers) as pool:
