@@ -22,7 +22,17 @@ DELTA_BYTE_ARRAY = 7
 # Thrift's compact protocol.
 TRUE, FALSE, BYTE, INTEGERS, DOUBLE, BINARY, LISTS, STRUCT = 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
 MOST_NESTED = 8
-DAMAGED = (IndexError, KeyError, OverflowError, TypeError, ValueError, struct.error, pa.ArrowException, OSError)
+DAMAGED = (
+    AttributeError,
+    IndexError,
+    KeyError,
+    OverflowError,
+    TypeError,
+    ValueError,
+    struct.error,
+    pa.ArrowException,
+    OSError,
+)
 # Bytes of a value that is no text.
 VALUE_BYTES = 8
 INCOMPRESSIBLE = -1
@@ -139,7 +149,7 @@ def _pages(data: bytes, chunk: Any, where: str) -> Iterator[_Piece]:
         at = chunk.dictionary_page_offset
     end, seen = at + chunk.total_compressed_size, 0
     if not 0 <= at <= end <= len(data):
-        raise FormatError(f"{where}: expected pages within {len(data):,} bytes, got some elsewhere")
+        raise ValueError("pages beyond the end of the file")
     while at < end and seen < chunk.num_values:
         try:
             header, at = _struct(data, at)
@@ -148,9 +158,9 @@ def _pages(data: bytes, chunk: Any, where: str) -> Iterator[_Piece]:
             n_bytes, n_stored, n_values = header[2], header[3], about.get(1, 0)
             encoding = about.get(4 if 8 in header and 5 not in header else 2)
         except DAMAGED:
-            raise FormatError(f"{where}: expected pages of a parquet file, got damaged bytes") from None
+            raise ValueError("damaged headers of pages") from None
         if min(n_bytes, n_stored, n_values) < 0 or at + n_stored > len(data):
-            raise FormatError(f"{where}: expected pages within the file, got {n_stored:,} bytes at {at:,}")
+            raise ValueError("pages beyond the end of the file")
         if encoding == DELTA_BYTE_ARRAY:
             raise FormatError(f"{where}: expected texts as they are or in a dictionary, got differences between them")
         if 7 not in header:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from synth3dlanes.columnar import Bounds, read_parquet
+from synth3dlanes.columnar import DAMAGED, Bounds, read_parquet
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of
 from synth3dlanes.errors import FormatError
 from synth3dlanes.settings import MAX_SHARD_SIZE
@@ -79,7 +79,7 @@ def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table
                 default = pa.scalar(ADDED[field.name], field.type)
                 table = table.append_column(field, pa.repeat(default, table.num_rows))
         table.validate(full=True)
-    except (pa.ArrowException, OSError, ValueError) as error:
+    except DAMAGED as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError(f"{where}: expected the index of a shard, got {_first_line(error)}") from None
