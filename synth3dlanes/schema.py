@@ -115,7 +115,7 @@ def parse(model: type[Document], data: str | bytes, where: str, what: str, most_
     """
     if len(data) > most_bytes:
         raise FormatError(f"{where}: expected {what} of at most {most_bytes >> 20} MiB, got {len(data) >> 20} MiB")
-    n_values = sum(data.count(mark) for mark in (",[{" if isinstance(data, str) else (b",", b"[", b"{")))
+    n_values = sum(data.count(mark) if isinstance(data, str) else data.count(mark.encode()) for mark in ",[{")
     if n_values > MOST_VALUES:
         raise FormatError(f"{where}: expected {what} of at most {MOST_VALUES:,} values, got {n_values:,}")
     # Some editors begin UTF-8 with a byte order mark.
