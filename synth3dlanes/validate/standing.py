@@ -13,6 +13,7 @@ from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.frames import invert, transform
 from synth3dlanes.geometry import meshes
 from synth3dlanes.geometry.ground import Ground
+from synth3dlanes.geometry.passages import PASSAGE_M
 from synth3dlanes.geometry.placement import TREE_SINK_M
 from synth3dlanes.labels import CameraLabel
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -41,14 +42,14 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
     world, camera = evidence.world, evidence.camera
     wheels = _ahead(camera, _wheels(world))
     trunks = _ahead(camera, world.site.trees_world + np.array([0, 0, TREE_SINK_M]))
-    on_ground_m = np.fmax(mesh_height(world.site.verges, trunks[:, :2]), terrain_height(world.ground, trunks[:, :2]))
+    on_ground_m = np.fmax(_under(world.site.verges, trunks), terrain_height(world.ground, trunks[:, :2]))
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
     feet = _ahead(camera, feet)
     under_m = np.fmax(
-        mesh_height([*world.site.pavement, *world.site.verges], feet[:, :2]), terrain_height(world.ground, feet[:, :2])
+        _under([*world.site.pavement, *world.site.verges], feet), terrain_height(world.ground, feet[:, :2])
     )
     standing = [
-        ("wheel_gap_m", wheels, mesh_height(world.site.pavement, wheels[:, :2]), MAX_WHEEL_M),
+        ("wheel_gap_m", wheels, _under(world.site.pavement, wheels), MAX_WHEEL_M),
         ("tree_gap_m", trunks, on_ground_m, MAX_TREE_M),
         *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
     ]
@@ -86,9 +87,16 @@ def _in(world_from_frame: Matrix4, points_world: Points3) -> Points3:
     return transform(invert(world_from_frame), points_world)
 
 
-def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Scalars:
-    """Height of the highest face at each point, NaN if there is none."""
-    height_m = np.full(len(xy), -np.inf)
+def _under(surfaces: Sequence[meshes.Mesh], points_world: Points3) -> Scalars:
+    """Height of the highest face at each point that does not pass over it on a deck."""
+    return mesh_height(surfaces, points_world[:, :2], points_world[:, 2] + PASSAGE_M)
+
+
+def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2, most_m: Scalars | float = np.inf) -> Scalars:
+    """Height of the highest face at each point, at most `most_m`; of the lowest where all are higher, NaN where there
+    is none."""
+    most_m = np.broadcast_to(most_m, len(xy))
+    height_m, over_m = np.full(len(xy), -np.inf), np.full(len(xy), np.inf)
     by_y = np.argsort(xy[:, 1])
     y = xy[by_y, 1]
     for mesh in surfaces:
@@ -102,7 +110,11 @@ def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2) -> Scalars:
         over = (low[face, 0] <= xy[i, 0]) & (xy[i, 0] <= high[face, 0])
         i, face = i[over], face[over]
         for triangle in ([0, 1, 2], [0, 2, 3]):
-            np.fmax.at(height_m, i, _on_triangles(corners[face][:, triangle], xy[i]))
+            found_m = _on_triangles(corners[face][:, triangle], xy[i])
+            is_over = found_m > most_m[i]
+            np.fmax.at(height_m, i[~is_over], found_m[~is_over])
+            np.fmin.at(over_m, i[is_over], found_m[is_over])
+    height_m = np.where(np.isfinite(height_m), height_m, over_m)
     return np.where(np.isfinite(height_m), height_m, np.nan)
 
 
@@ -144,12 +156,13 @@ def _through(evidence: Evidence) -> Iterator[Result]:
 
 
 def check_roadside(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about structures on a pavement; poles may stand on the walkways of a map. What stands on a median is
-    left to the road's own checks."""
+    """Findings about structures on a pavement; poles may stand on the walkways of a map, and below its decks. What
+    stands on a median is left to the road's own checks."""
     ground = evidence.world.ground
     for name, feet in _feet(evidence):
         place = places(ground, feet)
         inside_m = -(place.outside() if name.startswith("buildings") else place.off_carriageways())
+        inside_m[ground.is_stacked(feet)] = -np.inf
         wrong = int((inside_m > ROOM_M).sum())
         if wrong:
             reason = (

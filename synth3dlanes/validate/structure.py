@@ -31,6 +31,8 @@ LAW_M = 0.001
 CHORD_M = 0.03
 # The longest end of a lane of a map without points: they are a metre apart, and a line has two.
 REST_M = 2.0
+# A line of a map turns from a point to the next by at most so much: one 7 m beside an arc of 3 m by 1.1 m.
+MAX_JUMP_M = 1.5
 # Number of lines of sight that may graze the core's edges.
 MAX_WRONG = 1
 # Largest number of points of a line behind twigs outside their boxes in 1,350 scenes.
@@ -173,10 +175,18 @@ def _references(labels: Labels) -> Iterator[Finding]:
 
 
 def _order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
-    """Findings unless points go on in the host's driving direction, without a step of zero length or back."""
+    """Findings unless points go on in the host's driving direction, without a step of zero length, back or far aside.
+    Lines of maps fold where a road turns more sharply than they are beside its reference line."""
     steps = np.diff(lane.xyz_cam, axis=0)
-    back = np.linalg.norm(steps, axis=1) < POINT_M
-    back[1:] |= (steps[1:] * steps[:-1]).sum(axis=1) <= 0
+    lengths_m, along = np.linalg.norm(steps, axis=1), (steps[1:] * steps[:-1]).sum(axis=1)
+    back = lengths_m < POINT_M
+    if lane.connector is None:
+        back[1:] |= along <= 0
+    else:
+        aside_m = np.sqrt(np.maximum(lengths_m[1:] ** 2 - (along / np.maximum(lengths_m[:-1], POINT_M)) ** 2, 0.0))
+        if (aside_m > MAX_JUMP_M).any():
+            jump = f"{aside_m.max():.2f} m aside after point {int(aside_m.argmax()) + 1}"
+            yield Finding(lane.id, f"expected points that go on along the line, got a jump of {jump}")
     if back.any():
         yield Finding(lane.id, f"expected points that advance along the line, got a step back at {_at(back)}")
     first, last = transform(camera.road_from_cam, lane.xyz_cam[[0, -1]])[:, 1]

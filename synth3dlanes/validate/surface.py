@@ -214,7 +214,7 @@ def _exactly(world: World, points: Points3, pavement: Pavement) -> Iterator[Resu
     """Finding if depth is not exactly, along the pixels' rays, that of the mesh that is rendered."""
     near = np.flatnonzero((pavement.range_m > 0) & (pavement.range_m < NEAR_M))
     near = near[:: 1 + len(near) // MAX_NEAR]
-    above_m = points[near, 2] - mesh_height(world.site.pavement, points[near, :2])
+    above_m = points[near, 2] - mesh_height(world.site.pavement, points[near, :2], points[near, 2] + SAME_M)
     slant = pavement.up_world[near, 2] * pavement.range_m[near] / pavement.below_eye_m[near]
     off_m = (above_m * slant)[np.abs(above_m) < SAME_M]
     if len(off_m) < MIN_PIXELS:
