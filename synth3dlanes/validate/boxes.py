@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.arrays import Points3
+from synth3dlanes.arrays import Points2, Points3
 from synth3dlanes.frames import from_axes, transform
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.roadside import Building, Crossing, Post, Rail, RoadSide
@@ -155,11 +155,18 @@ def _post(world: World, post: Post) -> PosedBox:
 def _free(world: World, item: TrafficSignal | TrafficSign) -> PosedBox:
     """A signal or sign with its pole and arm."""
     foot, reach_m = np.array([item.x_m, item.y_m]), abs(item.reach_m) + FREE_M
-    z = float(height_at(world.network.terrain, foot[None])[0])
+    low_m, high_m = _ground_m(world, foot[None])
     raised = max([at.ramp.height_m for at in world.network.roads if at.ramp], default=0.0)
     pose = _level(foot, np.array([-np.sin(item.yaw_rad), np.cos(item.yaw_rad)]))
-    top_m = z + raised + item.height_m + 2 * FREE_M
-    return pose, np.array([-reach_m, -FREE_M, z - LOW_M]), np.array([reach_m, FREE_M, top_m])
+    top_m = high_m + raised + item.height_m + 2 * FREE_M
+    return pose, np.array([-reach_m, -FREE_M, low_m - LOW_M]), np.array([reach_m, FREE_M, top_m])
+
+
+def _ground_m(world: World, xy: Points2) -> tuple[float, float]:
+    """The least and greatest height of the ground at some places: of the terrain, and as roads with heights of their
+    own lie on it."""
+    z = np.concatenate([height_at(world.network.terrain, xy), world.ground.height(xy)])
+    return float(z.min()), float(z.max())
 
 
 def _crossing(world: World, crossing: Crossing) -> list[PosedBox]:
@@ -200,6 +207,6 @@ def _building(world: World, building: Building) -> PosedBox:
     pose = _level(np.array([building.x_m, building.y_m]), forward)
     half = np.array([building.width_m / 2 + EAVES_M, building.length_m / 2 + EAVES_M])
     x, y = (part.ravel() for part in np.meshgrid(np.array([-1, 0, 1]) * half[0], np.array([-1, 0, 1]) * half[1]))
-    z = height_at(world.network.terrain, transform(pose, np.column_stack([x, y, np.zeros(9)]))[:, :2])
-    top_m = z.max() + building.height_m + GABLE * building.width_m / 2 + EAVES_M
-    return pose, np.array([*-half, z.min() - LOW_M]), np.array([*half, top_m])
+    low_m, high_m = _ground_m(world, transform(pose, np.column_stack([x, y, np.zeros(9)]))[:, :2])
+    top_m = high_m + building.height_m + GABLE * building.width_m / 2 + EAVES_M
+    return pose, np.array([*-half, low_m - LOW_M]), np.array([*half, top_m])

@@ -16,6 +16,7 @@ from synth3dlanes.validate.boxes import StructureBoxes, structure_boxes
 from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.pixels import luma
+from synth3dlanes.validate.places import places
 from synth3dlanes.world import World
 
 # Cosine of the angle between the viewing direction and a pixel's ray, of a lens, from which on depth tells a place.
@@ -68,6 +69,15 @@ class Evidence:
     def paint(self) -> WorldPaint:
         """The paint of the scene's lines."""
         return WorldPaint(self.world)
+
+    @cached_property
+    def is_single(self) -> dict[str, Bool[np.ndarray, " n"]]:
+        """Which points of each lane are not where roads lie over each other."""
+        lanes = self.labels.lanes
+        points = transform(self.camera.world_from_cam, np.concatenate([lane.xyz_cam for lane in lanes]))
+        single = places(self.world.ground, points[:, :2]).is_single()
+        ends = np.cumsum([len(lane.xyz_cam) for lane in lanes])[:-1]
+        return {lane.id: of for lane, of in zip(lanes, np.split(single, ends), strict=True)}
 
     @cached_property
     def structures(self) -> StructureBoxes:

@@ -40,13 +40,14 @@ def _on_map(
     evidence: Evidence, lane: Lane
 ) -> tuple[Bool[np.ndarray, " n"], Float[np.ndarray, "2 m"], Float[np.ndarray, " m"]]:
     """Which points of a lane on the main road are over the height map, their row and column, and their height. Cells
-    where the ground is too steep against the road plane to be a single height over it, and bridges, are left out."""
+    where the ground is too steep against the road plane to be a single height over it are left out, and places where
+    roads lie over each other."""
     camera, height_m = evidence.camera, evidence.passes["height"]
     x, y, z = transform(camera.road_from_cam, lane.xyz_cam).T
     (rows, columns), (width_m, length_m) = height_map.SHAPE, height_map.CELL_M
     row, column = (rows * length_m - y) / length_m - 0.5, x / width_m + columns / 2 - 0.5
     at = (row >= 0) & (row <= rows - 1) & (column >= 0) & (column <= columns - 1)
-    at &= ~evidence.world.ground.is_stacked(transform(camera.world_from_cam, lane.xyz_cam)[:, :2])
+    at &= evidence.is_single[lane.id]
     spread_m = maximum_filter(height_m, 3) - minimum_filter(height_m, 3)
     most_m = MAX_SPREAD_M if lane.connector is None else MAX_SPREAD_AT_KERBS_M
     at[at] = spread_m[np.rint(row[at]).astype(int), np.rint(column[at]).astype(int)] < most_m

@@ -15,6 +15,8 @@ from synth3dlanes.settings import SEMANTIC_IDS
 
 # A kerb may be this far from a point.
 KERB_ROOM_M = 0.08
+# Roads whose heights at a point of them, or so far beside one, differ by more do not lie in one surface there.
+APART_M, EDGE_M = 0.01, 0.3
 # The surface changes within this far of the ends of sections.
 SEAM_M = 0.05
 # Slopes are measured over this length to both sides.
@@ -59,7 +61,22 @@ class MapPlaces:
 
     def is_firm(self) -> Bool[np.ndarray, " n"]:
         """Which points have one height from above: those beside kerbs have not."""
-        return ~self.on_slope()
+        return ~self.on_slope() & self.is_single()
+
+    def is_single(self) -> Bool[np.ndarray, " n"]:
+        """Which points are not where roads lie over each other, as bridges, or as ways through a junction, each by
+        heights of its own."""
+        if not any(road.has_heights for road in self.ground.network.roads):
+            return np.ones(len(self.xy_world), dtype=bool)
+        low, high = np.full((2, len(self.xy_world)), np.inf) * [[1], [-1]]
+        near, roads = self.ground.network.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
+        rows = np.flatnonzero(near)
+        for road, which, s, t in roads:
+            own, inside = self.ground.network.road(road.id), road.outside(s, t) < EDGE_M
+            at = rows[np.flatnonzero(which)[inside]]
+            z = own.base_points(s[inside], t[inside])[:, 2]
+            low[at], high[at] = np.minimum(low[at], z), np.maximum(high[at], z)
+        return (high - low < APART_M) & ~self.ground.is_stacked(self.xy_world)
 
     def is_fine(self, row_m: float) -> Bool[np.ndarray, " n"]:
         """All points: rows are close wherever roads are laid."""

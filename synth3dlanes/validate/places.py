@@ -111,6 +111,10 @@ class RoadPlaces:
         found = self._along(curve, lambda s, t, offset: s)
         return np.where(np.isnan(found), self.s, found)
 
+    def is_single(self) -> Bool[np.ndarray, " n"]:
+        """All points: no road lies over another."""
+        return np.ones(len(self.xy_world), dtype=bool)
+
     def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
         """Semantic id of road or shoulder where only one is possible, given a margin; 0 elsewhere."""
         main = self.ground.network.main

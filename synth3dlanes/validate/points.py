@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
 from synth3dlanes.arrays import Passes, Points2
-from synth3dlanes.frames import transform
 from synth3dlanes.geometry.solids import SURFACES
 from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.labels import CameraLabel, Lane
@@ -90,14 +89,14 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
         strip = evidence.paint.strip(camera, lane, lane.xyz_cam)
         found = []
         if marked and lane.kind == "delimiter":
-            found.append(_paint(camera, lane, strip, evidence.paint.stripes_m(lane.id), marked, passes))
+            at = lane.visible & strip.resolved & evidence.is_single[lane.id]
+            found.append(_paint(camera, lane, strip, at, evidence.paint.stripes_m(lane.id), marked, passes))
         if "depth" in passes:
-            found += _surface(lane, strip, uv, passes)
+            found += _surface(lane, strip, uv, passes, evidence.is_single[lane.id])
         if "depth" in passes and "semantic" in passes:
             sight = _sight(camera, lane, strip, uv, passes)
             # The deck of a bridge is as thin as its road: from below its points are at their depths, too.
-            stacked = evidence.world.ground.is_stacked(transform(camera.world_from_cam, lane.xyz_cam)[:, :2])
-            sight = Sight(*(of & ~stacked for of in sight))
+            sight = Sight(*(of & evidence.is_single[lane.id] for of in sight))
             found += _against_masks(lane, sight)
             moved += _wrong_if_moved(lane, sight)
         measures += found
@@ -139,11 +138,16 @@ def _marked(passes: Passes) -> PaintPixels:
 
 
 def _paint(
-    camera: CameraLabel, lane: Lane, strip: Strip, stripes_m: tuple[float, ...], marked: PaintPixels, passes: Passes
+    camera: CameraLabel,
+    lane: Lane,
+    strip: Strip,
+    at: Bool[np.ndarray, " n"],
+    stripes_m: tuple[float, ...],
+    marked: PaintPixels,
+    passes: Passes,
 ) -> Measure:
-    """Distance in pixels from the stripes at each visible, resolved point to the nearest pixel of paint; 0 inside one.
+    """Distance in pixels from the stripes at each of these points to the nearest pixel of paint; 0 inside one.
     Of two stripes the one farther from its paint counts, unless it may be hidden."""
-    at = lane.visible & strip.resolved
     farthest = np.zeros(int(at.sum()))
     if not len(marked.centers):
         return Measure("paint_px", lane.xyz_cam[at, 1], farthest + max(marked.shape))
@@ -174,7 +178,7 @@ def _may_be_hidden(
     return hidden
 
 
-def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> list[Measure]:
+def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes, is_single: Bool[np.ndarray, " n"]) -> list[Measure]:
     """Distance of the rendered surface from each visible point, in depth (`depth_m`) and along the surface normal
     (`surface_m`). Only the latter has a limit: at a crest one pixel spans metres of depth."""
     between, y_m = depth_between(passes["depth"], uv), lane.xyz_cam[:, 1]
@@ -182,7 +186,7 @@ def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> list[Meas
     with np.errstate(divide="ignore", invalid="ignore"):
         error = between.depth_m / y_m - 1
         is_plane = between.bend * y_m / between.depth_m * across_m < MAX_BEND_M
-        smooth = lane.visible & is_plane & (between.spread < SMOOTH)
+        smooth = lane.visible & is_single & is_plane & (between.spread < SMOOTH)
     if "semantic" in passes:
         semantic = passes["semantic"][around(uv, passes["depth"].shape, 1)]
         smooth &= ~_of_objects(semantic).any(axis=0)

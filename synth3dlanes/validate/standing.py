@@ -157,7 +157,7 @@ def _through(evidence: Evidence) -> Iterator[Result]:
 
 def check_roadside(evidence: Evidence) -> Iterator[Finding]:
     """Findings about structures on a pavement; poles may stand on the walkways of a map, and below its decks. What
-    stands on a median is left to the road's own checks."""
+    stands on a median is left to the road's own checks, and what has no pole hangs."""
     ground = evidence.world.ground
     for name, feet in _feet(evidence):
         place = places(ground, feet)
@@ -183,7 +183,8 @@ def _feet(evidence: Evidence) -> Iterator[tuple[str, Float[np.ndarray, "n 2"]]]:
             yield f"posts.{i}", beside_world(world, post.road, post.side, np.array([post.s_m]), post.aside_m)
     for name in ("signals", "signs"):
         for i, item in enumerate(getattr(roadside, name)):
-            yield f"{name}.{i}", np.array([[item.x_m, item.y_m]])
+            if item.has_pole:
+                yield f"{name}.{i}", np.array([[item.x_m, item.y_m]])
     first_owner = len(roadside.rails) + len(roadside.posts) + len(roadside.crossings)
     first = int(np.searchsorted(evidence.structures.owners, first_owner))
     boxes = [values[first : first + len(roadside.buildings)] for values in evidence.structures.boxes]
