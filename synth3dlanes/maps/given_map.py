@@ -13,9 +13,10 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from jaxtyping import Int
 from pydantic import ValidationError
 
-from synth3dlanes.arrays import Points2
+from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.maps.cubics import SAME_M, is_zero, part, read_cubics, steepened, times, value, values
@@ -155,6 +156,24 @@ class GivenMap:
             name: places(road.plan, s := np.linspace(0, road.length_m, 2 + int(road.length_m / NEAR_STEP_M)), 0 * s)
             for name, road in self.roads.items()
         }
+
+    @cached_property
+    def lane_ends_m(self) -> Scalars:
+        """Where the driving lanes end, put one behind the other in their order."""
+        return np.cumsum([place.length_m for place in self.lanes.values()])
+
+    @cached_property
+    def _outlines(self) -> tuple[Points2, Int[np.ndarray, " n"]]:
+        """The places of all outlines, and the number of the road of each."""
+        lines = self.outlines.values()
+        return np.concatenate([*lines]), np.repeat(np.arange(len(lines)), [len(line) for line in lines])
+
+    def roads_near(self, xy: tuple[float, float], reach_m: float) -> list[MapRoad]:
+        """The roads of which a place of the outline is at most so far away."""
+        places_of_all, numbers = self._outlines
+        near = np.unique(numbers[np.hypot(*(places_of_all - xy).T) <= reach_m])
+        roads = list(self.roads.values())
+        return [roads[number] for number in near]
 
     def text(self) -> str:
         """What was read and what was not, as one line."""

@@ -71,7 +71,7 @@ def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> M
     x, y, heading = plan_points(lane.road.plan, np.array([at.s_m]))[0].tolist()
     z = round(value(lane.road.heights, at.s_m), 3)
     frame = _Frame(round(x, 3), round(y, 3), z, heading if lane.ascends else heading + math.pi)
-    cuts = {name: cut for name, road in given.roads.items() if (cut := _cut(given, road, (x, y))) is not None}
+    cuts = {road.id: _cut(given, road, (x, y)) for road in given.roads_near((x, y), KEPT_M)}
     if len(cuts) > MAX_ROADS:
         raise InputError(f"map {given.source}: expected at most {MAX_ROADS} roads within {KEPT_M:g} m, got {len(cuts)}")
     names = {
@@ -131,14 +131,12 @@ def _painted(
     return item.model_copy(update={"lane": names[item.lane], "s_m": s_m})
 
 
-def _cut(given: GivenMap, road: MapRoad, host: tuple[float, float]) -> _Cut | None:
-    """What is kept of a road, None where nothing is near."""
-    line = given.outlines[road.id]
-    near = np.flatnonzero(np.hypot(*(line - host).T) <= KEPT_M)
-    if not near.size:
-        return None
+def _cut(given: GivenMap, road: MapRoad, host: tuple[float, float]) -> _Cut:
+    """What is kept of a road that is near."""
     if road.length_m <= LONG_M:
         return _Cut(0.0, road.length_m, 0, len(road.sections))
+    line = given.outlines[road.id]
+    near = np.flatnonzero(np.hypot(*(line - host).T) <= KEPT_M)
     s = np.linspace(0, road.length_m, len(line))
     starts = np.cumsum([0.0, *(piece.length_m for piece in road.plan)])
     first = min(int(np.searchsorted(starts, s[near[0]], side="right")), len(road.plan)) - 1

@@ -35,7 +35,7 @@ def draw_place(given: GivenMap, rng: np.random.Generator) -> MapStation:
     names = list(given.lanes)
     if not names:
         raise InputError(f"map {given.source}: expected driving lanes, got none")
-    ends = np.cumsum([given.lanes[name].length_m for name in names])
+    ends = given.lane_ends_m
     best, most_m = MapStation(names[0], given.lanes[names[0]].span_m[0]), -1.0
     for _ in range(TRIES):
         at = float(rng.random() * ends[-1])
