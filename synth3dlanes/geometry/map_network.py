@@ -19,6 +19,7 @@ from synth3dlanes.geometry.roads import NetworkLane, Road
 from synth3dlanes.geometry.section_road import SectionRoad
 from synth3dlanes.host import Camera
 from synth3dlanes.labels import LaneGraph, Segment
+from synth3dlanes.maps.cubics import SAME_M
 from synth3dlanes.scene import Car
 
 # Points of the labels are this far apart, measured along each line from its beginning.
@@ -269,8 +270,11 @@ class MapNetwork(Network):
         return self.way.points_world(np.unique(np.clip(driven_m, 0.0, self.way.end_m)))
 
     def road_stations(self, road: Road, camera: Camera, behind_m: float, ahead_m: float) -> Scalars:
-        """All stations of a road; none where it is farther than `ahead_m` from the host, from above."""
-        s = self.road(road.id).plan.stations
+        """Stations along a road, on both sides of where a section begins; none where it is farther than `ahead_m` from
+        the host, from above."""
+        own = self.road(road.id)
+        begins = np.array([section.start_m for section in own.sections[1:]])
+        s = np.union1d(own.plan.stations, [begins - SAME_M, begins])
         away_m = np.hypot(*(road.xy(s, 0.0) - self.host_points(camera, np.zeros(1))[0, :2]).T)
         return s if (away_m < ahead_m).any() else s[:0]
 
