@@ -11,6 +11,7 @@ from synth3dlanes.words import counted
 
 from .generate import WORKERS_HELP, Workers
 from .options import (
+    Count,
     assets_option,
     device_option,
     json_option,
@@ -31,7 +32,7 @@ FPS = 10.0
 
 
 @click.command()
-@click.option("--n", type=click.IntRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
+@click.option("--n", type=Count(min=1), default=30, help="Number of scenes to time, after a warm-up.")
 @params_option
 @set_option
 @assets_option

@@ -36,9 +36,22 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return int(found[1]), int(found[2])
 
 
+def _formats(incomplete: str) -> list[str]:
+    from synth3dlanes.formats.registry import format_names
+
+    return [name for name in format_names() if name.startswith(incomplete)]
+
+
 @click.command(cls=ExportCommand)
 @click.argument("source", metavar="DIR|DIR/SPLIT:KEY")
-@click.option("--format", "format_name", metavar="NAME", required=True, help="Format to write: see below.")
+@click.option(
+    "--format",
+    "format_name",
+    metavar="NAME",
+    required=True,
+    shell_complete=lambda ctx, param, incomplete: _formats(incomplete),
+    help="Format to write: see below.",
+)
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
 @click.option(
     "--verify",

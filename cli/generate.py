@@ -18,6 +18,7 @@ from .idle import refuse_idle, refuse_idle_keys, refuse_repeated, refuse_togethe
 from .options import (
     KEYS_OF_ROADS,
     LINE_EVERY_S,
+    Count,
     assets_option,
     camera_option,
     clip_options,
@@ -70,7 +71,7 @@ class PartOf(click.ParamType):
 
 
 @click.command()
-@click.option("--n", type=click.IntRange(min=1), required=True, help="Number of samples in the split.")
+@click.option("--n", type=Count(min=1), required=True, help="Number of samples in the split.")
 @click.option(
     "--out",
     metavar="DIR",
@@ -142,6 +143,7 @@ class PartOf(click.ParamType):
     default="info",
     help="Lowest level of messages to print. DIR/logs has the messages of all levels.",
 )
+@click.option("--quiet", is_flag=True, help="Print no progress and no messages of the run, only its result.")
 @click.option("--dry-run", is_flag=True, help="Print what would be made, and stop.")
 @json_option
 @click.pass_context
@@ -172,6 +174,7 @@ def generate(
     address: str,
     part: tuple[int, int],
     log_level: str,
+    quiet: bool,
     dry_run: bool,
     as_json: bool,
 ) -> None:
@@ -212,7 +215,8 @@ def generate(
         told, expected = f"{plan.text()}, {drawn_from}", plan.expected()
         click.echo(json.dumps({"plan": told, **asdict(expected)}) if as_json else f"{told}\n{expected.text()}")
         return
-    with progress(log_level) as notify:
+    refuse_together("quiet", "log_level")
+    with progress(log_level, quiet) as notify:
 
         def tell(event: Event) -> None:
             notify(replace(event, message=f"{drawn_from}; {event.message}") if event.kind == "start" else event)
@@ -228,22 +232,27 @@ def generate(
 
 
 @contextmanager
-def progress(level: str = "info") -> Iterator[Callable[[Event], None]]:
+def progress(level: str = "info", quiet: bool = False) -> Iterator[Callable[[Event], None]]:
     """A callback for the events of a run: prints messages, and shows a progress bar (on a terminal) or a progress line
-    now and then."""
+    now and then; prints nothing if it is quiet."""
+    if quiet:
+        yield lambda event: None
+        return
     if sys.stderr.isatty():
         with _bar(level) as notify:
             yield notify
         return
-    printed = time.monotonic()
+    printed, last = time.monotonic(), ""
 
     def notify_in_lines(event: Event) -> None:
-        nonlocal printed
+        nonlocal printed, last
         if event.kind != "end" and event.matters(level):
             click.echo(event.message, err=True)
         if event.kind == "end" or time.monotonic() - printed > LINE_EVERY_S:
-            printed = time.monotonic()
-            click.echo(f"{event.done}/{event.asked}  {_pace(event)}", err=True)
+            line = f"{event.done}/{event.asked}"
+            if line != last:
+                click.echo(f"{line}  {_pace(event)}".rstrip(), err=True)
+            printed, last = time.monotonic(), line
 
     yield notify_in_lines
 

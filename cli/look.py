@@ -10,7 +10,7 @@ from synth3dlanes.settings import PASSES
 from synth3dlanes.words import counted
 
 from .idle import refuse_idle
-from .options import OutputFile, json_option, output_console
+from .options import Count, OutputFile, json_option, output_console
 
 
 @click.command()
@@ -61,7 +61,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 @click.command()
 @click.argument("folder", metavar="DIR")
 @click.option("--out", type=OutputFile(".png", ".jpg"), default="gallery.png", help="Image to write.")
-@click.option("--n", type=click.IntRange(min=1), default=24, help="Maximum number of samples.")
+@click.option("--n", type=Count(min=1), default=24, help="Maximum number of samples.")
 @click.option("--columns", type=click.IntRange(min=1), default=6, help="Number of columns.")
 @click.option(
     "--shuffle",
@@ -91,15 +91,19 @@ def gallery(
     --where selects samples by the columns of the index (docs/format.md): --where "flip_lateral and n_lanes = 4" or
     --where "junction = 'merge' and max_grade > 0.1".
     """
+    from synth3dlanes.dataset.splits import split_name
     from synth3dlanes.figures.gallery import draw_gallery
     from synth3dlanes.sources import shown_samples, some_samples
 
     refuse_idle(show != "height", ["lanes"], "with --show height, which is no view of the camera")
-    samples = shown_samples(some_samples(folder, n, shuffle, where), show, lanes)
+    chosen = some_samples(folder, n, shuffle, where)
+    samples = shown_samples(chosen, show, lanes)
     sheet = draw_gallery(samples, columns, width)
     kind = "PNG" if out.suffix.lower() == ".png" else "JPEG"
     write(out, encoded(lambda stream: sheet.save(stream, kind)))
-    click.echo(f"Gallery: {out}")
+    split = split_name(chosen[0][0])
+    is_one_of_several = not folder.rstrip("/").endswith(f"/{split}")
+    click.echo(f"Gallery: {out}" + f", {counted(len(samples), 'sample')} of {split}" * is_one_of_several)
 
 
 @click.command()
@@ -127,7 +131,7 @@ def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
 @click.option("--html", type=OutputFile(".html"), default="report.html", help="HTML page to write.")
 @click.option(
     "--n",
-    type=click.IntRange(min=1),
+    type=Count(min=1),
     default=2000,
     help="Maximum number of scenes to read for the statistics, evenly spaced.",
 )

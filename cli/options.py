@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
+from click.shell_completion import CompletionItem
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.files import Folder
@@ -66,6 +67,15 @@ class FileName(click.ParamType):
         return str(value)
 
 
+class Count(click.IntRange):
+    """A whole number, also as 1e3 or 300_000."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Read it."""
+        found = re.fullmatch(r"(\d{1,9})(?:\.0*)?e\+?(\d)", str(value), re.IGNORECASE)
+        return int(super().convert(int(found[1]) * 10 ** int(found[2]) if found else value, param, ctx))
+
+
 class FiniteRange(click.FloatRange):
     """A finite number in a range; click's own takes NaN."""
 
@@ -101,8 +111,31 @@ class OutputFile(click.ParamType):
         return path
 
 
+Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def completing(kind: str = "") -> Completer:
+    """Completion by the names of presets of a kind, and by files."""
+
+    def complete(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        from synth3dlanes.params import preset_names
+
+        names = [name for name in preset_names(kind) if name.startswith(incomplete)]
+        return [
+            *map(CompletionItem, names),
+            *([] if names and incomplete else [CompletionItem(incomplete, type="file")]),
+        ]
+
+    return complete
+
+
 params_option = click.option(
-    "--params", "source", metavar="FILE", default="appendix_i", help="Parameters: a YAML file or the name of a preset."
+    "--params",
+    "source",
+    metavar="FILE",
+    default="appendix_i",
+    shell_complete=completing(),
+    help="Parameters: a YAML file or the name of a preset.",
 )
 set_option = click.option(
     "--set",
@@ -179,7 +212,10 @@ passes_option = click.option(
     help=f"Extra images to write as OpenEXR, separated by commas, or all: {', '.join(PASSES)}.",
 )
 lidar_option = click.option(
-    "--lidar", metavar="FILE", help="Lidar on the host: a YAML file or the name of a ready one (docs/lidar.md)."
+    "--lidar",
+    metavar="FILE",
+    shell_complete=completing("lidars"),
+    help="Lidar on the host: a YAML file or the name of a ready one (docs/lidar.md).",
 )
 
 
@@ -201,12 +237,14 @@ device_option = click.option("--device", type=click.Choice(DEVICES), default="au
 camera_option = click.option(
     "--camera",
     metavar="FILE|NAME",
+    shell_complete=completing("cameras"),
     help="Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
     "ready one (docs/camera.md).",
 )
 rig_option = click.option(
     "--rig",
     metavar="FILE|NAME",
+    shell_complete=completing("rigs"),
     help="Several cameras that see every scene: a YAML file, or the name of a ready rig (docs/camera.md).",
 )
 assets_option = click.option(

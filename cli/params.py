@@ -4,7 +4,7 @@ import json
 
 import click
 
-from .options import json_option, set_option
+from .options import completing, json_option, set_option
 
 
 @click.group()
@@ -13,7 +13,7 @@ def params() -> None:
 
 
 @params.command()
-@click.argument("source", metavar="[NAME|FILE]", default="appendix_i")
+@click.argument("source", metavar="[NAME|FILE]", default="appendix_i", shell_complete=completing())
 @set_option
 @json_option
 def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
@@ -26,7 +26,7 @@ def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
 
 
 @params.command()
-@click.argument("sources", metavar="NAME|FILE...", nargs=-1, required=True)
+@click.argument("sources", metavar="NAME|FILE...", nargs=-1, required=True, shell_complete=completing())
 @set_option
 def check(sources: tuple[str, ...], changes: tuple[str, ...]) -> None:
     """Check parameter files and list every problem in them, and the keys that they leave out."""

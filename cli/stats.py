@@ -9,8 +9,10 @@ from synth3dlanes.files import encoded, write
 
 from .idle import refuse_idle, refuse_idle_keys
 from .options import (
+    Count,
     OutputFile,
     assets_option,
+    completing,
     json_option,
     open_assets,
     open_params,
@@ -24,12 +26,16 @@ from .options import (
 @click.argument("folder", metavar="[DIR]", required=False)
 @click.option(
     "--n",
-    type=click.IntRange(min=1),
+    type=Count(min=1),
     default=2000,
     help="Number of scenes to draw, or to read from DIR, evenly spaced.",
 )
 @click.option(
-    "--params", "source", metavar="FILE", help="Draw new scenes from these parameters instead of reading DIR."
+    "--params",
+    "source",
+    metavar="FILE",
+    shell_complete=completing(),
+    help="Draw new scenes from these parameters instead of reading DIR.",
 )
 @set_option
 @assets_option

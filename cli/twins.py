@@ -7,7 +7,7 @@ import click
 from synth3dlanes.words import counted
 
 from .generate import WORKERS_HELP, Workers, progress
-from .options import assets_option, device_option, open_assets
+from .options import Count, assets_option, device_option, open_assets
 
 
 @click.command()
@@ -16,7 +16,7 @@ from .options import assets_option, device_option, open_assets
     "--vary", metavar="PATH=VALUES", required=True, help="Factor and its values, such as light.exposure=1,2,3."
 )
 @click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
-@click.option("--n", type=click.IntRange(min=1), default=10, help="Number of scenes, from the start of the split.")
+@click.option("--n", type=Count(min=1), default=10, help="Number of scenes, from the start of the split.")
 @click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
 @device_option
 @assets_option

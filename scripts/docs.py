@@ -42,11 +42,14 @@ the `synth3dlanes` script is not on your PATH. Commands whose results other prog
 Completion of commands, options and their values works in bash 4.4 or later, zsh and fish. Add this line to the startup
 file of your shell:
 
-| shell | file | line |
-|---|---|---|
-| bash | `~/.bashrc` | `eval "$(_SYNTH3DLANES_COMPLETE=bash_source synth3dlanes)"` |
-| zsh | `~/.zshrc` | `eval "$(_SYNTH3DLANES_COMPLETE=zsh_source synth3dlanes)"` |
-| fish | `~/.config/fish/completions/synth3dlanes.fish` | `_SYNTH3DLANES_COMPLETE=fish_source synth3dlanes \| source` |
+```sh
+# bash, ~/.bashrc
+eval "$(_SYNTH3DLANES_COMPLETE=bash_source synth3dlanes)"
+# zsh, ~/.zshrc
+eval "$(_SYNTH3DLANES_COMPLETE=zsh_source synth3dlanes)"
+# fish, ~/.config/fish/completions/synth3dlanes.fish
+_SYNTH3DLANES_COMPLETE=fish_source synth3dlanes | source
+```
 """
 
 PARAMS_HEAD = """# Parameters

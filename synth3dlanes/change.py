@@ -3,7 +3,6 @@
 No side effects.
 """
 
-import difflib
 import json
 import math
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from pydantic_core import ErrorDetails
 from synth3dlanes.errors import InputError
 from synth3dlanes.host import Shot
 from synth3dlanes.scene import Car, Scene
-from synth3dlanes.schema import problem_line, shown
+from synth3dlanes.schema import did_you_mean, problem_line, shown
 from synth3dlanes.yaml_text import read_yaml
 
 # What pydantic calls the limits of a number.
@@ -126,5 +125,4 @@ def _keys(place: Any) -> list[str]:
 
 
 def _unknown(path: str, step: str, keys: list[str]) -> str:
-    close = difflib.get_close_matches(step, keys, n=1)
-    return f"changes {path}: unknown key {step}" + (f"; did you mean {close[0]}?" if close else "")
+    return f"changes {path}: unknown key {step}{did_you_mean(step, keys)}"

@@ -29,7 +29,7 @@ from synth3dlanes.distributions import (
     reals,
 )
 from synth3dlanes.errors import InputError
-from synth3dlanes.schema import shown, unknown_key
+from synth3dlanes.schema import did_you_mean, shown, unknown_key
 from synth3dlanes.settings import JPEG_QUALITY
 from synth3dlanes.weather import DAYTIMES, KINDS, replaced
 from synth3dlanes.yaml_text import read_yaml, text_of
@@ -428,7 +428,7 @@ def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
     if Path(source).suffix in (".yaml", ".yml"):
         return Path(source), source
     other = next((other for other in OPTION_OF if other != kind and source in preset_names(other)), None)
-    hint = "" if other is None else f"; {source} is for {OPTION_OF[other]}"
+    hint = did_you_mean(source, preset_names(kind)) if other is None else f"; {source} is for {OPTION_OF[other]}"
     raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file{hint}")
 
 

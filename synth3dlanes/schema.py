@@ -2,6 +2,7 @@
 
 import codecs
 import difflib
+import re
 import reprlib
 from collections.abc import Iterable
 from pathlib import PurePosixPath
@@ -170,8 +171,20 @@ def shown(value: Any) -> str:
 
 def unknown_key(key: str, known: Iterable[str]) -> str:
     """What is wrong with a key, with the known one that it is close to."""
-    close = difflib.get_close_matches(key, list(known), n=1)
-    return "unknown key" + (f"; did you mean {close[0]}?" if close else "")
+    return f"unknown key{did_you_mean(key, known)}"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """A question for the known word that is close to one, has it as initials (`lr`), or has the same letters and
+    digits (`hdl64e`); "" where there is none."""
+    known, plain = list(known), _plain(word)
+    same = [name for name in known if plain in (_plain(name), "".join(part[:1] for part in name.split("_")))]
+    close = same or difflib.get_close_matches(word, known, n=1)
+    return f"; did you mean {close[0]}?" if close and plain else ""
+
+
+def _plain(word: str) -> str:
+    return re.sub(r"[\W_]", "", word.lower())
 
 
 def is_empty(value: tuple[object, ...]) -> bool:

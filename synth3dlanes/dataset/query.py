@@ -2,7 +2,6 @@
 code of the query is executed."""
 
 import ast
-import difflib
 import io
 import operator
 import tokenize
@@ -15,6 +14,7 @@ import pyarrow.compute as pc
 from jaxtyping import Int
 
 from synth3dlanes.errors import InputError
+from synth3dlanes.schema import did_you_mean
 
 ValueKind = Literal["a truth value", "a number", "text"]
 COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
@@ -99,8 +99,7 @@ def _column(name: str, index: pa.Table, where: str) -> _Term:
     if name in WORDS:
         return _Term("a truth value", pc.scalar(WORDS[name]))
     if name not in index.column_names:
-        close = difflib.get_close_matches(name, index.column_names, n=1)
-        raise _problem(where, f"unknown column {name}" + (f"; did you mean {close[0]}?" if close else ""))
+        raise _problem(where, f"unknown column {name}{did_you_mean(name, index.column_names)}")
     kind = index.schema.field(name).type
     if pa.types.is_boolean(kind):
         return _Term("a truth value", pc.field(name))

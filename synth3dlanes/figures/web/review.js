@@ -103,7 +103,7 @@ addEventListener("keydown", (event) => {
   event.preventDefault();
   KEYS[event.key]();
 });
-for (const [id, does] of Object.entries({ before: () => go(-1), next: () => go(1), accept: KEYS.a, reject: KEYS.r, clear: KEYS.c, save })) document.getElementById(id).addEventListener("click", does);
+for (const [id, does] of Object.entries({ previous: () => go(-1), next: () => go(1), accept: KEYS.a, reject: KEYS.r, clear: KEYS.c, save })) document.getElementById(id).addEventListener("click", does);
 document.getElementById("file").addEventListener("change", (event) => { load(event.target.files[0]); event.target.value = ""; });
 addEventListener("beforeunload", (event) => { if (!isSaved) event.preventDefault(); });
 if (data.before) take(data.before); else show();
