@@ -67,11 +67,12 @@ def test_what_is_no_count_is_refused(text: str) -> None:
         Count(1).convert(text, None, None)
 
 
+@pytest.mark.parametrize(("quiet", "lines"), [(False, ["1/2", "2/2"]), (True, [])])
 def test_the_last_line_of_progress_comes_once(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    quiet: bool, lines: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("synth3dlanes_cli.generate.LINE_EVERY_S", -1.0)
-    with progress() as notify:
+    with progress(quiet=quiet) as notify:
         notify(Event("sample", "", 1, 2, 0, 1.0, None, None, {}))
         notify(Event("sample", "", 2, 2, 0, 1.0, None, None, {}))
         notify(Event("end", "", 2, 2, 0, 1.0, None, None, {}))
