@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.ground_truth import label
 from synth3dlanes.maps.given_map import read_map
 from synth3dlanes.params import load_params
 from synth3dlanes.sample import Scenes, sample_world
@@ -51,7 +51,8 @@ def drawn(path: Path, index: int) -> Drawn:
     given = read_map(path)
     start = time.process_time()
     world = sample_world(Scenes(load_params(PRESET), 1, "train", map=MapPlace(given)), index)
-    labels, site, view = ground_truth(world.scene), world.site, world.view
+    site, view = world.site, world.view
+    labels = label(world, view)
     _ = site.pavement, site.terrain, site.structures, world.paint(view), world.symbols(view), world.grass(view)
     seconds = time.process_time() - start
     return Drawn(apart(world, labels, given, read(path.read_bytes())), seconds)
