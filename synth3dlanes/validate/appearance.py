@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
 
-from synth3dlanes.arrays import Scalars
 from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.instance_ids import numbers_of
 from synth3dlanes.settings import SEMANTIC_IDS
@@ -176,7 +175,7 @@ def _may_glare(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarr
     return np.asarray((rays * [1, 1, -1]) @ sun_direction(evidence.scene.light) > np.cos(GLARE_RAD))
 
 
-def brighter(paint: Scalars, beside: Scalars, contrast: float) -> float:
+def brighter(paint: Float[np.ndarray, " n"], beside: Float[np.ndarray, " m"], contrast: float) -> float:
     """How many times brighter paint is than the pavement beside it; infinite in glare, which whitens both, and where
     the edge of a shadow may run along the line: paint that is `contrast` times as bright in equal light may be as dark
     there as the road."""

@@ -28,6 +28,6 @@ def test_a_road_glares_towards_a_sun_ahead_alone(zenith_rad: float, azimuth_rad:
 def test_paint_is_told_from_the_road_by_how_much_brighter_it_is() -> None:
     road, contrast = np.full(100, 0.2), 3.0
     assert brighter(contrast * road, road, contrast) == pytest.approx(contrast)
-    assert brighter(road, road, contrast) < BRIGHTER
+    assert brighter(road[:70], road, contrast) < BRIGHTER
     assert np.isinf(brighter(road, np.full(100, 0.9), contrast)), "in glare"
     assert np.isinf(brighter(road, np.repeat([0.05, 0.2], 50), contrast)), "in the edge of a shadow"
