@@ -103,14 +103,22 @@ class MapShape(DocumentPart):
     d: Number = 0.0
 
 
+class MapSpan(DocumentPart):
+    """A part of a road, from one of its stations to another."""
+
+    from_m: Station
+    to_m: Station
+
+
 def _is_empty(value: tuple[object, ...]) -> bool:
     return not value
 
 
 class MapRoad(DocumentPart):
     """A road. Without `heights` it lies on the terrain; with them its reference line has these world heights. `banks`
-    are angles, positive where the right side is lower. `junction` is the junction that it connects roads in. Of a road
-    of a given map this is the part from station `given_from_m` on, with the sections from number `given_section` on."""
+    are angles, positive where the right side is lower. On `bridges` it leaves the ground below it, in `tunnels` the
+    ground goes on above it. `junction` is the junction that it connects roads in. Of a road of a given map this is the
+    part from station `given_from_m` on, with the sections from number `given_section` on."""
 
     id: Name
     plan: Annotated[tuple[PlanPiece, ...], Field(min_length=1, max_length=10_000)]
@@ -119,6 +127,8 @@ class MapRoad(DocumentPart):
     heights: tuple[Polynomial, ...] = ()
     banks: tuple[Polynomial, ...] = ()
     shapes: Annotated[tuple[MapShape, ...], Field(max_length=100_000, exclude_if=_is_empty)] = ()
+    bridges: Annotated[tuple[MapSpan, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
+    tunnels: Annotated[tuple[MapSpan, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
     junction: Name | None = None
     keeps_left: bool = False
     given_from_m: Station = 0.0

@@ -10,7 +10,7 @@ from synth3dlanes.traffic_elements import MAX_FREE, MAX_LANES, LaneSignal, Traff
 RoadSide = Literal["left", "right", "median"]
 RailKind = Literal["guardrail", "concrete", "noise_wall", "kerb", "walkway", "power_line"]
 PostKind = Literal["lamp", "sign", "delineator"]
-N_SIGN_FACES, MAX_BUILDINGS = 16, 200
+N_SIGN_FACES, MAX_BUILDINGS, MAX_RAILS = 16, 200, 100
 
 
 class Rail(DocumentPart):
@@ -71,9 +71,10 @@ class Building(DocumentPart):
 
 class Roadside(DocumentPart):
     """What stands beside and over the road. In the instance pass, structures are numbered in this order: rails, posts,
-    crossings, buildings, poles of signals and of signs, then the heads of signals and the signs that these hold."""
+    crossings, buildings, poles of signals and of signs, decks and tunnels of a map, then the heads of signals and the
+    signs that these hold."""
 
-    rails: Annotated[tuple[Rail, ...], Field(max_length=100)] = ()
+    rails: Annotated[tuple[Rail, ...], Field(max_length=MAX_RAILS)] = ()
     posts: Annotated[tuple[Post, ...], Field(max_length=1000)] = ()
     crossings: Annotated[tuple[Crossing, ...], Field(max_length=20)] = ()
     buildings: Annotated[tuple[Building, ...], Field(max_length=MAX_BUILDINGS)] = ()

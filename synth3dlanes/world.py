@@ -14,6 +14,7 @@ from synth3dlanes.frames import road_from_cam, turned
 from synth3dlanes.geometry import map_meshes, meshes, roadside
 from synth3dlanes.geometry.bonnet import cam_from_bonnet
 from synth3dlanes.geometry.camera import img_from_cam, project, world_from_host
+from synth3dlanes.geometry.decks import span_bodies
 from synth3dlanes.geometry.elements import TrafficElement, traffic_elements
 from synth3dlanes.geometry.grass import Blades, blades
 from synth3dlanes.geometry.ground import Ground
@@ -159,7 +160,13 @@ class Site:
     @cached_property
     def structures(self) -> list[Body]:
         """What stands beside and over the road, in the order of instance ids; traffic elements come last."""
-        return [*roadside.bodies(self.ground, self.roadside), *(element.body for element in self.elements)]
+        own = (*roadside.bodies(self.ground, self.roadside), *self.spans)
+        return [*own, *(element.body for element in self.elements)]
+
+    @property
+    def spans(self) -> list[Body]:
+        """The decks and tunnels of its roads."""
+        return []
 
     @cached_property
     def elements(self) -> list[TrafficElement]:
@@ -199,6 +206,11 @@ class MapSite(Site):
     def pavement(self) -> list[meshes.Mesh]:
         """All roads, junctions and islands."""
         return map_meshes.pavement_meshes(self.ground)
+
+    @cached_property
+    def spans(self) -> list[Body]:
+        """The decks and tunnels of its roads."""
+        return span_bodies(self.ground)
 
     @cached_property
     def verges(self) -> list[meshes.Mesh]:

@@ -25,7 +25,7 @@ def frames_beside(ground: Ground, road: str, side: RoadSide, s: Scalars, aside_m
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     out = out - middle
     outward = np.sign(out[:, 0] * forward[:, 1] - out[:, 1] * forward[:, 0])
-    origins = np.column_stack([middle, ground.height(middle)])
+    origins = np.column_stack([middle, ground.height_along(road, middle)])
     return [GroundFrame(*place) for place in zip(origins, forward, outward.tolist(), strict=True)]
 
 

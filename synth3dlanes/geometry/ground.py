@@ -289,6 +289,10 @@ class Ground:
         """Height of the ground as built at points, of several surfaces that nearest to each."""
         return self.height(points_world[:, :2])
 
+    def height_along(self, road: str, xy_world: Points2) -> Scalars:
+        """Height of the ground as built at places beside a road, of several surfaces that of the road."""
+        return self.height(xy_world)
+
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
         flat = xy_world.reshape(-1, 2)

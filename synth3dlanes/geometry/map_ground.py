@@ -35,7 +35,7 @@ from synth3dlanes.geometry.areas import (
 from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, FINE_M, Ground
 from synth3dlanes.geometry.lane_curves import LaneCurve
 from synth3dlanes.geometry.map_network import AS_FAR, Junction, MapNetwork
-from synth3dlanes.geometry.passages import DECK_M, Passage, passages
+from synth3dlanes.geometry.passages import BERM_M, CEILING_M, COVER_M, DECK_M, VALLEY_M, WALL_M, Span, spans
 from synth3dlanes.geometry.roads import Road
 from synth3dlanes.geometry.section_road import KERB_M, RAISED, SectionRoad
 from synth3dlanes.geometry.terrain import height_at
@@ -58,16 +58,77 @@ PAINT_M, PAINT_STEP_M = 250.0, 20.0
 EMBANKMENT_M = 40.0
 # The edges of a road's pavement.
 EDGES = attrgetter("left"), attrgetter("right")
-# Level ground beside it: wider than a cell of the terrain, so that no cut covers the edge of the pavement.
-BERM_M = 1.5
+# The ground is so much lower than the lower side of a deck above it. A tunnel covers places so near to it.
+BELOW_DECK_M, COVERED_M = 0.3, 0.5
+# What is no farther from pavement is on it.
+EDGE_M = 1e-4
+# Junctions are cut so far beside their decks.
+OFF_M = 0.3
 
 
 class GroundArea(NamedTuple):
-    """A part of the ground from above, raised over its pavement; `kind` is what it shows."""
+    """A part of the ground from above, raised over its pavement; `kind` is what it shows. That of a junction names
+    it."""
 
     polygon: BaseGeometry
     raised_m: float
     kind: str
+    junction: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounds:
+    """Heights over the terrain between which the ground may be at places: at least `low`, at most `high`, by the roads
+    that are so far away, `deck` below decks; of pavement, and of what covers a tunnel."""
+
+    low: Scalars
+    high: Scalars
+    low_away_m: Scalars
+    high_away_m: Scalars
+    deck: Scalars
+    paved: Scalars
+    cover: Scalars
+
+    @classmethod
+    def of(cls, n: int) -> "_Bounds":
+        """Those of n places that nothing bounds."""
+        none, lowest = np.full(n, np.inf), np.full(n, -np.inf)
+        return cls(lowest.copy(), none.copy(), none.copy(), none.copy(), none.copy(), lowest.copy(), lowest.copy())
+
+    def beside(self, at: Int[np.ndarray, " m"], away_m: Scalars, raised_m: Scalars) -> None:
+        """Places at a distance from pavement of this height."""
+        is_on, fall_m = away_m < EDGE_M, np.maximum(away_m - BERM_M, 0.0) / EMBANKMENT_SLOPE
+        self.paved[at[is_on]] = np.maximum(self.paved[at[is_on]], raised_m[is_on])
+        self._at_least(at[~is_on], (raised_m - fall_m)[~is_on], away_m[~is_on])
+        higher = (raised_m + fall_m < self.high[at]) & ~is_on
+        self.high[at[higher]], self.high_away_m[at[higher]] = (raised_m + fall_m)[higher], away_m[higher]
+
+    def covers(self, at: Int[np.ndarray, " m"], away_m: Scalars, top_m: Scalars) -> None:
+        """Places at a distance from a tunnel with this height of the ground over it."""
+        self._at_least(at, top_m - np.maximum(away_m - BERM_M, 0.0) / EMBANKMENT_SLOPE, away_m)
+        is_over = away_m < COVERED_M
+        self.cover[at[is_over]] = np.maximum(self.cover[at[is_over]], top_m[is_over])
+
+    def _at_least(self, at: Int[np.ndarray, " m"], low_m: Scalars, away_m: Scalars) -> None:
+        higher = low_m > self.low[at]
+        self.low[at[higher]], self.low_away_m[at[higher]] = low_m[higher], away_m[higher]
+
+    def below(self, at: Int[np.ndarray, " m"], most_m: Scalars) -> None:
+        """Places below and beside a deck."""
+        self.deck[at] = np.minimum(self.deck[at], most_m)
+
+    def ground(self, covered: Bool[np.ndarray, " n"]) -> Scalars:
+        """The heights over the terrain: the terrain where it may be, else the nearest height that may be. Between two
+        roads whose slopes would cross, the ground leads evenly from one to the other."""
+        found = np.clip(0.0, self.low, np.maximum(self.low, self.high))
+        cross = self.low > self.high
+        low_m, high_m = self.low_away_m[cross], self.high_away_m[cross]
+        share = low_m / np.maximum(low_m + high_m, 1e-9)
+        found[cross] = self.low[cross] + share * (self.high[cross] - self.low[cross])
+        found = np.minimum(found, self.deck)
+        found = np.where(covered, np.maximum(found, self.cover), found)
+        is_in_tunnel = covered & (self.paved < self.cover - COVER_M)
+        return np.where(np.isfinite(self.paved) & ~is_in_tunnel, self.paved, found)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -165,8 +226,8 @@ class MapGround(Ground):
         for at in self.network.junctions:
             paved, raised = map(solid, self._junction(at))
             if not paved.is_empty:
-                found.append(GroundArea(paved, 0.0, "road"))
-            found += [GroundArea(part, KERB_M, "walkway") for part in polygons_of(raised)]
+                found.append(GroundArea(paved, 0.0, "road", at.id))
+            found += [GroundArea(part, KERB_M, "walkway", at.id) for part in polygons_of(raised)]
         for island in self.islands:
             polygon = solid(ring_area(np.array(island.outline)))
             found += [GroundArea(part, island.height_m, island.surface) for part in polygons_of(polygon)]
@@ -264,66 +325,190 @@ class MapGround(Ground):
         return found
 
     def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Height of the built ground over the analytic terrain at any points (0 away from roads)."""
+        """Height of the built ground over the analytic terrain at any points (0 away from roads): on decks, and over
+        tunnels."""
         flat = xy_world.reshape(-1, 2)
-        above = self._built(flat) if self._has_heights else np.zeros(len(flat))
+        above = self._graded_above(flat)
+        for span in self.decks:
+            at = np.flatnonzero(contains(span.area, flat))
+            above[at] = np.maximum(above[at], span.height(flat[at]) - height_at(self.network.terrain, flat[at]))
         for polygon, raised_m in self._raised:
             above[contains(polygon, flat)] += raised_m
         return above.reshape(xy_world.shape[:-1])
 
-    def _built(self, flat: Points2) -> Scalars:
-        """Height over the terrain of roads with heights of their own, without kerbs, and of what they are laid on:
-        the ground falls or rises from the edges of their pavement until it meets the terrain."""
+    def _graded_above(self, flat: Points2) -> Scalars:
+        """Height over the terrain of the ground below all decks, without kerbs."""
+        if not self._has_heights:
+            return np.zeros(len(flat))
+        covered = np.zeros(len(flat), dtype=bool)
+        for span in self.tunnels:
+            covered |= contains(span.area, flat)
+        return self._built(flat, covered)
+
+    def graded(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Height of the ground below all decks, without kerbs."""
+        flat = xy_world.reshape(-1, 2)
+        z = height_at(self.network.terrain, flat) + self._graded_above(flat)
+        return np.asarray(z.reshape(xy_world.shape[:-1]))
+
+    def _built(self, flat: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
+        """Height over the terrain of roads with heights of their own where they lie on the ground, without kerbs, and
+        of what they are laid on: from the edges of their pavement the ground falls or rises until it meets the terrain.
+        It stays below decks, and goes over tunnels where places are `covered`."""
         above = np.zeros(len(flat))
         near, roads = self.network.nearby(flat, np.full(len(flat), EMBANKMENT_M))
-        n = int(near.sum())
-        low, high, paved = np.full(n, -np.inf), np.full(n, np.inf), np.full(n, -np.inf)
+        z = height_at(self.network.terrain, flat[near])
+        bounds = _Bounds.of(len(z))
         for road, which, s, t in roads:
             own, at = self.network.road(road.id), np.flatnonzero(which)
             if not own.has_heights:
                 continue
-            on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
-            base = own.base_points(on, across)
-            raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
-            away = np.hypot(s - on, t - across)
-            inside, slope = away == 0, np.maximum(away - BERM_M, 0.0) / EMBANKMENT_SLOPE
-            low[at] = np.maximum(low[at], np.where(inside, -np.inf, raised - slope))
-            high[at] = np.minimum(high[at], np.where(inside, np.inf, raised + slope))
-            paved[at[inside]] = np.maximum(paved[at[inside]], raised[inside])
-        above[near] = np.where(np.isfinite(paved), paved, np.minimum(np.maximum(0.0, low), np.maximum(high, low)))
+            on = self._on_ground(own, s)
+            known = np.isfinite(on)
+            if known.any():
+                bounds.beside(at[known], *self._beside(own, s[known], t[known], on[known]))
+            for span in self._spans_of.get(own.id, ()):
+                if span.is_tunnel:
+                    bounds.covers(at, *self._over_tunnel(span, s, t))
+                else:
+                    inside = span.holds(s)
+                    bounds.below(at[inside], self._below_deck(span, s[inside], t[inside]) - z[at[inside]])
+        above[near] = bounds.ground(covered[near])
         return above
 
+    def _on_ground(self, road: SectionRoad, s: Scalars) -> Scalars:
+        """The nearest stations of a road at which it lies on the ground; infinite where it never does."""
+        on = np.clip(s, road.start_m, road.end_m)
+        for span in self._spans_of.get(road.id, ()):
+            inside = span.holds(on) | (on == span.from_m) * (span.from_m == road.start_m)
+            inside |= (on == span.to_m) & (span.to_m == road.end_m)
+            low = span.from_m if span.from_m > road.start_m else -np.inf
+            high = span.to_m if span.to_m < road.end_m else np.inf
+            on[inside] = np.where(s[inside] - low < high - s[inside], low, high)
+        return on
+
+    def _beside(self, road: SectionRoad, s: Scalars, t: Scalars, on: Scalars) -> tuple[Scalars, Scalars]:
+        """How far places are from the pavement of a road at its stations `on`, and how high that is over the terrain
+        there."""
+        across = np.clip(t, road.left(on), road.right(on))
+        base = road.base_points(on, across)
+        return np.hypot(s - on, t - across), base[:, 2] - height_at(self.network.terrain, base[:, :2])
+
+    def _over_tunnel(self, span: Span, s: Scalars, t: Scalars) -> tuple[Scalars, Scalars]:
+        """How far places are from a tunnel, and how high the ground over it is over the terrain there."""
+        road, on = span.road, np.clip(s, span.from_m, span.to_m)
+        left, right = road.left(on), road.right(on)
+        across = np.clip(t, left - WALL_M, right + WALL_M)
+        base = road.base_points(on, np.clip(across, left, right))
+        top = base[:, 2] + CEILING_M + COVER_M
+        return np.hypot(s - on, t - across), top - height_at(self.network.terrain, base[:, :2])
+
+    def _below_deck(self, span: Span, s: Scalars, t: Scalars) -> Scalars:
+        """The greatest height of the ground below and beside a deck."""
+        road = span.road
+        across = np.clip(t, road.left(s), road.right(s))
+        z = road.base_points(s, across)[:, 2] - DECK_M - BELOW_DECK_M
+        if span.is_given:
+            z -= np.clip(np.minimum(s - span.from_m, span.to_m - s) / EMBANKMENT_SLOPE, 0, VALLEY_M)
+        return np.asarray(z + np.abs(t - across) / EMBANKMENT_SLOPE)
+
     def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
-        """Which points lie in the ground as built; below the deck of a bridge there is none."""
+        """Which points lie in the ground as built: below a deck there is none down to the graded ground, and none in a
+        tunnel."""
         found = super().is_in(points_world)
-        for under_m, at in self._under_decks(points_world[:, :2]):
-            z, deck_m = points_world[at, 2], self.height(points_world[at, :2]) - DECK_M
-            found[at] &= (z < under_m) | (z > deck_m)
+        for span, at in self._spans_at(points_world[:, :2]):
+            z, floor_m = points_world[at, 2], span.height(points_world[at, :2])
+            if span.is_tunnel:
+                found[at] &= (z < floor_m) | (z > floor_m + CEILING_M)
+            else:
+                found[at] &= (z < self.graded(points_world[at, :2])) | (z > floor_m - DECK_M)
         return found
 
     def height_near(self, points_world: Points3) -> Scalars:
-        """Height of the ground as built at points, on a bridge or below it."""
+        """Height of the ground as built at points: on a bridge or below it, over a tunnel or in it."""
         found = super().height_near(points_world)
-        for under_m, at in self._under_decks(points_world[:, :2]):
-            is_below = points_world[at, 2] < (under_m + found[at]) / 2
-            found[at] = np.where(is_below, under_m, found[at])
+        for span, at in self._spans_at(points_world[:, :2]):
+            xy, z = points_world[at, :2], points_world[at, 2]
+            other = span.height(xy) if span.is_tunnel else self.graded(xy)
+            found[at] = np.where(np.abs(other - z) < np.abs(found[at] - z), other, found[at])
         return found
 
-    def _under_decks(self, xy_world: Points2) -> Iterator[tuple[Scalars, Int[np.ndarray, " m"]]]:
-        """Heights of each road that passes below another, and at which of some points."""
-        for area, road in self._passages:
-            at = np.flatnonzero(contains(area, xy_world))
+    def height_along(self, road: str, xy_world: Points2) -> Scalars:
+        """Height of the ground as built at places beside a road: on its deck, below that of another, or in its
+        tunnel."""
+        if not self.spans:
+            return self.height(xy_world)
+        own = self.network.road(road)
+        s, t = own.line.project(xy_world)
+        on = np.clip(s, own.start_m, own.end_m)
+        z = own.base_points(on, np.clip(t, own.left(on), own.right(on)))[:, 2]
+        return self.height_near(np.column_stack([xy_world, z]))
+
+    def _spans_at(self, xy_world: Points2) -> Iterator[tuple[Span, Int[np.ndarray, " m"]]]:
+        """The decks and tunnels at places, and at which each is."""
+        for span in self.spans:
+            at = np.flatnonzero(contains(span.area, xy_world))
             if at.size:
-                yield road.base_points(*road.line.project(xy_world[at]))[:, 2], at
+                yield span, at
 
     def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
-        """At which places one road passes over another."""
-        inside = [contains(area, xy_world) for area, _ in self._passages]
-        return np.logical_or.reduce([np.zeros(len(xy_world), dtype=bool), *inside])
+        """At which places there is a road over another, or over or below the ground."""
+        found = np.zeros(len(xy_world), dtype=bool)
+        for _, at in self._spans_at(xy_world):
+            found[at] = True
+        return found
 
     @cached_property
-    def _passages(self) -> list[Passage]:
-        return passages(self.network.roads if self._has_heights else (), self.strip)
+    def spans(self) -> list[Span]:
+        """The decks and tunnels."""
+        return spans(self.network.roads if self._has_heights else (), self.strip)
+
+    @cached_property
+    def decks(self) -> list[Span]:
+        """The decks of bridges."""
+        return [span for span in self.spans if not span.is_tunnel]
+
+    @cached_property
+    def tunnels(self) -> list[Span]:
+        """The tunnels."""
+        return [span for span in self.spans if span.is_tunnel]
+
+    @cached_property
+    def _spans_of(self) -> dict[str, list[Span]]:
+        found: dict[str, list[Span]] = {}
+        for span in self.spans:
+            found.setdefault(span.road.id, []).append(span)
+        return found
+
+    @cached_property
+    def graded_pavement(self) -> BaseGeometry:
+        """The pavement that lies on the ground from above, walkways included: all but that of decks and tunnels."""
+        if not self.spans:
+            return self.pavement
+        parts = [part for road in self.outside for part in self._ground_strips(road)]
+        for area in self.areas:
+            off = [
+                span.area for span in self.spans if area.junction is not None and span.road.junction == area.junction
+            ]
+            parts.append(difference(area.polygon, outset(union(off), OFF_M)) if off else area.polygon)
+        whole = union(parts)
+        shapely.prepare(whole)
+        return whole
+
+    def _ground_strips(self, road: SectionRoad) -> Iterator[BaseGeometry]:
+        """The pavement of a road where it lies on the ground."""
+        if road.id not in self._spans_of:
+            yield self.strip(road)
+            return
+        from_m = road.start_m
+        for to_m, next_m in [*sorted((at.from_m, at.to_m) for at in self._spans_of[road.id]), (road.end_m, road.end_m)]:
+            for stretch in road.stretches:
+                low, high = max(stretch.start_m, from_m), min(stretch.end_m, to_m)
+                rows = self.stretch_rows(stretch)
+                s = np.union1d(rows[(rows > low) & (rows < high)], [low, high])
+                if high > low:
+                    yield polygon_between(stretch.xy(s, stretch.left(s)), stretch.xy(s, stretch.right(s)))
+            from_m = max(next_m, from_m)
 
     @cached_property
     def _has_heights(self) -> bool:
@@ -333,7 +518,7 @@ class MapGround(Ground):
         """Height of an area's surface: on the terrain, or between the heights of its roads there."""
         z = height_at(self.network.terrain, xy_world)
         if self._has_heights:
-            z = z + self._own_raised(xy_world)
+            z = z + self._own_raised(xy_world, junction=area.junction if self.spans else None)
         return np.asarray(z + area.raised_m)
 
     def under(self, xy_world: Points2) -> Scalars:
@@ -341,20 +526,21 @@ class MapGround(Ground):
         z = height_at(self.network.terrain, xy_world)
         return np.asarray(z + self._own_raised(xy_world) if self._has_heights else z)
 
-    def _own_raised(self, xy_world: Points2) -> Scalars:
+    def _own_raised(self, xy_world: Points2, junction: str | None = None, on_ground: bool = False) -> Scalars:
         """Height over the terrain of roads with heights of their own, without kerbs: the mean of those around points,
-        the nearer the heavier."""
+        the nearer the heavier; of those of a junction alone, or of roads where they lie on the ground."""
         near, roads = self.network.nearby(xy_world, np.full(len(xy_world), NEAR_M))
         total, weights = np.zeros((2, len(xy_world)))
         rows = np.flatnonzero(near)
         for road, which, s, t in roads:
             own = self.network.road(road.id)
-            on, across = np.clip(s, own.start_m, own.end_m), np.clip(t, own.left(s), own.right(s))
-            base = own.base_points(on, across)
-            raised = base[:, 2] - height_at(self.network.terrain, base[:, :2])
-            off = np.hypot(np.maximum(np.maximum(own.left(s) - t, t - own.right(s)), 0), s - on)
+            if junction is not None and own.junction != junction:
+                continue
+            on = self._on_ground(own, s) if on_ground else np.clip(s, own.start_m, own.end_m)
+            known = np.isfinite(on)
+            off, raised = self._beside(own, s[known], t[known], on[known])
             weight = 1 / (0.05 + off) ** 2
-            at = rows[which]
+            at = rows[which][known]
             total[at] += weight * raised
             weights[at] += weight
         return total / np.maximum(weights, 1e-12)
@@ -365,11 +551,23 @@ class MapGround(Ground):
         return float(x0), float(y0), float(x1), float(y1)
 
     def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Height of the terrain mesh, which goes on a little under the edges of the pavement."""
+        """Height of the terrain mesh, which goes on below decks, and a little under the edges of other pavement."""
         flat = xy_world.reshape(-1, 2)
-        z, inside = self.height(flat), contains(self.pavement, flat)
-        z[inside] = self.under(flat[inside]) - UNDER_FALL_M * self.cell_scale(flat[inside])
-        return z.reshape(xy_world.shape[:-1])
+        return self._in_bed(flat, self.graded(flat)).reshape(xy_world.shape[:-1])
+
+    def beside_tunnels(self, xy_world: Points2, is_over: bool) -> Scalars:
+        """Height of the terrain mesh at places that are not inside tunnels, or over these, edges included."""
+        if not self.tunnels:
+            return self.terrain_mesh_height(xy_world)
+        z = height_at(self.network.terrain, xy_world) + self._built(xy_world, np.full(len(xy_world), is_over))
+        return np.asarray(z - UNDER_FALL_M) if is_over else self._in_bed(xy_world, z)
+
+    def _in_bed(self, flat: Points2, z: Scalars) -> Scalars:
+        inside = contains(self.graded_pavement, flat)
+        z[inside] = height_at(self.network.terrain, flat[inside]) - UNDER_FALL_M * self.cell_scale(flat[inside])
+        if self._has_heights:
+            z[inside] += self._own_raised(flat[inside], on_ground=True)
+        return z
 
     @cached_property
     def _outlined(self) -> Outlined:
@@ -386,6 +584,10 @@ class MapGround(Ground):
     def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are farther than so much from any pavement."""
         return ~np.asarray(shapely.dwithin(self.pavement, shapely.points(xy_world), room_m))
+
+    def is_off_ground_pavement(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are farther than so much from pavement that lies on the ground, below decks too."""
+        return ~np.asarray(shapely.dwithin(self.graded_pavement, shapely.points(xy_world), room_m))
 
     def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at most so far from a pavement, to half a per cent of that."""

@@ -140,28 +140,41 @@ def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
 
 def terrain_mesh(ground: MapGround) -> Mesh:
     """A grid with fine cells near the host, which grow to the horizon. It is one surface: it goes on below the
-    pavement, a little lower at its edges and deeper inside, so that no gap shows the sky."""
+    pavement, a little lower at its edges and deeper inside, so that no gap shows the sky. Over tunnels it is the ground
+    there, which ends in steps at their edges."""
     xs, ys = terrain_axes(ground)
-    bed = intersection(outset(ground.pavement, -UNDER_M), shapely.box(*ground.way_box(REACH_M - 20.0)))
+    near = shapely.box(*ground.way_box(REACH_M - 20.0))
+    bed = intersection(outset(ground.graded_pavement, -UNDER_M), near)
+    over = difference(intersection(union(span.area for span in ground.tunnels), near), bed)
     shapely.prepare(bed)
-    xs, ys = (_beside(axis, at) for axis, at in zip((xs, ys), shapely.get_coordinates(bed).T, strict=True))
+    corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
+    xs, ys = (_beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
     xy = np.stack(np.meshgrid(xs, ys), -1)
     z, inside = terrain_heights(ground, xy), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
     z[inside] -= PRESS_M * ground.cell_scale(xy[inside])
+    inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
+    z[inside] = ground.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
     whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
-    _, (column, row), parts = _cut(xs, ys, bed)
-    kept = np.delete(whole.faces, row * (len(xs) - 1) + column, axis=0)
-    cells = shapely.box(xs[column], ys[row], xs[column + 1], ys[row + 1])
-    border = _merged(_triangles([*_differences(cells, parts), *parts]))
-    # The corners of cells are those of the grid.
-    at = [np.clip(np.searchsorted(axis, x), 0, len(axis) - 1) for axis, x in zip((xs, ys), border.xy.T, strict=True)]
-    is_corner = (xs[at[0]] == border.xy[:, 0]) & (ys[at[1]] == border.xy[:, 1])
-    number = at[1] * len(xs) + at[0]
-    number[~is_corner] = len(whole.vertices_world) + np.arange((~is_corner).sum())
-    own = border.xy[~is_corner]
-    vertices = np.concatenate([whole.vertices_world, np.column_stack([own, terrain_heights(ground, own)])])
-    faces = np.concatenate([kept, number[border.faces]])
-    return Mesh(vertices, faces, vertices[:, :2].copy(), np.zeros(len(faces), dtype=int))
+    rest: dict[tuple[int, int], BaseGeometry] = {}
+    cuts = [_cut(xs, ys, area) for area in (bed, over)]
+    for cut in cuts:
+        cells = list(zip(*cut.cut.tolist(), strict=True))
+        boxes = [rest[i, j] if (i, j) in rest else shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in cells]
+        rest.update(zip(cells, _differences(np.array(boxes, dtype=object), cut.parts), strict=True))
+    taken = np.array([j * (len(xs) - 1) + i for i, j in rest], dtype=int)
+    vertices, faces = [whole.vertices_world], [np.delete(whole.faces, taken, axis=0)]
+    for parts, is_over in (([*rest.values(), *cuts[0].parts], False), (cuts[1].parts, True)):
+        places, quads = _merged(_triangles(parts))
+        # The corners of cells are those of the grid.
+        at = [np.clip(np.searchsorted(axis, x), 0, len(axis) - 1) for axis, x in zip((xs, ys), places.T, strict=True)]
+        is_corner = (xs[at[0]] == places[:, 0]) & (ys[at[1]] == places[:, 1])
+        number, own = at[1] * len(xs) + at[0], places[~is_corner]
+        number[~is_corner] = sum(map(len, vertices)) + np.arange(len(own))
+        heights = ground.beside_tunnels(own, is_over) + ground.hills.height(own)
+        vertices.append(np.column_stack([own, heights]))
+        faces.append(number[quads])
+    points, quads = np.concatenate(vertices), np.concatenate(faces)
+    return Mesh(points, quads, points[:, :2].copy(), np.zeros(len(quads), dtype=int))
 
 
 def _beside(axis: Scalars, places: Float[np.ndarray, " m"]) -> Scalars:

@@ -105,6 +105,8 @@ class _Reading:
             end_m=line.length_m,
             sections=sections,
             plan=line,
+            bridges=road.bridges,
+            tunnels=road.tunnels,
             junction=road.junction,
         ).with_edges()
 

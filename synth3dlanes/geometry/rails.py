@@ -59,7 +59,7 @@ def _rows(
 def _edge_height(ground: Ground, rail: Rail, s: Scalars) -> Scalars:
     """Height of the pavement beside a rail: what stands near its edge is as high over the road everywhere."""
     inside = rail.aside_m if rail.side == "median" else -0.02
-    return ground.height(beside(ground, rail.road, rail.side, s, inside))
+    return ground.height_along(rail.road, beside(ground, rail.road, rail.side, s, inside))
 
 
 def foot_of_front(ground: Ground, rail: Rail, s: Scalars) -> Float[np.ndarray, "n 3"]:
@@ -69,7 +69,7 @@ def foot_of_front(ground: Ground, rail: Rail, s: Scalars) -> Float[np.ndarray, "
 
 
 def _foot_height(ground: Ground, rail: Rail, s: Scalars, across_m: float) -> Scalars:
-    return ground.height(beside(ground, rail.road, rail.side, s, rail.aside_m + across_m))
+    return ground.height_along(rail.road, beside(ground, rail.road, rail.side, s, rail.aside_m + across_m))
 
 
 def _guardrail(quads: Quads, ground: Ground, rail: Rail, s: Scalars) -> None:

@@ -14,7 +14,7 @@ from synth3dlanes.geometry.map_lines import Chain
 from synth3dlanes.geometry.roads import NetworkLane, Offset, Road, lift
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.maps.cubics import holding
-from synth3dlanes.road_map import MapLane, MapLaneKind, MapRoad, MapShape, Polynomial
+from synth3dlanes.road_map import MapLane, MapLaneKind, MapRoad, MapShape, MapSpan, Polynomial
 
 # Lanes of these kinds are raised over the pavement by so much, but for a seam at edges where they are alone.
 KERB_M, SEAM_M = 0.12, 0.005
@@ -203,6 +203,8 @@ class SectionRoad(Road):
 
     plan: Chain
     sections: tuple[CrossSection, ...]
+    bridges: tuple[MapSpan, ...] = ()
+    tunnels: tuple[MapSpan, ...] = ()
     junction: str | None = None
 
     @property

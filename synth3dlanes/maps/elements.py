@@ -15,6 +15,7 @@ from synth3dlanes.maps.furniture import driving_at, is_facing, is_paint, object_
 from synth3dlanes.maps.links import ascends
 from synth3dlanes.maps.plan import places, plan_points
 from synth3dlanes.road_map import LaneName, MapRoad
+from synth3dlanes.schema import Name
 from synth3dlanes.traffic_elements import MAX_LANES, LensForm, Phase, SignKind, TrafficSign, TrafficSignal
 
 # A light with three lenses; one whose lenses are arrows, by its subtype (ASAM's catalogue of signals).
@@ -50,6 +51,9 @@ HEAD_M, OVERHEAD_M, SIGN_M, FREE_M = 2.3, 5.2, 2.1, 4.5
 # Some files have turns against the road in degrees: larger ones than this are left out.
 MOST_TURN = 2 * math.pi
 TREES, BUILDINGS, NO_TYPES = ("tree", "vegetation"), ("building",), ("", "-1", "none")
+# Barriers are rails where they are this long at least, as narrow, and as parallel to the road; their heights.
+BARRIERS, SOLID_WORDS = ("barrier", "guardrail", "railing"), ("concrete", "jersey", "wall")
+LEAST_RAIL_M, MOST_RAIL_M, MOST_ASLANT_M, RAIL_HEIGHTS_M = 4.0, 1.5, 0.5, (0.6, 1.2)
 LEAST_BUILDING_M, MOST_BUILDING_M, LEAST_HEIGHT_M, MOST_HEIGHT_M = 1.0, 300.0, 0.5, 200.0
 
 
@@ -70,6 +74,17 @@ class GivenBody(NamedTuple):
     y_m: float
     heading_rad: float
     size_m: tuple[float, float, float]
+
+
+class GivenRail(NamedTuple):
+    """A barrier of a file along a road between two stations: the t of its middle, and its height."""
+
+    kind: Literal["guardrail", "concrete"]
+    road: Name
+    from_m: float
+    to_m: float
+    t_m: float
+    height_m: float
 
 
 class GovernedLane(NamedTuple):
@@ -130,6 +145,33 @@ def _speed_of_object(item: Element) -> SignKind | None:
     return SPEEDS.get(int(told[1])) if told else None
 
 
+def read_rails(at: FileRoad) -> Iterator[GivenRail]:
+    """The barriers of a road that lead along it."""
+    for item in at.objects:
+        # Counted by `read_bodies`.
+        with passing_over(item, Counter()):
+            yield from _rails(item, at)
+
+
+def _rails(item: Element, at: FileRoad) -> Iterator[GivenRail]:
+    """An object of type barrier, guardRail or railing: along its repeats, or as long as it is."""
+    words = f"{item.get('type', '')} {item.get('subtype', '')} {item.get('name', '')}".lower()
+    if item.get("type", "").lower() not in BARRIERS:
+        return
+    kind: Literal["guardrail", "concrete"] = "concrete" if any(word in words for word in SOLID_WORDS) else "guardrail"
+    repeats = item.findall("repeat")
+    for place in repeats or [item]:
+        s, length_m = number(place, "s", at.where, 0.0), number(place, "length", at.where, 0.0)
+        t = [number(place, key, at.where, number(item, "t", at.where, 0.0)) for key in ("tStart", "tEnd")]
+        width_m = max(number(place, key, at.where, 0.0) for key in ("width", "widthStart", "widthEnd"))
+        height_m = max(number(one, key, at.where, 0.0) for one in (item, place) for key in ("height", "heightStart"))
+        from_m, to_m = max(s, 0.0), min(s + length_m, at.road.length_m)
+        is_along = abs(t[1] - t[0]) <= MOST_ASLANT_M and width_m <= MOST_RAIL_M
+        if is_along and to_m - from_m >= LEAST_RAIL_M:
+            height_m = min(max(height_m, RAIL_HEIGHTS_M[0]), RAIL_HEIGHTS_M[1])
+            yield GivenRail(kind, at.road.id, from_m, to_m, (t[0] + t[1]) / 2, height_m)
+
+
 def read_bodies(at: FileRoad, left_out: Counter[str]) -> Iterator[GivenBody]:
     """The buildings and trees of a road; `left_out` counts the other objects that are no signs."""
     for item in at.objects:
@@ -140,7 +182,7 @@ def read_bodies(at: FileRoad, left_out: Counter[str]) -> Iterator[GivenBody]:
                 yield GivenBody("tree", x, y, heading, (0.0, 0.0, height_m))
             elif (building := _building(item, at, height_m)) is not None:
                 yield building
-            elif _speed_of_object(item) is None:
+            elif _speed_of_object(item) is None and next(_rails(item, at), None) is None:
                 left_out[f"objects of type {kind if kind not in NO_TYPES else item.get('name', kind)}"] += 1
 
 

@@ -90,8 +90,6 @@ def read_furniture(element: Element, road: MapRoad, where: str, left_out: Counte
                 paint += [MapPaint(kind=arrow, lane=lane, s_m=s) for lane, s in _beneath(signal, road, where)]
             else:
                 paint += _lines("stop_line" if kind == STOP_SIGNAL else "give_way_line", signal, road, where)
-    for tag in ("objects/tunnel", "objects/bridge"):
-        left_out[f"{tag.partition('/')[2]}s"] += len(element.findall(tag))
     return Furniture(tuple(paint), tuple(islands), tuple(others))
 
 

@@ -20,8 +20,16 @@ from synth3dlanes.arrays import Points2, Scalars
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.maps.cubics import SAME_M, is_zero, part, read_cubics, steepened, times, value, values
-from synth3dlanes.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml
-from synth3dlanes.maps.elements import FileRoad, GivenBody, GivenElement, read_bodies, read_elements
+from synth3dlanes.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml, passing_over
+from synth3dlanes.maps.elements import (
+    FileRoad,
+    GivenBody,
+    GivenElement,
+    GivenRail,
+    read_bodies,
+    read_elements,
+    read_rails,
+)
 from synth3dlanes.maps.furniture import drop_beyond, edges_at, read_furniture
 from synth3dlanes.maps.jumps import divided
 from synth3dlanes.maps.lanes import Section, read_sections
@@ -36,6 +44,7 @@ from synth3dlanes.road_map import (
     MapRoad,
     MapSection,
     MapShape,
+    MapSpan,
     Polynomial,
 )
 from synth3dlanes.schema import MAX_NUMBER, Name, shown, validation_problems
@@ -52,6 +61,8 @@ MOST_TOLD = 5
 FAR_ENOUGH_M = 600.0
 # Lanes that follow each other are at most so far apart.
 LINK_GAP_M = 5.0
+# Shorter bridges and tunnels are left out.
+LEAST_SPAN_M = 1.0
 # No lane lies farther beside its reference line, no road is higher or more banked; looked at in steps.
 MAX_ASIDE_M, MAX_HEIGHT_M, MAX_BANK_RAD, CHECK_STEP_M = 1000.0, 1e5, 1.3, 50.0
 
@@ -99,6 +110,7 @@ class GivenMap:
     islands: tuple[MapIsland, ...]
     elements: tuple[GivenElement, ...]
     bodies: tuple[GivenBody, ...]
+    rails: tuple[GivenRail, ...]
     left_out: dict[str, int] = field(default_factory=dict)
     broken: tuple[str, ...] = ()
 
@@ -268,14 +280,14 @@ def _read(root: Element, digest: str, packed: bytes, source: str, where: str) ->
         for at in root.iterfind("controller")
         for control in at.iter("control")
     }
-    standing = (
-        read_elements(in_file, controllers, left_out),
-        tuple(body for of in in_file for body in read_bodies(of, left_out)),
-    )
+    signs = read_elements(in_file, controllers, left_out)
+    bodies = tuple(body for of in in_file for body in read_bodies(of, left_out))
+    rails = tuple(rail for of in in_file for rail in read_rails(of))
     for tag in ("junctionGroup", "station"):
         left_out[f"{tag}s"] += len(root.findall(tag))
     counts = {what: n for what, n in left_out.items() if n}
     lying = tuple(paint), tuple(islands)
+    standing = signs, bodies, rails
     read = origin, names, roads, links, junctions, *lying, *standing
     return GivenMap(source, digest, packed, *read, counts, tuple(broken))
 
@@ -317,8 +329,11 @@ def _names(ids: Sequence[str]) -> dict[str, Name]:
 
 
 def _with_heights(roads: dict[Name, MapRoad]) -> dict[Name, MapRoad]:
-    """The roads, all with heights if any has a height, a bank or a shape, else all without."""
-    if all(is_zero(road.heights) and is_zero(road.banks) and not road.shapes for road in roads.values()):
+    """The roads, all with heights if any has a height, a bank, a shape, a bridge or a tunnel, else all without."""
+    if all(
+        is_zero(road.heights) and is_zero(road.banks) and not (road.shapes or road.bridges or road.tunnels)
+        for road in roads.values()
+    ):
         return {name: road.model_copy(update={"heights": (), "banks": ()}) for name, road in roads.items()}
     level = {"heights": (Polynomial(s_m=0.0, a=0.0),)}
     return {name: road if road.heights else road.model_copy(update=level) for name, road in roads.items()}
@@ -354,6 +369,8 @@ def _road(
         heights=heights,
         banks=banks,
         shapes=shapes,
+        bridges=_spans(element, "bridge", length_m, where, left_out),
+        tunnels=_spans(element, "tunnel", length_m, where, left_out),
         keeps_left=keeps_left,
     )
     _check_sizes(road, where)
@@ -420,6 +437,18 @@ def _end_of(name: LaneName, leaves: bool, roads: dict[Name, MapRoad]) -> tuple[f
 def _shape(element: Element, where: str) -> MapShape:
     s, t, a, b, c, d = (number(element, key, where, 0.0) for key in ("s", "t", "a", "b", "c", "d"))
     return MapShape(s_m=s, t_m=t, a=a, b=b, c=c, d=d)
+
+
+def _spans(element: Element, tag: str, length_m: float, where: str, left_out: Counter[str]) -> tuple[MapSpan, ...]:
+    """The bridges or tunnels of a road, as far as they are on it."""
+    found = []
+    for item in element.iterfind(f"objects/{tag}"):
+        with passing_over(item, left_out):
+            s, span_m = number(item, "s", where, 0.0), number(item, "length", where, 0.0)
+            from_m, to_m = max(s, 0.0), min(s + span_m, length_m)
+            if to_m - from_m >= LEAST_SPAN_M:
+                found.append(MapSpan(from_m=from_m, to_m=to_m))
+    return tuple(found)
 
 
 def _from_above(road: MapRoad) -> MapRoad:

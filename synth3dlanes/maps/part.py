@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from synth3dlanes.errors import InputError
 from synth3dlanes.maps.cubics import SAME_M, part, rounded, value
-from synth3dlanes.maps.elements import GivenBody, GivenElement
+from synth3dlanes.maps.elements import LEAST_RAIL_M, GivenBody, GivenElement, GivenRail
 from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.maps.lanes import lane_between
 from synth3dlanes.maps.places import MapStation, draw_route
@@ -24,6 +24,7 @@ from synth3dlanes.road_map import (
     MapRoad,
     MapSection,
     MapShape,
+    MapSpan,
     PlanPiece,
     RoadMap,
 )
@@ -54,6 +55,7 @@ class MapPart(NamedTuple):
     s_m: float
     elements: tuple[GivenElement, ...] = ()
     bodies: tuple[GivenBody, ...] = ()
+    rails: tuple[GivenRail, ...] = ()
 
 
 def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
@@ -108,7 +110,8 @@ def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> M
     standing = tuple(filter(None, (frame.element(item, names) for item in given.elements)))
     bodies = tuple(body for body in map(frame.body, given.bodies) if _is_near([(body.x_m, body.y_m)]))
     s_m = round(at.s_m - cuts[lane.road.id].from_m, DECIMALS)
-    return MapPart(RoadMap.model_validate(found), number - first, s_m, standing, bodies)
+    rails = tuple(filter(None, (_rail(item, cuts) for item in given.rails)))
+    return MapPart(RoadMap.model_validate(found), number - first, s_m, standing, bodies, rails)
 
 
 def _renamed(
@@ -129,6 +132,15 @@ def _painted(
         return None
     s_m = round(item.s_m - cuts[item.lane.rsplit(".", 2)[0]].from_m, DECIMALS)
     return item.model_copy(update={"lane": names[item.lane], "s_m": s_m})
+
+
+def _rail(item: GivenRail, cuts: Mapping[str, _Cut]) -> GivenRail | None:
+    """A barrier by the stations of what is kept of its road."""
+    cut = cuts.get(item.road)
+    if cut is None:
+        return None
+    from_m, to_m = max(item.from_m, cut.from_m) - cut.from_m, min(item.to_m, cut.to_m) - cut.from_m
+    return item._replace(from_m=from_m, to_m=to_m) if to_m - from_m >= LEAST_RAIL_M else None
 
 
 def _cut(given: GivenMap, road: MapRoad, host: tuple[float, float]) -> _Cut:
@@ -166,6 +178,8 @@ def _shortened(road: MapRoad, cut: _Cut) -> MapRoad:
             "heights": part(road.heights, cut.from_m, cut.to_m),
             "banks": part(road.banks, cut.from_m, cut.to_m),
             "shapes": _shapes(road.shapes, cut),
+            "bridges": _spans(road.bridges, cut),
+            "tunnels": _spans(road.tunnels, cut),
             "given_from_m": round(cut.from_m, DECIMALS),
             "given_section": cut.sections_before,
         }
@@ -179,6 +193,13 @@ def _shapes(shapes: Sequence[MapShape], cut: _Cut) -> tuple[MapShape, ...]:
     high = min((s for s in stations if s >= cut.to_m), default=cut.to_m)
     kept = (shape for shape in shapes if low <= shape.s_m <= high)
     return tuple(shape.model_copy(update={"s_m": shape.s_m - cut.from_m}) for shape in kept)
+
+
+def _spans(spans: Sequence[MapSpan], cut: _Cut) -> tuple[MapSpan, ...]:
+    """The bridges or tunnels on a part, by its stations."""
+    ends = [(max(at.from_m, cut.from_m), min(at.to_m, cut.to_m)) for at in spans]
+    by_m = cut.from_m
+    return tuple(MapSpan(from_m=low - by_m, to_m=high - by_m) for low, high in ends if high > low + SAME_M)
 
 
 def _begun(section: MapSection, from_m: float) -> MapSection:

@@ -8,9 +8,9 @@ from typing import TypeVar
 import numpy as np
 
 from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.maps.elements import OVERHEAD_M, GivenBody, GivenElement
+from synth3dlanes.maps.elements import OVERHEAD_M, GivenBody, GivenElement, GivenRail
 from synth3dlanes.maps.part import MapPart
-from synth3dlanes.roadside import MAX_BUILDINGS, Building, Roadside
+from synth3dlanes.roadside import MAX_BUILDINGS, MAX_RAILS, Building, Rail, Roadside
 from synth3dlanes.sampling.draws import DECIMALS, Draw
 from synth3dlanes.sampling.roadside import FRONTS, ROOFS, floor_plan, shaded
 from synth3dlanes.scene import Tree
@@ -26,6 +26,8 @@ HIGH_M = {TrafficSignal: 1.24, TrafficSign: 1.1}
 # What lights show: of the group that has its turn, and of the others.
 GO: tuple[tuple[SignalState, float], ...] = (("green", 0.85), ("amber", 0.15))
 WAIT: tuple[tuple[SignalState, float], ...] = (("red", 0.94), ("red_amber", 0.06))
+# Linear red, green and blue of barriers.
+RAIL_COLORS = {"guardrail": (0.36, 0.37, 0.38), "concrete": (0.4, 0.39, 0.37)}
 # Walls and trunks keep this far from pavements.
 WALL_M, TRUNK_M = 0.3, 0.6
 
@@ -45,8 +47,17 @@ def stand(part: MapPart, world: World, draw: Draw) -> Roadside:
     buildings = [_building(body, rng) for body in part.bodies if body.kind == "building"]
     clear = [at for at in buildings if world.ground.is_clear(floor_plan(at), WALL_M).all()]
     return Roadside(
-        signals=_nearest(signals, MAX_FREE), signs=_nearest(signs, MAX_FREE), buildings=_nearest(clear, MAX_BUILDINGS)
+        rails=tuple(map(_rail, part.rails[:MAX_RAILS])),
+        signals=_nearest(signals, MAX_FREE),
+        signs=_nearest(signs, MAX_FREE),
+        buildings=_nearest(clear, MAX_BUILDINGS),
     )
+
+
+def _rail(item: GivenRail) -> Rail:
+    ends = {key: round(value, DECIMALS) for key, value in (("from_m", item.from_m), ("to_m", item.to_m))}
+    form = {"kind": item.kind, "road": item.road, "side": "median", "color": RAIL_COLORS[item.kind]}
+    return Rail.model_validate(form | ends | {"aside_m": round(-item.t_m, DECIMALS), "height_m": item.height_m})
 
 
 T = TypeVar("T", TrafficSignal, TrafficSign, Building)

@@ -39,12 +39,13 @@ def terrain_of(roads: RoadMap, hills: Terrain) -> Terrain:
 
 
 def road_points(road: MapRoad) -> Points3:
-    """Places of a road's surface: on its line and at both edges of its pavement."""
+    """Places of a road's surface outside tunnels: on its line and at both edges of its pavement."""
     line, found = plan_line(road.plan), []
     for i in range(len(road.sections)):
         section = CrossSection.of(road, i)
         length_m = max(section.end_m - section.start_m, 0.0)
         s = np.linspace(section.start_m, section.end_m, 2 + int(length_m / ALONG_M))
+        s = s[~np.any([(s > at.from_m) & (s < at.to_m) for at in road.tunnels] or [s < 0], axis=0)]
         edges, own = section.edges(s), line.within(section.start_m, section.end_m)
         for t in (edges[0], 0 * s, edges[-1]):
             found.append(np.column_stack([own.xy(s, t), section.height(s, t)]))

@@ -1,7 +1,7 @@
 """Boxes that objects may fill, in frames of their own, and coarse ones around structures. World frame, metres.
 
 The boxes of structures follow from the scene's numbers, the road plan and the terrain, and not from the bodies that
-are rendered.
+are rendered; those of decks and tunnels alone are around the faces of these.
 """
 
 from typing import NamedTuple
@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.arrays import Points2, Points3
 from synth3dlanes.frames import from_axes, transform
+from synth3dlanes.geometry.solids import Body
 from synth3dlanes.geometry.terrain import height_at
 from synth3dlanes.roadside import Building, Crossing, Post, Rail, RoadSide
 from synth3dlanes.traffic_elements import TrafficSign, TrafficSignal
@@ -36,6 +37,8 @@ FREE_M = 1.3
 LOW_M = 1.2
 # Crossings: reach to both sides, height of gantries and decks with parapets, and slope of dams.
 REACH_M, CROSSING_M, DAM_SLOPE = 160.0, 4.0, 1.5
+# Room around a face of a deck or a tunnel.
+FACE_ROOM_M = 0.15
 # A gable's height over half a house's width, and eaves.
 GABLE, EAVES_M = 0.9, 0.8
 
@@ -88,6 +91,7 @@ def structure_boxes(world: World) -> StructureBoxes:
         *(_crossing(world, crossing) for crossing in roadside.crossings),
         *([_building(world, building)] for building in roadside.buildings),
         *([_free(world, item)] for item in roadside.free_elements if item.has_pole),
+        *(_faces(body) for body in world.site.spans),
         *([_post(world, post)] for post in roadside.posts if post.kind == "sign"),
     ]
     on_gantries = [_crossing(world, crossing)[0] for crossing in roadside.crossings if crossing.kind == "gantry"]
@@ -98,6 +102,12 @@ def structure_boxes(world: World) -> StructureBoxes:
     poses = np.array([pose for pose, _, _ in boxes]).reshape(-1, 4, 4)
     low, high = (np.array([box[i] for box in boxes]).reshape(-1, 3) for i in (1, 2))
     return StructureBoxes(Boxes(poses, low, high), np.repeat(np.arange(len(found)), [len(of_one) for of_one in found]))
+
+
+def _faces(body: Body) -> list["PosedBox"]:
+    """A box round each face of a body."""
+    low, high = body.corners_world.min(axis=1) - FACE_ROOM_M, body.corners_world.max(axis=1) + FACE_ROOM_M
+    return [(np.eye(4), *ends) for ends in zip(low, high, strict=True)]
 
 
 PosedBox = tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, "3"], Float[np.ndarray, "3"]]
