@@ -4,13 +4,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Bool
 
+from synth3dlanes.arrays import Scalars
 from synth3dlanes.lift.curves import STEP_M
 from synth3dlanes.lift.ground import GroundMap
 from synth3dlanes.lift.path import Path
 from synth3dlanes.lift.tracks import Track, on_ground, unplaced
 
-# Delimiters this far apart bound a lane.
+# Delimiters this far apart bound a lane, along at least this length without a gap: where lines meet or part they pass
+# through these widths.
 WIDTHS_M = (2.2, 5.0)
 MIN_LENGTH_M = 10.0
 # How the ids of delimiters begin that pictures show.
@@ -47,7 +50,8 @@ def _between(left: Track, right: Track, tracks: Sequence[Track]) -> Track | None
             _, mine, theirs = np.intersect1d(shared, other.s, return_indices=True)
             inside = (other.d[theirs] > left.d[i][mine]) & (other.d[theirs] < right.d[j][mine])
             is_lane[mine[inside]] = False
-    if is_lane.sum() * STEP_M < MIN_LENGTH_M:
+    is_lane &= _in_long_runs(is_lane, shared)
+    if not is_lane.any():
         return None
     std = np.hypot(left.std_m[i, 0], right.std_m[j, 0]) / 2
     return Track(
@@ -63,3 +67,13 @@ def _between(left: Track, right: Track, tracks: Sequence[Track]) -> Track | None
         left=left.id,
         right=right.id,
     )
+
+
+def _in_long_runs(is_lane: Bool[np.ndarray, " n"], stations: Scalars) -> Bool[np.ndarray, " n"]:
+    """Which stations are in runs without a gap of at least MIN_LENGTH_M."""
+    at = np.flatnonzero(is_lane)
+    runs = np.split(at, np.flatnonzero(np.diff(stations[at]) > 1.5 * STEP_M) + 1)
+    found = np.zeros(len(is_lane), dtype=bool)
+    for run in runs:
+        found[run] = len(run) * STEP_M >= MIN_LENGTH_M
+    return found

@@ -131,7 +131,8 @@ FAULTS = {
         ),
         r"times: 2\.10 s pass after frame 0003, 0\.10 s after most \(1 such gap\)",
     ),
-    "lanes upside down": (other_lanes(lambda u, v: (u, 400 - v)), "100% of their points look over the horizon"),
+    "lanes upside down": (
+        other_lanes(lambda u, v: (u, 400 - v)), "100% of the lowest points of their lines look over the horizon"),
     "lanes of a larger image": (other_lanes(lambda u, v: (2 * u, 2 * v)), "belong to images of another size"),
     "lanes of a camera that looks aside": (
         other_lanes(lambda u, v: (u + 3 * (v - 200) - 270, v)),
@@ -147,6 +148,19 @@ def test_a_planted_fault_is_named(tmp_path, fault):
     findings = drive_findings(open_drive(str(tmp_path)))
     assert [line for line in findings if re.search(message, line)], findings
     assert all(len(line.splitlines()) == 1 and line.startswith("monday: ") for line in findings)
+
+
+def test_lines_on_a_road_that_climbs_ahead_are_no_fault(tmp_path):
+    """More than half of their points are above the horizon of the ground at the host."""
+    made.write_described(tmp_path, made.road(12))
+
+    def climbs(u, v):
+        return u, v if v > 240 else 195 - (240 - v) / 5
+
+    other_lanes(climbs)(tmp_path)
+    rows = [row for frame in open_drive(str(tmp_path)).frames for line in frame.lanes_px for row in line[:, 1]]
+    assert np.mean(np.array(rows) < 200) > 0.5
+    assert not [line for line in drive_findings(open_drive(str(tmp_path))) if "horizon" in line]
 
 
 WRITERS = (made.write_described, made.write_sequence, made.write_raw, made.write_argoverse)
