@@ -26,7 +26,6 @@ ONE_OF_EACH = (
     *("n_lanes edited in the scene", "bonnet missing", "rear half of the sweep three columns on"),
     *("object_visible moved by a point", "height map 3 cm up", "depth 1 cm too long", "barriers and kerbs swapped"),
     *("car_visible_fraction + 0.08", "white lines yellow", "a hole in the ground"),
-    "visible_fraction of signs a third less",
 )
 NEED_SOME = ("world:", "height map one row", "rows of the index")
 NEED_MANY = ("passes 1 px", "depth x", *(world.name for world in WORLDS if world.needs_many))

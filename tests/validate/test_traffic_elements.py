@@ -69,6 +69,13 @@ def test_pixels_alone_tell_a_wrong_place_or_size(sample, fault):
         assert findings_of(judge(sample, PLACES[fault](item))), item.kind
 
 
+def test_pixels_alone_tell_a_wrong_share(sample):
+    for item in sample.labels.traffic_elements:
+        assert findings_of(judge(sample, item)) == []
+        (found,) = findings_of(judge(sample, replace(item, visible_fraction=item.visible_fraction * 2 / 3)))
+        assert "visible_fraction: expected" in found.reason
+
+
 @pytest.mark.parametrize("state", ["green", "amber"])
 def test_lights_alone_tell_a_wrong_state(sample, state):
     for item in (item_of(sample, "traffic_light", state="red"), item_of(sample, "traffic_light", state="green")):
