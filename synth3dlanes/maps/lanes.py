@@ -95,11 +95,14 @@ def read_sections(
         raise FormatError(f"{where}: expected a lane section, got none")
     stations = [0.0, *(number(element, "s", where, 0.0) for element in elements[1:])]
     found: list[Section] = []
-    for element, (s_m, end_m) in zip(elements, pairwise([*stations, length_m]), strict=True):
+    is_single = [element.get("singleSide") == "true" for element in elements]
+    for i, (element, (s_m, end_m)) in enumerate(zip(elements, pairwise([*stations, length_m]), strict=True)):
         at, is_short = f"{where}: laneSection {s_m:g}", end_m - s_m < SAME_M
-        section = Section(s_m, _lanes(element, end_m - s_m, is_tilted, at, left_out), is_short)
+        # The lanes of one side may go on through the sections of the other.
+        holds_to_m = next((stations[k] for k in range(i + 1, len(stations)) if not is_single[k]), length_m)
+        section = Section(s_m, _lanes(element, holds_to_m - s_m, is_tilted, at, left_out), is_short)
         left_out["lane sections without length"] += is_short
-        if found and element.get("singleSide") == "true":
+        if found and is_single[i]:
             section = _with_other_side(section, found[-1])
         found.append(section)
     whole = [section.s_m for section in found if not section.is_short]
