@@ -149,6 +149,8 @@ def _through(evidence: Evidence) -> Iterator[Result]:
     points = evidence.points_world(STEP * v, STEP * u)
     inside = ground.clearance(points[:, :2]) < -INSIDE_M
     inside &= ~ground.is_grass(points[:, :2], INSIDE_M)
+    # Below a deck, and over a tunnel, the ground goes on.
+    inside &= ~ground.is_stacked(points[:, :2])
     through = int(inside.sum())
     yield Bounded("standing.through", float(through), most=MAX_THROUGH)
     if through > MAX_THROUGH:

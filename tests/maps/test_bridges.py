@@ -15,6 +15,7 @@ from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.sampling.on_map import MapPlace
 from synth3dlanes.validate.standing import mesh_height
 from synth3dlanes.world import World
+from tests.geometry.test_map_surface import gaps
 from tests.maps.files import TWO, opendrive, plan, road
 
 EAST, NORTH = plan(("<line/>", 400.0)), plan(("<line/>", 400.0), start=(200.0, -200.0, np.pi / 2))
@@ -83,6 +84,7 @@ def test_the_ground_goes_on_below_a_deck(level: World) -> None:
     assert isinstance(ground, MapGround)
     (deck,) = ground.decks
     assert deck.road.id == "2"
+    assert not len(gaps(level.site.terrain))
     assert deck.to_m - deck.from_m == pytest.approx(2 * (3.5 + 2.5 + 1.5 * 8), abs=3)
     s = np.linspace(deck.from_m + 0.3, deck.to_m - 0.3, 120)
     for t in (-3.0, 0.0, 3.0):
