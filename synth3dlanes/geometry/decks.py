@@ -146,8 +146,6 @@ def _tunnel(ground: MapGround, span: Span) -> Body:
         quads.sweep(np.stack(wall, axis=1), DARK)
     for end_m in (span.from_m, span.to_m):
         _portal(quads, span, end_m)
-    feet = _points(span, s, (left + right) / 2, 0.0)
-    quads.feet.append(np.column_stack([feet[:, :2], ground.height(feet[:, :2])]))
     return quads.body()
 
 
