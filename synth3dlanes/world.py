@@ -282,13 +282,12 @@ class World:
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
 
     def grass(self, view: View) -> Blades | None:
-        """The grass beside the road as a view sees it, if the scene has any."""
+        """The grass beside the road as a view sees it, if any grows there."""
         grass_m = self.scene.vegetation.grass_m
-        return (
-            blades(self.ground, self.site.lines, view.eye_world, grass_m, self.scene.stream("grass"))
-            if grass_m
-            else None
-        )
+        if not grass_m:
+            return None
+        found = blades(self.ground, self.site.lines, view.eye_world, grass_m, self.scene.stream("grass"))
+        return found if len(found.shade) else None
 
 
 def resolve(scene: Scene, network: Network | None = None) -> World:

@@ -97,3 +97,12 @@ def test_tufts_in_a_line_of_sight_are_those_found_one_by_one(seed: int) -> None:
         expected.append(met)
     assert grass._in_sight(feet, height_m, eye, points).tolist() == expected
     assert 5 < sum(expected) < 145
+
+
+def test_a_place_where_no_blade_grows_has_no_grass(monkeypatch: pytest.MonkeyPatch) -> None:
+    (world,) = worlds(1)
+    whole = world.grass(world.view)
+    assert whole is not None
+    nothing = grass.Blades(whole.corners_world[:0], whole.shade[:0], whole.dryness[:0])
+    monkeypatch.setattr("synth3dlanes.world.blades", lambda *_: nothing)
+    assert world.grass(world.view) is None
