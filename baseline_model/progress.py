@@ -149,7 +149,7 @@ def trim_history(out_dir: Path, step: int, scale: Fraction) -> None:
         try:
             entry = json.loads(line)
             found, is_validation = int(entry["step"]), "val" in entry
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             continue
         if found <= step:
             entry["step"] = int(found * scale)

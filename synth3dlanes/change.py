@@ -28,8 +28,8 @@ RECORDS = {
     "weather.kind": "change air, surface.wetness, weather.rain and the like",
     "weather.daytime": "change light, sensor and weather.headlights",
 }
-# What may be said of weather and daytime whatever the other values are.
-ANY = "any"
+# A record that tells nothing, which fits all values.
+TELLS_NOTHING = {"weather.kind": "any", "weather.daytime": "any"}
 
 
 def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
@@ -42,7 +42,8 @@ def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
     problems = [
         f"changes {path}: the scene was drawn by it, and other values follow from it; {instead}"
         for path, instead in RECORDS.items()
-        if value_at(changed, path) not in (value_at(scene, path), ANY)
+        for before in [value_at(scene, path)]
+        if value_at(changed, path) not in (before, TELLS_NOTHING.get(path, before))
     ]
     problems += [
         f"changes {path}.speed_m_s: follows from {path}.track; change both"

@@ -22,6 +22,7 @@ DELTA_BYTE_ARRAY = 7
 # Thrift's compact protocol.
 TRUE, FALSE, BYTE, INTEGERS, DOUBLE, BINARY, LISTS, STRUCT = 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
 MOST_NESTED = 8
+# What reading damaged bytes raises.
 DAMAGED = (
     AttributeError,
     IndexError,
@@ -52,7 +53,7 @@ class Bounds:
             raise FormatError(f"{where}: expected at most {self.most_rows:,} rows, got {rows:,}")
 
     def check_bytes(self, size: int, rows: int, where: str) -> None:
-        """Raise FormatError for more bytes than so many rows may have."""
+        """Raise FormatError for more bytes than this number of rows may have."""
         most = self.base_bytes + rows * self.row_bytes
         if not 0 <= size <= most:
             raise FormatError(f"{where}: expected at most {most:,} bytes in {rows:,} rows, got {size:,}")
@@ -60,7 +61,7 @@ class Bounds:
 
 def read_parquet(data: bytes, where: str, bounds: Bounds, columns: Sequence[str] | None = None) -> pa.Table:
     """A table, or those of some columns that it has. Raises FormatError for more rows or bytes than the bounds allow,
-    Arrow's exceptions, OSError or ValueError for damaged bytes."""
+    one of DAMAGED for damaged bytes."""
     # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
     with pq.ParquetFile(pa.BufferReader(data)) as file:
         metadata, known = file.metadata, file.schema_arrow.names
@@ -74,7 +75,7 @@ def read_parquet(data: bytes, where: str, bounds: Bounds, columns: Sequence[str]
     for group in groups:
         for number in range(group.num_columns):
             chunk = group.column(number)
-            if chosen and chunk.path_in_schema.partition(".")[0] not in chosen:
+            if chosen is not None and chunk.path_in_schema.partition(".")[0] not in chosen:
                 continue
             for page in _pages(data, chunk, where):
                 size, n_values = size + page.n_bytes, n_values + page.n_values
@@ -84,7 +85,7 @@ def read_parquet(data: bytes, where: str, bounds: Bounds, columns: Sequence[str]
     bounds.check_bytes(n_values * VALUE_BYTES, rows, where)
     # As dictionaries: each value once, however often it is said.
     with pq.ParquetFile(pa.BufferReader(data), read_dictionary=sorted(texts)) as file:
-        table = file.read(columns=chosen or None, use_threads=False)
+        table = file.read(columns=chosen, use_threads=False)
     return _decoded(table, where, bounds)
 
 

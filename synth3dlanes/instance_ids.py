@@ -13,15 +13,15 @@ from synth3dlanes.errors import InputError
 
 
 class IdRange(NamedTuple):
-    """Ids of a kind: thing `first_number` has `first_id`, the next one the next id, up to the next room."""
+    """Ids of a kind: thing `first_number` has `first_id`, the next one the next id, up to the next range."""
 
     first_id: int
     kind: str
     first_number: int = 0
 
 
-# In the order of ids. The rooms from 11,000 on go on where the first room of a kind is full, mostly on large maps.
-ROOMS = (
+# In the order of ids. Those from 11,000 on continue a kind whose first range is full, mostly on large maps.
+RANGES = (
     IdRange(1, "car"),
     IdRange(200, "delimiter"),
     IdRange(300, "tree"),
@@ -35,46 +35,47 @@ ROOMS = (
 )
 # Ids are stored in 16 bits.
 END = 2**16
-KINDS = tuple(dict.fromkeys(room.kind for room in ROOMS))
+KINDS = tuple(dict.fromkeys(ids.kind for ids in RANGES))
 
-_FIRST_IDS = np.array([room.first_id for room in ROOMS])
-# Of each room after one for ids of nothing: the index of its kind, and what its ids exceed its numbers by.
-_KIND_INDICES = np.array([-1, *(KINDS.index(room.kind) for room in ROOMS)])
-_OVER = np.array([0, *(room.first_id - room.first_number for room in ROOMS)])
+_FIRST_IDS = np.array([ids.first_id for ids in RANGES])
+# For id 0, then for each range: the index of its kind, and its first id less its first number.
+_KIND_INDICES = np.array([-1, *(KINDS.index(ids.kind) for ids in RANGES)])
+_SHIFTS = np.array([0, *(ids.first_id - ids.first_number for ids in RANGES)])
 
 
 def most_of(kind: str) -> int:
     """How many things of a kind have ids."""
     ends = [*_FIRST_IDS[1:].tolist(), END]
-    return sum(end - room.first_id for room, end in zip(ROOMS, ends, strict=True) if room.kind == kind)
+    return sum(end - ids.first_id for ids, end in zip(RANGES, ends, strict=True) if ids.kind == kind)
 
 
 def instance_id(kind: str, number: int) -> int:
-    """The id of a thing of one of KINDS. Raises InputError if its kind has no room for it."""
+    """The id of a thing of one of KINDS. Raises InputError if its kind has no id left for it."""
     if number >= most_of(kind):
         raise InputError(f"instance ids: expected at most {most_of(kind)} of the kind {kind}, got {number + 1}")
-    room = max(room for room in ROOMS if room.kind == kind and room.first_number <= number)
-    return room.first_id + number - room.first_number
+    ids = max(ids for ids in RANGES if ids.kind == kind and ids.first_number <= number)
+    return ids.first_id + number - ids.first_number
 
 
 def thing_of(id_: int) -> tuple[str, int]:
     """The kind and the number of what an id is of; "nothing" and 0 of id 0."""
     if id_ <= 0:
         return "nothing", 0
-    room = max(room for room in ROOMS if room.first_id <= id_)
-    return room.kind, id_ - room.first_id + room.first_number
+    ids = max(ids for ids in RANGES if ids.first_id <= id_)
+    return ids.kind, id_ - ids.first_id + ids.first_number
 
 
 def kind_indices(ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
     """The indices in KINDS of what ids are of; -1 for 0."""
-    return np.asarray(_KIND_INDICES[_rooms(ids)])
+    return np.asarray(_KIND_INDICES[_ranges(ids)])
 
 
 def numbers_of(kind: str, ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
     """The numbers of the things of a kind; -1 at ids of other kinds."""
-    rooms = _rooms(ids)
-    return np.where(_KIND_INDICES[rooms] == KINDS.index(kind), ids - _OVER[rooms], -1)
+    at = _ranges(ids)
+    return np.where(_KIND_INDICES[at] == KINDS.index(kind), ids - _SHIFTS[at], -1)
 
 
-def _rooms(ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+def _ranges(ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    """The ranges that ids are in, counted from 1; 0 of id 0."""
     return np.searchsorted(_FIRST_IDS, ids, side="right")

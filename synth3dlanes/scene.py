@@ -37,7 +37,6 @@ SCENE_VERSION = 1
 MAX_ASSETS = 9999
 # A narrower median has no room for an edge line at each side.
 MIN_MEDIAN_M = 1.0
-# Instance ids of symbols end where the host's begins.
 MAX_SYMBOLS = most_of("symbol")
 # Of a grid of heights.
 MAX_GRID = 200

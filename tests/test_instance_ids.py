@@ -1,4 +1,4 @@
-"""The one rule of instance ids, and a scene with more delimiters than their first room and 8 bits have numbers."""
+"""The one rule of instance ids, and a scene with more delimiters than their first ids and 8 bits have numbers."""
 
 import json
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.instance_ids import END, KINDS, ROOMS, instance_id, kind_indices, most_of, numbers_of, thing_of
+from synth3dlanes.instance_ids import END, KINDS, RANGES, instance_id, kind_indices, most_of, numbers_of, thing_of
 from synth3dlanes.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
@@ -57,7 +57,7 @@ def test_ids_of_data_sets_on_disk_stay_what_they_are():
 
 def test_the_table_of_the_page_is_the_rule():
     page = (Path(__file__).parent.parent / "docs/format.md").read_text()
-    told = [f"{room.first_id - room.first_number:,} + i" for room in ROOMS if room.kind != "bonnet"]
+    told = [f"{ids.first_id - ids.first_number:,} + i" for ids in RANGES if ids.kind != "bonnet"]
     assert [text for text in told if f" {text} " not in page] == []
 
 

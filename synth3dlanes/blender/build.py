@@ -26,9 +26,7 @@ from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.scene import Car
-from synth3dlanes.settings import (
-    SEMANTIC_IDS,
-)
+from synth3dlanes.settings import SEMANTIC_IDS
 from synth3dlanes.world import View, World
 
 # The collections of a world's objects, in the order in which Cycles gets them, and those that depend on the view.

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Float
 from pydantic import RootModel
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes import schema
 from synth3dlanes.arrays import Matrix4, Points3, RgbImage
-from synth3dlanes.columnar import Bounds, read_parquet
+from synth3dlanes.columnar import DAMAGED, Bounds, read_parquet
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.cosmos.convention import TABLES, ClipFiles
 from synth3dlanes.formats.reading import json_object, read_file
@@ -149,7 +148,7 @@ class CosmosClip:
             rows = [{**row["key"], **row[name]} for row in table.cast(wanted).to_pylist()]
         except FormatError:
             raise
-        except (pa.ArrowException, ValueError, TypeError, OSError, KeyError) as error:
+        except DAMAGED as error:
             reason = " ".join(str(error).split())[:120]
             raise FormatError(f"{where}: expected a table of {', '.join(wanted.names)}, got {reason}") from None
         if any(value is None for row in rows for value in row.values()):
