@@ -71,8 +71,8 @@ def _begin() -> None:
 
 @contextmanager
 def process_pool(workers: int | None = None) -> Iterator[ProcessPoolExecutor]:
-    """A pool of fresh processes, by default as many as there are cores and memory for. Tasks that have not begun when the pool closes are dropped.
-    Raises WorkerError if one of the processes is killed."""
+    """A pool of fresh processes, by default as many as there are cores and memory for. Tasks that have not begun when
+    the pool closes are dropped. Raises WorkerError if one of the processes is killed."""
     pool = QuietPool(workers or workers_here(), mp_context=get_context("spawn"), initializer=_begin)
     try:
         yield pool

@@ -5,7 +5,7 @@ from typing import Any
 
 import yaml
 
-from synth3dlanes.dataset.description import is_lifted, names_of
+from synth3dlanes.dataset.description import drive_of, names_of
 
 CARD = "README.md"
 # A card is rewritten when the data set grows only if it has this line.
@@ -106,7 +106,7 @@ def card(description: Mapping[str, Any]) -> bytes:
     render = description["render"]
     names = names_of(description)
     first = "train" if "train" in splits else next(iter(splits), "train")
-    is_measured = is_lifted(description)
+    is_measured = drive_of(description) is not None
     how = (_LIFTED_HOW if is_measured else _RENDERED_HOW).format(
         generator=f"synth3dlanes {description['generator']}",
         seed=description["seed"],
@@ -116,7 +116,7 @@ def card(description: Mapping[str, Any]) -> bytes:
         passes=", ".join(render["passes"]) or "none",
         shots="".join(f"{sentence} " for sentence in _shots(description)),
         derived="The samples were taken from another data set (`derived`). " if description.get("derived") else "",
-        drive=(description.get("derived") or {}).get("lifted"),
+        drive=drive_of(description),
         params=yaml.safe_dump(description["params"], sort_keys=False, default_flow_style=None, width=110),
     )
     theirs = "the drive's images" if is_measured else "the assets used"

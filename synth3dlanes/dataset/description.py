@@ -93,9 +93,20 @@ def pictures_per_scene(description: Mapping[str, Any]) -> int:
     return int(shots.get("frames", 1)) * max(1, len(shots.get("cameras", ())))
 
 
+def drive_of(description: Mapping[str, Any]) -> str | None:
+    """The name of the real drive in which the labels were measured (`lift`), perhaps before the samples were split;
+    None of labels of scenes."""
+    derived = description.get("derived")
+    while isinstance(derived, Mapping):
+        if "lifted" in derived:
+            return str(derived["lifted"])
+        derived = derived.get("derived")
+    return None
+
+
 def is_lifted(description: Mapping[str, Any]) -> bool:
-    """Whether the labels were measured in a real drive (`lift`): there are no scenes then."""
-    return "lifted" in (description.get("derived") or {})
+    """Whether the labels were measured in a real drive: there are no scenes then."""
+    return drive_of(description) is not None
 
 
 def names_of(description: Mapping[str, Any]) -> tuple[str, ...]:
@@ -104,9 +115,9 @@ def names_of(description: Mapping[str, Any]) -> tuple[str, ...]:
     return member_names(str(description["image_format"]), description["render"]["passes"], has_scene)
 
 
-def numbers_of_lifted(description: Mapping[str, Any], index: int) -> tuple[int, int, int] | None:
-    """The numbers of the clip, the frame and the camera of a lifted sample; None in a data set without clips."""
-    frames = pictures_per_scene(description)
+def numbers_of_lifted(frames: int, index: int) -> tuple[int, int, int] | None:
+    """The numbers of the clip, the frame and the camera of a lifted sample, from the frames of a clip; None in a data
+    set without clips."""
     return (*divmod(index, frames), 0) if frames > 1 else None
 
 

@@ -10,7 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.dataset.description import differences, names_of, recipe_of_description, recipe_text
+from synth3dlanes.dataset.description import (
+    differences,
+    names_of,
+    pictures_per_scene,
+    recipe_of_description,
+    recipe_text,
+)
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.index import read_recipe
@@ -117,7 +123,7 @@ def _put(out: str, recipe: dict[str, Any], split: str, n: int, places: SampleSou
     destination = Destination(out)
     with destination.claim(recipe, split, n, sorted(shards)):
         for number, members in sorted(shards.items()):
-            shard = Shard(Path(split), number, size, names, text)
+            shard = Shard(Path(split), number, size, names, text, frames=pictures_per_scene(recipe))
             if destination.needs_join(shard, n) or members.keys() & set(destination.missing(shard, n)):
                 with destination.working_copy(shard) as here:
                     _fill(here, members, n)

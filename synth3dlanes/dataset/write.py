@@ -50,7 +50,8 @@ class TarSpan:
 class Shard:
     """Shard `number` of the split in `folder`; `names` are the members of each of its samples, in order, and `recipe`
     is what they are made from (`description.recipe_text`), for its index; "" for none. `run` names the run that makes
-    it, if workers write its parts. A folder that is relative to a data set becomes one here by `within`."""
+    it, if workers write its parts. `frames` are those of a clip, by which samples without a scene are numbered. A
+    folder that is relative to a data set becomes one here by `within`."""
 
     folder: Path
     number: int
@@ -58,6 +59,7 @@ class Shard:
     names: tuple[str, ...]
     recipe: str = ""
     run: str = ""
+    frames: int = 1
 
     def within(self, root: Path) -> "Shard":
         """The same shard in the data set at `root`."""
@@ -245,7 +247,7 @@ class Shard:
             hashlib.sha256(data).hexdigest(),
             scene_module.from_json(_member(data, place, SCENE), f"{where}.{SCENE}") if SCENE in self.names else None,
             labels_module.from_json(_member(data, place, LABELS), f"{where}.{LABELS}"),
-            None if SCENE in self.names else numbers_of_lifted(json.loads(self.recipe), index),
+            None if SCENE in self.names else numbers_of_lifted(self.frames, index),
         )
 
 

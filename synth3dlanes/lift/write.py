@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -68,13 +68,13 @@ def lift_to(
     image_format = _format(frames[0])
     recipe = _recipe(drive, image_format, shots, precision, around)
     numbers = range(-(-n // SHARD_SIZE))
-    names, text = names_of(recipe), recipe_text(recipe)
+    any_shard = Shard(Path(split), 0, SHARD_SIZE, names_of(recipe), recipe_text(recipe), frames=shots.frames)
     tally = _Tally({lane.id for lane in drive.rejected})
     destination = Destination(out)
     with destination.claim(recipe, split, n, numbers):
         lifted_of = enumerate(lifted_frames(drive, precision, around))
         for number, frames_of in groupby(lifted_of, lambda numbered: numbered[0] // SHARD_SIZE):
-            with destination.working_copy(Shard(Path(split), number, SHARD_SIZE, names, text)) as shard:
+            with destination.working_copy(replace(any_shard, number=number)) as shard:
                 missing = set(shard.missing(n))
                 for index, lifted in frames_of:
                     if index in missing:

@@ -20,6 +20,7 @@ from synth3dlanes.dataset.description import (
     is_lifted,
     numbers_of_lifted,
     parse_description,
+    pictures_per_scene,
     recipe_text,
 )
 from synth3dlanes.dataset.format import SCENE
@@ -195,7 +196,7 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     camera = labels.camera if scene is None else scene.camera
     misshapen = [*_sizes({"image": image}, camera)]
     if scene is None:
-        numbers = numbers_of_lifted(description.model_dump(), entry.index)
+        numbers = numbers_of_lifted(pictures_per_scene(description.model_dump()), entry.index)
         results += [*misshapen, *check_measured(labels), *check_row(entry, None, labels, numbers)]
     else:
         misshapen += [*_passes(scene, description, passes), *check_shape(scene, labels)]

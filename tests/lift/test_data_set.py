@@ -1,6 +1,7 @@
 """A lifted drive is a data set as any other."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from synth3dlanes_cli.main import main
 
 from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.dataset.rearrange import split_dataset
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.lift.precision import NO_ERROR
@@ -60,6 +62,27 @@ def test_it_passes_validate(made: tuple[Path, LiftReport]) -> None:
     assert not report.problems
     with pytest.raises(InputError, match="rerender: expected a data set of scenes, got one lifted"):
         validate(made[0], 1, None, lambda done, total: None, rerender=1)
+
+
+def test_it_is_split(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
+    split_dataset(Reader(f"{made[0]}/train"), {"test": 1.0}, 0, str(tmp_path))
+    found, source = Reader(f"{tmp_path}/test"), Reader(f"{made[0]}/train")
+    assert found.clip(0) == list(range(8))
+    assert found[3].scene_json is None
+    assert found.raw(3) == source.raw(3)
+    assert not validate(tmp_path, 1, None, lambda done, total: None).problems
+    assert "lifted the drive hill" in " ".join((tmp_path / "README.md").read_text().split())
+
+
+def test_it_is_split_after_its_description_was_edited(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
+    """The recipe in its index is another one then, and no shard takes it over."""
+    edited = tmp_path / "edited"
+    shutil.copytree(made[0], edited)
+    description = json.loads((edited / "dataset.json").read_text())
+    description["derived"]["lifted"] = "a hill"
+    (edited / "dataset.json").write_text(json.dumps(description))
+    split_dataset(Reader(f"{edited}/train"), {"test": 1.0}, 0, str(tmp_path / "out"))
+    assert Reader(f"{tmp_path}/out/test").clip(0) == list(range(8))
 
 
 def test_openlane_takes_it(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
