@@ -40,7 +40,7 @@ FPS = 10.0
 @device_option
 @samples_option
 @passes_option
-@click.option("--frames", type=click.IntRange(min=1), default=1, help="Time frames of clips of so many, not pictures.")
+@click.option("--frames", type=click.IntRange(min=1), default=1, help="Time clips of this many frames, not pictures.")
 @click.option(
     "--reference",
     is_flag=True,
