@@ -19,8 +19,8 @@ HALF_WIDTH_M = 10.24
 NEAR_KNOTS_M = (5.0, 20.0, 40.0)
 """A lane with fewer than two of these points visible cannot be located and is ignored."""
 SAME_CURVE_M = 0.3
-METRIC_Y_M = np.arange(101) * 0.8
-MIN_VALID_POINTS = 10
+METRIC_STEP_M, MIN_VALID_POINTS = 0.8, 10
+METRIC_Y_M, SHORTEST_M = np.arange(101) * METRIC_STEP_M, MIN_VALID_POINTS * METRIC_STEP_M
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from synth3dlanes.figures.colors import KIND_WORDS, KINDS, hexadecimal
 from synth3dlanes.files import encoded, write
 from synth3dlanes.words import counted
 
-from .curves import HALF_WIDTH_M, METRIC_Y_M, Y_REF_M
+from .curves import HALF_WIDTH_M, METRIC_Y_M, SHORTEST_M, Y_REF_M
 from .metrics import Errors, EvaluationReport, KindReport
 
 Cells = list[list[str]]
@@ -205,7 +205,7 @@ def _appendix(name: str, kind: KindReport) -> list[str]:
         f"{name}: {kind.n_truth} lanes, {kind.n_ignored} ignored, {kind.n_detections} detections; "
         f"AP by weights: {other}; 101 points {kind.ap_101_points:.3f}",
         f"  {counted(kind.n_outside, 'detection')} not judged: more than {HALF_WIDTH_M:g} m beside the camera at "
-        f"{Y_REF_M:g} m, or shorter than 8 m",
+        f"{Y_REF_M:g} m, or shorter than {SHORTEST_M:g} m",
     ]
     for label, errors in (("best F1", kind.at_best_f1), ("all", kind.at_all)):
         cells = " / ".join(_cm(value) for value in _four(errors))

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Int
 
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.dataset.address import SAMPLE
+from synth3dlanes.dataset.description import clip_of, pictures_per_scene
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
@@ -255,9 +256,9 @@ def clip_rate_hz(samples: Samples) -> float | None:
     """Frames a second of a split of clips by one camera; None for other samples."""
     if not isinstance(samples, UprightSamples):
         return None
-    shots = samples.reader.description.get("shots", {})
-    has_clips = int(shots.get("frames", 1)) > 1 and len(shots.get("cameras", ())) <= 1
-    return float(shots.get("fps", 10.0)) if has_clips else None
+    description = samples.reader.description
+    n_frames, fps = clip_of(description)
+    return fps if pictures_per_scene(description) == n_frames > 1 else None
 
 
 def key_at(samples: Samples, index: int) -> str:

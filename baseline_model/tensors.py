@@ -25,9 +25,9 @@ def read_tensors(path: Path, what: str) -> Any:
 
 def load_weights(network: nn.Module, weights: dict[str, torch.Tensor], where: str, source: str | Path) -> None:
     """Load the weights of this very network; raise InputError, which begins with `where`, if they are another's."""
-    # Earlier versions kept parts of timm's networks that nothing used.
+    # Earlier versions kept parts of timm's networks that nothing used. A user's modules may have any other attributes.
     former = tuple(
-        f"{name}.{part}" for name, module in network.named_modules() for part in getattr(module, "dropped", ())
+        f"{name}.{part}" for name, module in network.named_modules() for part in getattr(module, "former_weights", ())
     )
     weights = {name: value for name, value in weights.items() if not name.startswith(former)}
     own = network.state_dict()

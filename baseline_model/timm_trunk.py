@@ -41,7 +41,7 @@ class TimmPathway(nn.Module):
         self.name = config.backbone.removeprefix(TIMM)
         self.indices = _indices(self.name)[:n_stages]
         self.trunk = _create(self.name, out_indices=self.indices)
-        self.dropped = drop_unused(self.trunk)
+        self.former_weights = drop_unused(self.trunk)
         self.channels: tuple[int, ...] = tuple(self.trunk.feature_info.channels())
         size_px = config.image_height_px, config.image_width_px
         try:

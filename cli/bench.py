@@ -9,8 +9,8 @@ import click
 
 from synth3dlanes.words import counted
 
-from .generate import WORKERS_HELP, Workers
 from .options import (
+    RENDERERS,
     Count,
     assets_option,
     device_option,
@@ -22,6 +22,7 @@ from .options import (
     passes_option,
     samples_option,
     set_option,
+    workers_option,
 )
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ FPS = 10.0
 @params_option
 @set_option
 @assets_option
-@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
+@workers_option(RENDERERS)
 @device_option
 @samples_option
 @passes_option

@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from .generate import WORKERS_HELP, Workers, progress
+from .generate import progress
 from .networks import WEIGHTS, Checkpoint, need_torch
-from .options import json_option, progress_bar
+from .options import RENDERERS, json_option, progress_bar, workers_option
 
 
 @click.command()
@@ -23,7 +23,7 @@ from .options import json_option, progress_bar
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Predictions to score, as written by predict (JSON lines).",
 )
-@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
+@workers_option(RENDERERS)
 @json_option
 @click.pass_context
 def benchmark(

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .generate import Workers
-from .options import json_option, progress_bar
+from .options import READERS, json_option, progress_bar, workers_option
 
 if TYPE_CHECKING:
     from synth3dlanes.formats.summary import ExportSummary
@@ -74,13 +73,7 @@ def _formats(incomplete: str) -> list[str]:
     help="Cameras of a rig, separated by commas. Default: those that look ahead; all for formats that take images as "
     "they are.",
 )
-@click.option(
-    "--workers",
-    metavar="N|auto",
-    type=Workers(),
-    default="auto",
-    help="Worker processes; auto: one per core, fewer for few samples.",
-)
+@workers_option(READERS)
 @json_option
 def export(
     source: str,

@@ -18,6 +18,7 @@ from .idle import refuse_idle, refuse_idle_keys, refuse_repeated, refuse_togethe
 from .options import (
     KEYS_OF_ROADS,
     LINE_EVERY_S,
+    RENDERERS,
     Count,
     assets_option,
     camera_option,
@@ -36,25 +37,11 @@ from .options import (
     seed_option,
     set_option,
     split_option,
+    workers_option,
 )
 
 # Columns of a terminal that has room for a bar beside the numbers.
 WIDE = 100
-WORKERS_HELP = "Worker processes. auto: one per core and GB of memory that may be used, or up to four per GPU."
-
-
-class Workers(click.ParamType):
-    """A number of processes, or auto for one per core (0)."""
-
-    name = "workers"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Read it."""
-        if value == "auto":
-            return 0
-        if re.fullmatch("0*[1-9][0-9]{0,8}", str(value)):
-            return int(value)
-        self.fail(f"expected auto or a positive number, got {value!r}", param, ctx)
 
 
 class PartOf(click.ParamType):
@@ -108,9 +95,7 @@ class PartOf(click.ParamType):
 @rig_option
 @assets_option
 @clip_options
-@click.option(
-    "--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP + " With Ray: cores per task."
-)
+@workers_option(f"{RENDERERS} With Ray: cores per task.")
 @device_option
 @samples_option
 @passes_option

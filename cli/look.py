@@ -102,8 +102,8 @@ def gallery(
     kind = "PNG" if out.suffix.lower() == ".png" else "JPEG"
     write(out, encoded(lambda stream: sheet.save(stream, kind)))
     split = split_name(chosen[0][0])
-    is_one_of_several = not folder.rstrip("/").endswith(f"/{split}")
-    click.echo(f"Gallery: {out}" + f", {counted(len(samples), 'sample')} of {split}" * is_one_of_several)
+    is_named = folder.rstrip("/").rpartition("/")[2] == split
+    click.echo(f"Gallery: {out}" + ("" if is_named else f", {counted(len(samples), 'sample')} of {split}"))
 
 
 @click.command()

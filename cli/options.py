@@ -76,6 +76,20 @@ class Count(click.IntRange):
         return int(super().convert(int(found[1]) * 10 ** int(found[2]) if found else value, param, ctx))
 
 
+class Workers(click.ParamType):
+    """A number of processes, or auto for one per core (0)."""
+
+    name = "workers"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Read it."""
+        if value == "auto":
+            return 0
+        if re.fullmatch("0*[1-9][0-9]{0,8}", str(value)):
+            return int(value)
+        self.fail(f"expected auto or a positive number, got {value!r}", param, ctx)
+
+
 class FiniteRange(click.FloatRange):
     """A finite number in a range; click's own takes NaN."""
 
@@ -204,6 +218,17 @@ def samples_option(command: Command) -> Command:
     return level(number(command))
 
 
+RENDERERS = "one per core and GB of memory that may be used, or up to four per GPU."
+READERS = "one per core, fewer for few samples."
+
+
+def workers_option(auto: str) -> Callable[[Command], Command]:
+    """`--workers`, with what it is by default in words."""
+    return click.option(
+        "--workers", metavar="N|auto", type=Workers(), default="auto", help=f"Worker processes. auto: {auto}"
+    )
+
+
 passes_option = click.option(
     "--passes",
     type=Names(PASSES),
@@ -263,7 +288,7 @@ def output_console(*, stderr: bool = False, soft_wrap: bool = False) -> "OutputC
 
 
 @contextmanager
-def progress_bar(label: str = "") -> Iterator[Callable[[int, int | None], None]]:
+def progress_bar(label: str) -> Iterator[Callable[[int, int | None], None]]:
     """A function of (done, total) that moves a bar on stderr, or prints a line there now and then where it is no
     terminal; a command that is refused before shows none. A total that is not known is None."""
     if not sys.stderr.isatty():

@@ -6,8 +6,8 @@ import click
 
 from synth3dlanes.words import counted
 
-from .generate import WORKERS_HELP, Workers, progress
-from .options import Count, assets_option, device_option, open_assets
+from .generate import progress
+from .options import RENDERERS, Count, assets_option, device_option, open_assets, workers_option
 
 
 @click.command()
@@ -17,7 +17,7 @@ from .options import Count, assets_option, device_option, open_assets
 )
 @click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
 @click.option("--n", type=Count(min=1), default=10, help="Number of scenes, from the start of the split.")
-@click.option("--workers", metavar="N|auto", type=Workers(), default="auto", help=WORKERS_HELP)
+@workers_option(RENDERERS)
 @device_option
 @assets_option
 @click.pass_context

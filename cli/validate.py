@@ -5,20 +5,21 @@ from pathlib import Path
 
 import click
 
-from .generate import Workers
 from .idle import refuse_idle
-from .options import assets_option, json_option, open_assets, output_console, progress_bar
+from .options import (
+    READERS,
+    assets_option,
+    json_option,
+    open_assets,
+    output_console,
+    progress_bar,
+    workers_option,
+)
 
 
 @click.command()
 @click.argument("folder", metavar="DIR")
-@click.option(
-    "--workers",
-    metavar="N|auto",
-    type=Workers(),
-    default="auto",
-    help="Worker processes; auto: one per core, fewer for few samples.",
-)
+@workers_option(READERS)
 @click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check only N samples of each split.")
 @click.option(
     "--rerender",
@@ -43,7 +44,7 @@ def validate(
 
     refuse_idle(rerender, ["assets"], "without --rerender")
     library = open_assets(assets)
-    with progress_bar() as move:
+    with progress_bar("samples") as move:
         report = validate_dataset(
             folder, workers=workers, limit=limit, rerender=rerender, assets=library, progress=move
         )

@@ -60,15 +60,16 @@ from synth3dlanes.shots import Shots, clips
 from synth3dlanes.sources import load_scene as _load_scene
 from synth3dlanes.sources import provenance_of, read_scene
 
-# Far more than any machine has cores.
-MAX_WORKERS = 10_000
-
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.
     import synth3dlanes.figures.stats
     import synth3dlanes.formats.format
     import synth3dlanes.formats.verify
     import synth3dlanes.validate.report
+
+
+# Far more than any machine has cores.
+MAX_WORKERS = 10_000
 
 
 @checked
@@ -227,10 +228,10 @@ def generate_dataset(
         raise InputError("map: expected none beside like")
     if spreads and not like:
         raise InputError("spreads: expected none without scenes to be like")
-    given = drawn(like, params, assets.assets, "like", bool(shots.cameras)) if like else ()
-    near = read_like(given, several(spreads)) if given else None
-    place = _map_place(map, at)
-    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=near, map=place)
+    near = None
+    if like:
+        near = read_like(drawn(like, params, assets.assets, "like", bool(shots.cameras)), several(spreads))
+    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=near, map=_map_place(map, at))
     recipe = Recipe(scenes, settings, image_format, assets)
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))

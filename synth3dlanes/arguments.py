@@ -20,8 +20,14 @@ from synth3dlanes.schema import shown
 Given = ParamSpec("Given")
 Result = TypeVar("Result")
 
-# How types are called in messages.
-WORDS = {int: "a whole number", float: "a finite number", str: "text", Path: "a path", NoneType: "None"}
+# How types are called in messages, one of them and several.
+WORDS = {
+    int: ("a whole number", "whole numbers"),
+    float: ("a finite number", "finite numbers"),
+    str: ("text", "texts"),
+    Path: ("a path", "paths"),
+    NoneType: ("None", "None"),
+}
 
 
 def checked(function: Callable[Given, Result]) -> Callable[Given, Result]:
@@ -75,17 +81,18 @@ def _fits(value: Any, annotation: Any) -> bool:
     return not isinstance(annotation, type) or isinstance(value, annotation)
 
 
-def _words(annotation: Any) -> str:
+def _words(annotation: Any, is_plural: bool = False) -> str:
     """A type in words."""
     kind, of = get_origin(annotation), get_args(annotation)
     if kind in (Union, UnionType):
-        return " or ".join(dict.fromkeys(map(_words, of)))
+        return " or ".join(dict.fromkeys(_words(one, is_plural) for one in of))
     if kind is tuple:
         return f"({', '.join(map(_words, of))})"
     if kind is Sequence:
-        return f"a sequence of {_words(of[0]).removeprefix('a ')}"
+        return f"a sequence of {_words(of[0], True)}"
     if kind is Mapping:
-        return f"a mapping of {_words(of[0])} to {_words(of[1]).removeprefix('a ')}"
+        return f"a mapping of {_words(of[0], True)} to {_words(of[1], True)}"
     if kind is Callable:
         return "a function"
-    return WORDS.get(annotation) or f"a {getattr(annotation, '__name__', 'value')}"
+    name = getattr(annotation, "__name__", "value")
+    return WORDS.get(annotation, (f"a {name}", f"{name}s"))[is_plural]

@@ -23,6 +23,11 @@ def workers_here(bytes_each: int = PROCESS_BYTES, groups: Path = GROUPS, mount: 
     return max(1, min(usable_cores(groups, mount), usable_bytes(groups, mount) // bytes_each))
 
 
+def renderers_here() -> int:
+    """The number of processes that render for which there are cores and memory; at least one."""
+    return workers_here(RENDERER_BYTES)
+
+
 def usable_cores(groups: Path = GROUPS, mount: Path = MOUNT) -> int:
     """The cores that this process may keep busy: those of its affinity, and of them what quotas allow in whole."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

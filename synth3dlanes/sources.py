@@ -16,7 +16,7 @@ from synth3dlanes.arguments import checked
 from synth3dlanes.arrays import RgbImage
 from synth3dlanes.assets.catalogue import Assets
 from synth3dlanes.dataset.address import SAMPLE, splits_near
-from synth3dlanes.dataset.description import DESCRIPTION, is_lifted
+from synth3dlanes.dataset.description import DESCRIPTION, clip_of, is_lifted
 from synth3dlanes.dataset.format import HEIGHT, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
@@ -91,8 +91,7 @@ def load_shown(
 
 def _shot(reader: Reader, i: int) -> Shot:
     """Which frame of its clip a sample is, by the index and the description of its data set."""
-    shots = reader.description.get("shots", {})
-    n_frames, fps = int(shots.get("frames", 1)), float(shots.get("fps", 10.0))
+    n_frames, fps = clip_of(reader.description)
     return Shot(frame=int(reader.frame_of[i]), n_frames=n_frames, fps=fps)
 
 

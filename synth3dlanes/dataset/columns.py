@@ -74,8 +74,8 @@ def index_row(
 
 
 def numbers_of(scene: Scene | None, labels: Labels) -> dict[str, Any]:
-    """What a row of the index says of a scene and its labels, wherever these lie; without a scene, of the camera and
-    the lanes alone."""
+    """What a row of the index says of a scene and its labels, wherever these are stored; without a scene, of the
+    camera and the lanes alone."""
     if scene is None:
         camera, k = labels.camera, labels.camera.img_from_cam
         known = {name: value for name, value in vars(camera).items() if name in Camera.model_fields and name != "lens"}

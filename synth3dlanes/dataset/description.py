@@ -87,10 +87,15 @@ def parse_description(data: bytes, where: str) -> dict[str, Any]:
     return document
 
 
+def clip_of(description: Mapping[str, Any]) -> tuple[int, float]:
+    """The number of frames of a clip, and of frames in a second, from the contents of `dataset.json`."""
+    shots = description.get("shots", {})
+    return int(shots.get("frames", 1)), float(shots.get("fps", 10.0))
+
+
 def pictures_per_scene(description: Mapping[str, Any]) -> int:
     """The number of samples that show one scene, from the contents of `dataset.json`."""
-    shots = description.get("shots", {})
-    return int(shots.get("frames", 1)) * max(1, len(shots.get("cameras", ())))
+    return clip_of(description)[0] * max(1, len(description.get("shots", {}).get("cameras", ())))
 
 
 def drive_of(description: Mapping[str, Any]) -> str | None:

@@ -284,7 +284,7 @@ def stations(points: Points, line: Points) -> Distances:
 
 
 def is_beside(points: Points, line: Points) -> Flags:
-    """Which points lie beside a polyline from above, not before its beginning or behind its end."""
+    """Which points are beside a polyline from above, not before its beginning or behind its end."""
     _, at, share = _feet(points[:, :2], line[:, :2])
     return np.asarray((at + share > 0) & (at + share < len(line) - 1))
 

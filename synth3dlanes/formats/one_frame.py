@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes import scene as scene_format
+from synth3dlanes.dataset.description import clip_of
 from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
@@ -38,7 +39,7 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
     where = f"{chunk.url}:{sample.key}"
     scene = None if sample.scene_json is None else scene_format.from_json(sample.scene_json, where)
     labels, pinhole = rectified_labels(sample.labels), fitting_pinhole(sample.labels.camera, foreign.camera)
-    frame_of, n_frames = _frame(reader, index, chunk, labels), int(reader.description.get("shots", {}).get("frames", 1))
+    frame_of, (n_frames, _) = _frame(reader, index, chunk, labels), clip_of(reader.description)
     frame = PinholeFrame(
         **vars(frame_of),
         pinhole=pinhole,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from synth3dlanes.machine import RENDERER_BYTES, workers_here
+from synth3dlanes.machine import renderers_here
 from synth3dlanes.production.recipe import Recipe, require_blender
 from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.settings import Device, choose_device
@@ -47,7 +47,7 @@ def resolve_device(recipe: Recipe) -> tuple[Recipe, WorkerSlots]:
     kind = choose_device(asked, found)
     each = masks(kind, found, os.environ)
     names = tuple(device.name for device in found if device.kind == kind)
-    slots = WorkerSlots(tuple(each), default_workers(kind, len(each), workers_here(RENDERER_BYTES)), names)
+    slots = WorkerSlots(tuple(each), default_workers(kind, len(each), renderers_here()), names)
     return replace(recipe, settings=replace(recipe.settings, device=kind)), slots
 
 

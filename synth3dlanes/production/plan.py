@@ -11,7 +11,7 @@ from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.errors import InputError
-from synth3dlanes.machine import RENDERER_BYTES, workers_here
+from synth3dlanes.machine import renderers_here
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.measured import measured
@@ -111,7 +111,7 @@ class Plan:
         missing = self.n_missing()
         here = None if self.destination.is_store else self.destination.folder
         before = None if here is None else measured(here, self.recipe.scenes.split)
-        workers = n_workers or self.workers or workers_here(RENDERER_BYTES)
+        workers = n_workers or self.workers or renderers_here()
         found = forecast(self.recipe, missing, max(1, min(workers, missing)), before)
         if here is not None:
             found.require_room(here)
@@ -139,4 +139,4 @@ class Plan:
 
     def n_workers(self, n_tasks: int) -> int:
         """The number of workers that have work and room."""
-        return max(1, min(self.workers or workers_here(RENDERER_BYTES), n_tasks))
+        return max(1, min(self.workers or renderers_here(), n_tasks))

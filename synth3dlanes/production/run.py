@@ -9,7 +9,7 @@ may share a folder (each shard has its lock), or their folders may be merged.
 from collections.abc import Callable
 from typing import Literal
 
-from synth3dlanes.machine import RENDERER_BYTES, workers_here
+from synth3dlanes.machine import renderers_here
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.local import make_here
 from synth3dlanes.production.plan import Plan
@@ -30,7 +30,7 @@ def generate(
     """
     if executor == "local":
         plan = plan.resolved()
-        return _run(plan, notify, make_here, plan.workers or workers_here(RENDERER_BYTES))
+        return _run(plan, notify, make_here, plan.workers or renderers_here())
     # Loaded here: Ray is an extra.
     from synth3dlanes.production.ray import connected, count_cores, make_on_ray, resolved_on_ray
 

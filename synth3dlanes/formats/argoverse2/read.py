@@ -25,7 +25,7 @@ from synth3dlanes.formats.reading import read_file
 from synth3dlanes.frames import rotation
 from synth3dlanes.schema import Excerpt, Number
 
-# A point takes 24 bytes, a box 130.
+# A point takes 24 bytes, a box 130; files with boxes have few rows.
 BOUNDS = Bounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
 IMAGE = re.compile(r"(?P<timestamp>\d{1,19})\.jpg")
 

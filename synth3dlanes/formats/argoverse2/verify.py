@@ -30,9 +30,10 @@ LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
 SIDE_M, GAP_M, GROUND_M = 0.05, 0.005, 0.2
 # Drivable areas have seams where one begins at the end of another.
 SEAM_M = 0.01
-# A boundary has the paint of a delimiter that this share of its points within reach of the labels have this near.
+# A boundary has the paint of a delimiter if the share ON_LINE of its points that the labels reach, and at least
+# LEAST_POINTS, are within ON_LINE_M of it.
 ON_LINE_M, ON_LINE, LEAST_POINTS = 0.05, 0.9, 10
-# What this share of a boundary has is what most of it has: ON_LINE of it is more than half.
+# A map's boundary is compared if the labels reach more than this share of it, of which ON_LINE is more than half.
 MOST = 0.6
 # Pixels, as shares of the image, and depths at which a camera is compared.
 SHARES, DEPTHS_M = (0.1, 0.5, 0.9), (5.0, 50.0)
@@ -235,7 +236,7 @@ def _is_oncoming(segment: Segment) -> bool:
 
 
 def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
-    """Findings where a boundary that runs along a delimiter, as far as the labels reach, has other paint."""
+    """Findings where a boundary has other paint than the delimiter along which it runs where the labels reach it."""
     world = {lane.id: transform(truth.labels.camera.world_from_cam, lane.xyz_cam) for lane in truth.labels.lanes}
     ours = [(lane, world[lane.id]) for lane in truth.labels.lanes
             if lane.kind == "delimiter" and len(lane.xyz_cam) > 1]  # fmt: skip
@@ -259,7 +260,7 @@ def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
 
 
 def _runs_along(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]) -> bool:
-    """Whether most of the points lie on a line; most lines are too far away to be asked point by point."""
+    """Whether most of the points are on a line; most lines are too far away to be asked point by point."""
     low, high = line.min(axis=0) - ON_LINE_M, line.max(axis=0) + ON_LINE_M
     around = points[((points > low) & (points < high)).all(axis=1)]
     least = max(LEAST_POINTS, ON_LINE * len(points))

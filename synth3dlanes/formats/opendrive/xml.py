@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from itertools import count
 from xml.etree import ElementTree
 
@@ -20,7 +20,7 @@ def add(parent: Element, tag: str, **attributes: str | float) -> Element:
     return ElementTree.SubElement(parent, tag, texts)
 
 
-def numbered(names: Iterable[str], taken: Collection[str] = ()) -> dict[str, str]:
+def numbered(names: Collection[str], taken: Collection[str] = ()) -> dict[str, str]:
     """A number for each name, which is none of those taken: the name itself if it is one, else the next that is
     free."""
     found = {name: name for name in names if NUMBER.fullmatch(name) and name not in taken}
