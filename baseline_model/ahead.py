@@ -6,11 +6,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar, cast
 
 T = TypeVar("T")
-Progress = Callable[[int, int | None], None]
+ImageProgress = Callable[[int, int | None], None]
 """Gets how many are done, and how many there are, None if that is not known."""
 
 
-def told(items: Iterable[T], total: int | None, progress: Progress | None) -> Iterator[T]:
+def told(items: Iterable[T], total: int | None, progress: ImageProgress | None) -> Iterator[T]:
     """The items; `progress` gets how many were taken, and how many there are in all."""
     for done, item in enumerate(items, start=1):
         yield item

@@ -7,7 +7,7 @@ from pathlib import Path
 from synth3dlanes.labels import Labels
 
 from . import checkpoint as checkpoints
-from .ahead import Progress, told
+from .ahead import ImageProgress, told
 from .data import Samples
 from .flat_ground import through_flat_ground
 from .image_lines import tusimple_score
@@ -26,7 +26,7 @@ def evaluate_checkpoint(
     config: MetricConfig | None = None,
     device: str = "auto",
     own_model: str | None = None,
-    progress: Progress | None = None,
+    progress: ImageProgress | None = None,
 ) -> EvaluationReport:
     """Run the checkpoint's network over a split (`DIR/test`) and score it. `own_model` names a user's network,
     `progress` gets the images that are done, and all."""

@@ -15,7 +15,7 @@ from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
-from .ahead import Progress, told
+from .ahead import ImageProgress, told
 from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam
 from .image_lines import asked_for, columns_of, delimiters, right_of_host_m, tusimple_score
 from .inference import choose_device
@@ -122,7 +122,7 @@ def evaluate_checkpoint(
     threshold: float = 0.5,
     device: str = "auto",
     own_model: str | None = None,
-    progress: Progress | None = None,
+    progress: ImageProgress | None = None,
 ) -> ImageReport:
     """Run the checkpoint's network over photographs and score it; `progress` gets the images that are done, and all."""
     detector = checkpoints.detector(checkpoint, choose_device(device), own_model)

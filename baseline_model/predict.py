@@ -11,7 +11,7 @@ from synth3dlanes.files import Folder
 from synth3dlanes.words import counted
 
 from . import checkpoint as checkpoints
-from .ahead import Progress, ahead, told
+from .ahead import ImageProgress, ahead, told
 from .data import CameraImage, Intrinsics, img_from_cam
 from .inference import Detector, choose_device
 from .lane_video import LaneVideos
@@ -85,7 +85,7 @@ def predict(
     source: str | Path,
     out_dir: str | Path,
     config: PredictConfig = DEFAULT,
-    progress: Progress | None = None,
+    progress: ImageProgress | None = None,
 ) -> PredictionSummary:
     """Write `predictions.jsonl` to `out_dir`, and pictures or videos with the lanes (`PredictConfig`).
 

@@ -159,7 +159,7 @@ def trim_history(out_dir: Path, step: int, scale: Fraction) -> None:
         folder.write("history.jsonl", trimmed)
 
 
-class Board:
+class BoardLog:
     """A log for TensorBoard, written as it is told, in records of TensorFlow's format."""
 
     def __init__(self, out_dir: Path, step: int) -> None:
@@ -191,8 +191,8 @@ class Board:
             file.write(record.getvalue())
 
 
-def _tensorboard(out_dir: Path, step: int) -> Board | None:
+def _tensorboard(out_dir: Path, step: int) -> BoardLog | None:
     """A log, or None if tensorboard is not installed; `history.jsonl` has the same numbers."""
     if importlib.util.find_spec("tensorboard") is None:
         return None
-    return Board(out_dir, step)
+    return BoardLog(out_dir, step)

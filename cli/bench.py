@@ -11,7 +11,7 @@ from synth3dlanes.words import counted
 
 from .options import (
     RENDERERS,
-    Count,
+    CountRange,
     assets_option,
     device_option,
     json_option,
@@ -33,7 +33,7 @@ FPS = 10.0
 
 
 @click.command()
-@click.option("--n", type=Count(min=1), default=30, help="Number of scenes to time, after a warm-up.")
+@click.option("--n", type=CountRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
 @params_option
 @set_option
 @assets_option

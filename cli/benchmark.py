@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from .generate import progress
-from .networks import WEIGHTS, Checkpoint, need_torch
+from .networks import WEIGHTS, CheckpointPath, need_torch
 from .options import RENDERERS, json_option, progress_bar, workers_option
 
 
@@ -16,7 +16,10 @@ from .options import RENDERERS, json_option, progress_bar, workers_option
 @click.option("--out", metavar="DIR", required=True, help="The data set: a folder or a URL such as s3://lanes/hills.")
 @click.option("--train", "is_training", is_flag=True, help="Make the images for training and validation too.")
 @click.option(
-    "--checkpoint", metavar=f"FILE|{WEIGHTS}", type=Checkpoint(), help="Trained network to score on the test images."
+    "--checkpoint",
+    metavar=f"FILE|{WEIGHTS}",
+    type=CheckpointPath(),
+    help="Trained network to score on the test images.",
 )
 @click.option(
     "--predictions",

@@ -9,7 +9,15 @@ import click
 from synth3dlanes.errors import InputError
 
 from .idle import refuse_idle, refuse_together
-from .networks import INTRINSICS, WEIGHTS, Checkpoint, camera_intrinsics, device_option, need_torch, own_model_option
+from .networks import (
+    INTRINSICS,
+    WEIGHTS,
+    CheckpointPath,
+    camera_intrinsics,
+    device_option,
+    need_torch,
+    own_model_option,
+)
 from .options import FiniteRange, json_option, progress_bar
 
 if TYPE_CHECKING:
@@ -23,7 +31,7 @@ OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots
 @click.option(
     "--checkpoint",
     metavar=f"FILE|{WEIGHTS}",
-    type=Checkpoint(),
+    type=CheckpointPath(),
     help="Trained network to score; nano, compact and streets are in this package (docs/models.md).",
 )
 @own_model_option

@@ -19,7 +19,7 @@ from .options import (
     KEYS_OF_ROADS,
     LINE_EVERY_S,
     RENDERERS,
-    Count,
+    CountRange,
     assets_option,
     camera_option,
     clip_options,
@@ -58,7 +58,7 @@ class PartOf(click.ParamType):
 
 
 @click.command()
-@click.option("--n", type=Count(min=1), required=True, help="Number of samples in the split.")
+@click.option("--n", type=CountRange(min=1), required=True, help="Number of samples in the split.")
 @click.option(
     "--out",
     metavar="DIR",

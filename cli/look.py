@@ -10,7 +10,7 @@ from synth3dlanes.settings import PASSES
 from synth3dlanes.words import counted
 
 from .idle import refuse_idle
-from .options import Count, OutputFile, json_option, output_console
+from .options import CountRange, OutputFile, json_option, output_console
 
 
 @click.command()
@@ -61,7 +61,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
 @click.command()
 @click.argument("folder", metavar="DIR")
 @click.option("--out", type=OutputFile(".png", ".jpg"), default="gallery.png", help="Image to write.")
-@click.option("--n", type=Count(min=1), default=24, help="Maximum number of samples.")
+@click.option("--n", type=CountRange(min=1), default=24, help="Maximum number of samples.")
 @click.option("--columns", type=click.IntRange(min=1), default=6, help="Number of columns.")
 @click.option(
     "--shuffle",
@@ -131,7 +131,7 @@ def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
 @click.option("--html", type=OutputFile(".html"), default="report.html", help="HTML page to write.")
 @click.option(
     "--n",
-    type=Count(min=1),
+    type=CountRange(min=1),
     default=2000,
     help="Maximum number of scenes to read for the statistics, evenly spaced.",
 )

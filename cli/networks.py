@@ -23,7 +23,7 @@ INTRINSICS = "FX,FY,CX,CY|FILE"
 device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
 
 
-class Checkpoint(click.ParamType):
+class CheckpointPath(click.ParamType):
     """A file, or the name of weights in the package; the library looks for it."""
 
     name = "checkpoint"

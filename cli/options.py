@@ -67,7 +67,7 @@ class FileName(click.ParamType):
         return str(value)
 
 
-class Count(click.IntRange):
+class CountRange(click.IntRange):
     """A whole number, also as 1e3 or 300_000."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:

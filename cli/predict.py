@@ -5,7 +5,15 @@ from pathlib import Path
 import click
 
 from .idle import refuse_idle
-from .networks import INTRINSICS, WEIGHTS, Checkpoint, camera_intrinsics, device_option, need_torch, own_model_option
+from .networks import (
+    INTRINSICS,
+    WEIGHTS,
+    CheckpointPath,
+    camera_intrinsics,
+    device_option,
+    need_torch,
+    own_model_option,
+)
 from .options import FiniteRange, OutputFile, patience, progress_bar
 
 
@@ -16,7 +24,7 @@ def is_checkpoint(what: str) -> bool:
 
 @click.command()
 @click.argument(
-    "what", metavar="[CHECKPOINT] DIR[/SPLIT[:KEY]]|IMAGE|FOLDER|VIDEO", nargs=-1, required=True, type=Checkpoint()
+    "what", metavar="[CHECKPOINT] DIR[/SPLIT[:KEY]]|IMAGE|FOLDER|VIDEO", nargs=-1, required=True, type=CheckpointPath()
 )
 @click.option(
     "--out",
@@ -93,7 +101,7 @@ def predict(
 
 
 @click.command()
-@click.argument("checkpoint", metavar=f"CHECKPOINT|{WEIGHTS}", type=Checkpoint())
+@click.argument("checkpoint", metavar=f"CHECKPOINT|{WEIGHTS}", type=CheckpointPath())
 @click.argument("path", metavar="FILE.onnx", type=OutputFile(".onnx"))
 @click.option(
     "--int8",

@@ -9,7 +9,7 @@ from synth3dlanes.settings import MAX_SAMPLES
 
 from .idle import refuse_idle_keys
 from .options import (
-    Count,
+    CountRange,
     assets_option,
     camera_option,
     clip_options,
@@ -33,7 +33,7 @@ from .options import (
 @click.option("--index", type=click.IntRange(0, MAX_SAMPLES - 1), default=0, help="Index of the sample in the split.")
 @click.option(
     "--n",
-    type=Count(1, MAX_SAMPLES),
+    type=CountRange(1, MAX_SAMPLES),
     default=1,
     help="Number of samples, starting at --index; one JSON document per line.",
 )

@@ -9,7 +9,7 @@ from synth3dlanes.files import encoded, write
 
 from .idle import refuse_idle, refuse_idle_keys
 from .options import (
-    Count,
+    CountRange,
     OutputFile,
     assets_option,
     completing,
@@ -26,7 +26,7 @@ from .options import (
 @click.argument("folder", metavar="[DIR]", required=False)
 @click.option(
     "--n",
-    type=Count(min=1),
+    type=CountRange(min=1),
     default=2000,
     help="Number of scenes to draw, or to read from DIR, evenly spaced.",
 )

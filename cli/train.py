@@ -10,7 +10,7 @@ import click
 from synth3dlanes.errors import InputError
 
 from .idle import is_given, refuse_idle_keys, refuse_repeated, refuse_together
-from .networks import WEIGHTS, Checkpoint, device_option, need_torch
+from .networks import WEIGHTS, CheckpointPath, device_option, need_torch
 
 MODEL_NAMES = ("paper", "compact", "small", "nano", "tiny", "improved", "tusimple")
 ROW_NAMES = (
@@ -57,7 +57,7 @@ out_option = click.option(
 @click.option(
     "--init",
     metavar=f"FILE|{WEIGHTS}",
-    type=Checkpoint(),
+    type=CheckpointPath(),
     help="Start from the weights of a checkpoint, or from those in this package: fine-tuning.",
 )
 @click.option(

@@ -7,7 +7,7 @@ import click
 from synth3dlanes.words import counted
 
 from .generate import progress
-from .options import RENDERERS, Count, assets_option, device_option, open_assets, workers_option
+from .options import RENDERERS, CountRange, assets_option, device_option, open_assets, workers_option
 
 
 @click.command()
@@ -16,7 +16,7 @@ from .options import RENDERERS, Count, assets_option, device_option, open_assets
     "--vary", metavar="PATH=VALUES", required=True, help="Factor and its values, such as light.exposure=1,2,3."
 )
 @click.option("--out", metavar="DIR", required=True, help="The new data set: a folder or a URL such as s3://lanes/v1.")
-@click.option("--n", type=Count(min=1), default=10, help="Number of scenes, from the start of the split.")
+@click.option("--n", type=CountRange(min=1), default=10, help="Number of scenes, from the start of the split.")
 @workers_option(RENDERERS)
 @device_option
 @assets_option

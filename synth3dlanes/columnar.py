@@ -40,7 +40,7 @@ INCOMPRESSIBLE = -1
 
 
 @dataclass(frozen=True)
-class Bounds:
+class TableBounds:
     """What a table may take: rows, and bytes of all columns that are read."""
 
     most_rows: int
@@ -59,7 +59,7 @@ class Bounds:
             raise FormatError(f"{where}: expected at most {most:,} bytes in {rows:,} rows, got {size:,}")
 
 
-def read_parquet(data: bytes, where: str, bounds: Bounds, columns: Sequence[str] | None = None) -> pa.Table:
+def read_parquet(data: bytes, where: str, bounds: TableBounds, columns: Sequence[str] | None = None) -> pa.Table:
     """A table, or those of some columns that it has. Raises FormatError for more rows or bytes than the bounds allow,
     one of DAMAGED for damaged bytes."""
     # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
@@ -89,7 +89,7 @@ def read_parquet(data: bytes, where: str, bounds: Bounds, columns: Sequence[str]
     return _decoded(table, where, bounds)
 
 
-def read_arrow(data: bytes, where: str, bounds: Bounds, columns: Sequence[str]) -> pa.Table:
+def read_arrow(data: bytes, where: str, bounds: TableBounds, columns: Sequence[str]) -> pa.Table:
     """Those columns of an Arrow file that it has. Raises as `read_parquet` does."""
     with pa.ipc.open_file(pa.BufferReader(data)) as file:
         schema = file.schema
@@ -111,7 +111,7 @@ def read_arrow(data: bytes, where: str, bounds: Bounds, columns: Sequence[str]) 
     return _decoded(table, where, bounds)
 
 
-def _decoded(table: pa.Table, where: str, bounds: Bounds) -> pa.Table:
+def _decoded(table: pa.Table, where: str, bounds: TableBounds) -> pa.Table:
     """The table with plain columns instead of dictionaries."""
     coded = {
         name: table[name]

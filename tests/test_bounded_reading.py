@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from pyarrow import feather
 
-from synth3dlanes.columnar import DAMAGED, Bounds, read_arrow, read_parquet
+from synth3dlanes.columnar import DAMAGED, TableBounds, read_arrow, read_parquet
 from synth3dlanes.dataset.index import read_index
 from synth3dlanes.drives.described import read_described
 from synth3dlanes.drives.lines import read_lines_of
@@ -24,7 +24,7 @@ from synth3dlanes.errors import FormatError, InputError
 
 MOST_MB, LIMIT_BYTES = 900, 6 << 30
 LARGE, MANY = "x" * (4 << 20), 20_000_000
-BOUNDS = Bounds(most_rows=1_000_000, row_bytes=2048)
+BOUNDS = TableBounds(most_rows=1_000_000, row_bytes=2048)
 
 
 def parquet(columns: dict[str, object], **options: object) -> bytes:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from synth3dlanes.columnar import DAMAGED, Bounds, read_parquet
+from synth3dlanes.columnar import DAMAGED, TableBounds, read_parquet
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of
 from synth3dlanes.errors import FormatError
 from synth3dlanes.settings import MAX_SHARD_SIZE
@@ -62,7 +62,7 @@ TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float6
 # Far above any tar; sums of such numbers do not overflow.
 MAX_TAR_BYTES = 1 << 50
 # A row of 111 columns takes 1 KB, decoded or in pages.
-BOUNDS = Bounds(most_rows=MAX_SHARD_SIZE, row_bytes=2048)
+BOUNDS = TableBounds(most_rows=MAX_SHARD_SIZE, row_bytes=2048)
 
 
 def read_index(data: bytes, where: str, columns: Sequence[str] = ()) -> pa.Table:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Shaped
 
-from synth3dlanes.columnar import DAMAGED, Bounds, read_arrow
+from synth3dlanes.columnar import DAMAGED, TableBounds, read_arrow
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.files import read_bounded
 from synth3dlanes.schema import shown
@@ -19,7 +19,7 @@ from synth3dlanes.schema import shown
 # A pose every 10 ms for three hours takes 100 MB as text.
 MAX_TEXT_BYTES, MAX_TABLE_BYTES = 128 << 20, 256 << 20
 # A point of Argoverse 2 takes 24 bytes, a pose 64.
-BOUNDS = Bounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
+BOUNDS = TableBounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
 
 
 def matching(folder: Path, pattern: str, most: int) -> list[Path]:

@@ -36,7 +36,7 @@ class GantryBoard(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Span:
+class CrossingSpan:
     """A crossing in its frame: x of its legs and of a bridge's abutments (left and right), and the world heights of its
     lower side and its top."""
 
@@ -50,7 +50,7 @@ def crossing_frame(ground: Ground, crossing: Crossing) -> GroundFrame:
     return frames_beside(ground, ground.network.main.id, "median", np.array([crossing.s_m]), 0.0)[0]
 
 
-def crossing_span(ground: Ground, crossing: Crossing) -> Span:
+def crossing_span(ground: Ground, crossing: Crossing) -> CrossingSpan:
     """Where a crossing's legs and abutments stand clear of all pavements, and how high it is above these."""
     frame = crossing_frame(ground, crossing)
     half_m = crossing.width_m / 2
@@ -71,7 +71,7 @@ def crossing_span(ground: Ground, crossing: Crossing) -> Span:
     paved_m = heights[ground.clearance(under.reshape(-1, 2)).reshape(under.shape[:2]) < 0.5]
     under_m = float(paved_m.max()) + crossing.clearance_m
     depth_m = DECK_M if crossing.kind == "bridge" else 2.0
-    return Span((legs[0], legs[1]), (abutments[0], abutments[1]), under_m, under_m + depth_m)
+    return CrossingSpan((legs[0], legs[1]), (abutments[0], abutments[1]), under_m, under_m + depth_m)
 
 
 def crossing_body(ground: Ground, crossing: Crossing) -> Body:
@@ -85,7 +85,7 @@ def crossing_body(ground: Ground, crossing: Crossing) -> Body:
     return quads.body()
 
 
-def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: Span) -> None:
+def _gantry(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: CrossingSpan) -> None:
     """Two legs, and two chords with struts between them."""
     half, (left, right) = crossing.width_m / 2, span.legs_m
     base, rise_m = _gantry_base(ground, crossing, frame), 1.3
@@ -164,7 +164,7 @@ def _station_below(ground: Ground, crossing: Crossing, lane: NetworkLane) -> Flo
     return s
 
 
-def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: Span) -> None:
+def _bridge(quads: Quads, ground: Ground, crossing: Crossing, frame: GroundFrame, span: CrossingSpan) -> None:
     """A deck with parapets on columns and abutments, and dams of earth behind these."""
     half, color = crossing.width_m / 2, (*crossing.color, 0.0)
     dark = (*(0.8 * channel for channel in crossing.color), 0.0)

@@ -136,7 +136,7 @@ def test_history_repeats_no_step_and_keeps_no_broken_line(tmp_path):
 def test_the_log_of_tensorboard_reads_back(tmp_path):
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     for start in (0, 2):
-        board = progress.Board(tmp_path, start)
+        board = progress.BoardLog(tmp_path, start)
         for step in range(start + 1, start + 4):
             board.add({"loss/total": 10.0 * start + step}, step)
         # Names have the second in them.

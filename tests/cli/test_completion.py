@@ -9,7 +9,7 @@ from click.shell_completion import ShellComplete
 from click.testing import Result
 from synth3dlanes_cli.generate import progress
 from synth3dlanes_cli.main import main
-from synth3dlanes_cli.options import Count
+from synth3dlanes_cli.options import CountRange
 
 from synth3dlanes.production.events import Event
 from synth3dlanes.schema import did_you_mean
@@ -58,13 +58,13 @@ def test_it_is_asked_on_the_command_line(run: Run) -> None:
 
 @pytest.mark.parametrize(("text", "number"), [("1e3", 1000), ("3E5", 300000), ("2.0e2", 200), ("7", 7), ("1e+2", 100)])
 def test_counts_as_people_write_them(text: str, number: int) -> None:
-    assert Count(1).convert(text, None, None) == number
+    assert CountRange(1).convert(text, None, None) == number
 
 
 @pytest.mark.parametrize("text", ["1.5e3", "1e-3", "0e3", "1e", "e3", "x", "-1e3", "1e99", "nan"])
 def test_what_is_no_count_is_refused(text: str) -> None:
     with pytest.raises(click.BadParameter):
-        Count(1).convert(text, None, None)
+        CountRange(1).convert(text, None, None)
 
 
 @pytest.mark.parametrize(("quiet", "lines"), [(False, ["1/2", "2/2"]), (True, [])])

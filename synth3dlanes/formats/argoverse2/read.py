@@ -11,7 +11,7 @@ import pyarrow as pa
 from jaxtyping import Float
 
 from synth3dlanes import schema
-from synth3dlanes.columnar import DAMAGED, Bounds, read_arrow
+from synth3dlanes.columnar import DAMAGED, TableBounds, read_arrow
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import (
     ANNOTATIONS,
@@ -26,7 +26,7 @@ from synth3dlanes.frames import rotation
 from synth3dlanes.schema import Excerpt, Number
 
 # A point takes 24 bytes, a box 130; files with boxes have few rows.
-BOUNDS = Bounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
+BOUNDS = TableBounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
 IMAGE = re.compile(r"(?P<timestamp>\d{1,19})\.jpg")
 
 Columns = dict[str, np.ndarray]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from synth3dlanes import schema
 from synth3dlanes.arrays import Matrix4, Points3, RgbImage
-from synth3dlanes.columnar import DAMAGED, Bounds, read_parquet
+from synth3dlanes.columnar import DAMAGED, TableBounds, read_parquet
 from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.cosmos.convention import TABLES, ClipFiles
 from synth3dlanes.formats.reading import json_object, read_file
@@ -22,7 +22,7 @@ from synth3dlanes.schema import Excerpt, Number
 from synth3dlanes.video import open_video
 
 # Rows are few, and may have long lines.
-BOUNDS = Bounds(most_rows=1 << 20, row_bytes=256, base_bytes=256 << 20)
+BOUNDS = TableBounds(most_rows=1 << 20, row_bytes=256, base_bytes=256 << 20)
 
 
 class _Time(Excerpt):

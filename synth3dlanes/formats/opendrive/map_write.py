@@ -58,7 +58,7 @@ class LaneJoint(NamedTuple):
     enters: str
 
 
-class Ids(NamedTuple):
+class FileIds(NamedTuple):
     """The ids in the file of roads and junctions by ours."""
 
     roads: Mapping[str, str]
@@ -80,7 +80,7 @@ def opendrive_of_map(world: World, name: str) -> str:
     direct = _direct_junctions(found, touches)
     # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.
     roads_by = numbered(found)
-    ids = Ids(roads_by, numbered([*(at.id for at in roads.junctions), *direct.values()], roads_by.values()))
+    ids = FileIds(roads_by, numbered([*(at.id for at in roads.junctions), *direct.values()], roads_by.values()))
     for road in found.values():
         element = add(root, "road", name=road.id, length=road.length_m, id=ids.roads[road.id])
         element.set("junction", ids.junctions[road.junction] if road.junction else NO_NUMBER)
@@ -166,7 +166,7 @@ def _add_links(
     found: Mapping[str, MapRoad],
     touches: list[LaneJoint],
     direct: Mapping[tuple[str, str], str],
-    ids: Ids,
+    ids: FileIds,
 ) -> None:
     for tag, end in (("predecessor", "start"), ("successor", "end")):
         beyond = _beyond(road.id, end, touches)
@@ -197,7 +197,7 @@ def _add_junctions(
     found: Mapping[str, MapRoad],
     touches: list[LaneJoint],
     direct: Mapping[tuple[str, str], str],
-    ids: Ids,
+    ids: FileIds,
 ) -> None:
     for at in roads.junctions:
         if not any(road.junction == at.id for road in found.values()):
@@ -225,7 +225,7 @@ def _add_junctions(
 
 
 def _add_connections(
-    junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str, ids: Ids
+    junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str, ids: FileIds
 ) -> None:
     for count, ((one, other, contact), lanes) in enumerate(entered.items()):
         connection = add(junction, "connection", id=str(count), incomingRoad=ids.roads[one], contactPoint=contact)
