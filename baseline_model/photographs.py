@@ -14,11 +14,10 @@ from synth3dlanes.formats.reading import read_image, read_text
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
 from synth3dlanes.words import counted
 
-from . import checkpoint as checkpoints
 from .ahead import ImageProgress, told
 from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam
 from .image_lines import asked_for, columns_of, delimiters, right_of_host_m, tusimple_score
-from .inference import choose_device
+from .inference import Detector
 from .lanes import Detection, Prediction, read_by_key
 from .pictures import image_files
 
@@ -115,20 +114,17 @@ class LaneAreas:
 Photographs = TusimpleImages | LaneAreas
 
 
-def evaluate_checkpoint(
-    checkpoint: str | Path,
+def evaluate_detector(
+    detector: Detector,
     photographs: Photographs,
     intrinsics: Intrinsics,
     threshold: float = 0.5,
-    device: str = "auto",
-    own_model: str | None = None,
     progress: ImageProgress | None = None,
 ) -> ImageReport:
-    """Run the checkpoint's network over photographs and score it; `progress` gets the images that are done, and all."""
-    detector = checkpoints.detector(checkpoint, choose_device(device), own_model)
-    images = (CameraImage(key, photographs.image(i), intrinsics) for i, key in enumerate(photographs.keys()))
-    n_images = len(photographs.keys())
-    found = (prediction for _, prediction in told(detector.in_images(images), n_images, progress))
+    """Run a network over photographs and score it; `progress` gets the images that are done, and all."""
+    keys = photographs.keys()
+    images = (CameraImage(key, photographs.image(i), intrinsics) for i, key in enumerate(keys))
+    found = (prediction for _, prediction in told(detector.in_images(images), len(keys), progress))
     return _score(found, photographs, intrinsics, threshold)
 
 

@@ -126,8 +126,12 @@ def evaluate(
         if predictions is not None:
             found = images.evaluate_predictions(predictions, photographs, camera, threshold)
         elif checkpoint is not None:
+            from synth3dlanes_baseline.checkpoint import detector
+            from synth3dlanes_baseline.inference import choose_device
+
+            network = detector(checkpoint, choose_device(device), own_model)
             with progress_bar("images") as move:
-                found = images.evaluate_checkpoint(checkpoint, photographs, camera, threshold, device, own_model, move)
+                found = images.evaluate_detector(network, photographs, camera, threshold, move)
         else:
             raise click.UsageError("expected --checkpoint or --predictions to score on photographs")
         click.echo(json.dumps(found.document()) if as_json else found.text())

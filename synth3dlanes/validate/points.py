@@ -90,7 +90,7 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
         found = []
         if marked and lane.kind == "delimiter":
             at = lane.visible & strip.resolved & evidence.is_single[lane.id]
-            found.append(_paint(camera, lane, strip, at, evidence.paint.stripes_m(lane.id), marked, passes))
+            found.append(_paint(evidence, lane, strip, at, marked))
         if "depth" in passes:
             found += _surface(lane, strip, uv, passes, evidence.is_single[lane.id])
         if "depth" in passes and "semantic" in passes:
@@ -137,26 +137,18 @@ def _marked(passes: Passes) -> PaintPixels:
     return PaintPixels(is_paint.shape, centers, cKDTree(centers))
 
 
-def _paint(
-    camera: CameraLabel,
-    lane: Lane,
-    strip: Strip,
-    at: Bool[np.ndarray, " n"],
-    stripes_m: tuple[float, ...],
-    marked: PaintPixels,
-    passes: Passes,
-) -> Measure:
+def _paint(evidence: Evidence, lane: Lane, strip: Strip, at: Bool[np.ndarray, " n"], marked: PaintPixels) -> Measure:
     """Distance in pixels from the stripes at each of these points to the nearest pixel of paint; 0 inside one.
     Of two stripes the one farther from its paint counts, unless it may be hidden."""
-    farthest = np.zeros(int(at.sum()))
+    farthest, stripes_m = np.zeros(int(at.sum())), evidence.paint.stripes_m(lane.id)
     if not len(marked.centers):
         return Measure("paint_px", lane.xyz_cam[at, 1], farthest + max(marked.shape))
     for aside_m in stripes_m:
         points_cam = strip.points_cam[at] + aside_m * strip.across_cam[at]
-        uv = camera.project(points_cam)
+        uv = evidence.camera.project(points_cam)
         inside = ((uv >= 0) & (uv <= marked.shape[::-1])).all(axis=1)
         if len(stripes_m) > 1:
-            inside &= ~_may_be_hidden(points_cam, uv, marked.shape, passes)
+            inside &= ~_may_be_hidden(points_cam, uv, marked.shape, evidence.passes)
         _, nearest = marked.tree.query(uv[inside])
         outside = np.clip(np.abs(uv[inside] - marked.centers[nearest]) - 0.5, 0, None)
         farthest[inside] = np.maximum(farthest[inside], np.hypot(*outside.T))

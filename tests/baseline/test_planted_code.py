@@ -111,9 +111,6 @@ READERS = {
     "detector_for": lambda: predict.detector_for("photo.jpg", "x.pt"),
     "evaluate_checkpoint": lambda: evaluate.evaluate_checkpoint("x.pt", "DATA/test"),
     "evaluate_flat_ground": lambda: evaluate.evaluate_flat_ground("x.pt", "DATA/test"),
-    "evaluate_checkpoint of photographs": lambda: photographs.evaluate_checkpoint(
-        "x.pt", photographs.LaneAreas((), ()), (1, 1, 1, 1)
-    ),
     "benchmark": lambda: _score("DATA/test", "x.pt", None),
     "export_onnx": lambda: onnx_export.export_onnx("x.pt", "x.onnx"),
 }
