@@ -28,6 +28,8 @@ GO: tuple[tuple[SignalState, float], ...] = (("green", 0.85), ("amber", 0.15))
 WAIT: tuple[tuple[SignalState, float], ...] = (("red", 0.94), ("red_amber", 0.06))
 # Linear red, green and blue of barriers.
 RAIL_COLORS = {"guardrail": (0.36, 0.37, 0.38), "concrete": (0.4, 0.39, 0.37)}
+# Places along a rail from which its distance is measured.
+RAIL_STEP_M = 10.0
 # Walls and trunks keep this far from pavements.
 WALL_M, TRUNK_M = 0.3, 0.6
 
@@ -47,11 +49,24 @@ def stand(part: MapPart, world: World, draw: Draw) -> Roadside:
     buildings = [_building(body, rng) for body in part.bodies if body.kind == "building"]
     clear = [at for at in buildings if world.ground.is_clear(floor_plan(at), WALL_M).all()]
     return Roadside(
-        rails=tuple(map(_rail, part.rails[:MAX_RAILS])),
+        rails=_rails(part, world),
         signals=_nearest(signals, MAX_FREE),
         signs=_nearest(signs, MAX_FREE),
         buildings=_nearest(clear, MAX_BUILDINGS),
     )
+
+
+def _rails(part: MapPart, world: World) -> tuple[Rail, ...]:
+    """The barriers of the roads of a scene, which are fewer than those of the part; as many as a scene may have, those
+    nearest to the host."""
+    roads = {road.id: road for road in world.network.roads}
+
+    def away_m(item: GivenRail) -> float:
+        s = np.linspace(item.from_m, item.to_m, 2 + int((item.to_m - item.from_m) / RAIL_STEP_M))
+        return float(np.hypot(*roads[item.road].xy(s, 0 * s).T).min())
+
+    near = sorted((item for item in part.rails if item.road in roads), key=away_m)
+    return tuple(map(_rail, near[:MAX_RAILS]))
 
 
 def _rail(item: GivenRail) -> Rail:

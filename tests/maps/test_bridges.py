@@ -11,6 +11,7 @@ from synth3dlanes.labels import Labels
 from synth3dlanes.maps.given_map import read_opendrive
 from synth3dlanes.maps.places import read_place
 from synth3dlanes.params import load_params
+from synth3dlanes.roadside import MAX_RAILS
 from synth3dlanes.sample import Scenes, sample_world
 from synth3dlanes.sampling.on_map import MapPlace
 from synth3dlanes.validate.standing import mesh_height
@@ -181,9 +182,23 @@ def test_barriers_of_a_file_are_rails() -> None:
     )
     world = world_at("1:130:-1", road(EAST, TWO, "1", after=objects))
     found = [(rail.kind, rail.from_m, rail.to_m, rail.aside_m) for rail in world.scene.roadside.rails]
-    assert found == [("guardrail", 140, 200, -5), ("concrete", 120, 210, 5)]
+    assert found == [("concrete", 120, 210, 5), ("guardrail", 140, 200, -5)]
     given = read_opendrive(opendrive(road(EAST, TWO, "1", after=objects)), "t", "map t")
     assert given.left_out["objects of type barrier"] == 1
+
+
+def test_of_many_barriers_the_nearest_are_kept_and_none_on_roads_too_far_to_be_there() -> None:
+    """A part of a map has roads that are farther from the host than those of its scene."""
+    many = "".join(
+        f'<object type="barrier" s="{4 * i}" t="5" length="4" id="{i}"/>' for i in range(99, -1, -1) for _ in range(2)
+    )
+    near = road(EAST, TWO, "1", after=f"<objects>{many}</objects>")
+    objects = '<objects><object type="barrier" s="0" t="5" length="9" id="900"/></objects>'
+    far = road(plan(("<line/>", 10.0), start=(330.0 + 480.0, 0.0, 0.0)), TWO, "2", after=objects)
+    rails = world_at("1:330:-1", far, near).scene.roadside.rails
+    assert len(rails) == MAX_RAILS
+    assert {rail.road for rail in rails} == {"1"}
+    assert min(rail.from_m for rail in rails) > 150
 
 
 def test_a_rail_below_a_deck_stays_on_the_ground() -> None:
