@@ -160,11 +160,11 @@ class Site:
     @cached_property
     def structures(self) -> list[Body]:
         """What stands beside and over the road, in the order of instance ids; traffic elements come last."""
-        own = (*roadside.bodies(self.ground, self.roadside), *self.spans)
+        own = (*roadside.bodies(self.ground, self.roadside), *self.span_bodies)
         return [*own, *(element.body for element in self.elements)]
 
     @property
-    def spans(self) -> list[Body]:
+    def span_bodies(self) -> list[Body]:
         """The decks and tunnels of its roads."""
         return []
 
@@ -208,7 +208,7 @@ class MapSite(Site):
         return map_meshes.pavement_meshes(self.ground)
 
     @cached_property
-    def spans(self) -> list[Body]:
+    def span_bodies(self) -> list[Body]:
         """The decks and tunnels of its roads."""
         return span_bodies(self.ground)
 

@@ -107,7 +107,7 @@ def test_the_ground_goes_on_below_a_deck(level: World) -> None:
 
 def test_a_deck_has_parapets_piers_and_abutments(level: World) -> None:
     (deck,) = level.ground.decks
-    (body,) = level.site.spans
+    (body,) = level.site.span_bodies
     assert any(at is body for at in level.site.structures)
     upper, lower = deck.road, level.network.road("1")
     corners = body.corners_world.reshape(-1, 3)
@@ -159,7 +159,7 @@ def test_a_tunnel_is_below_the_ground_and_open_at_both_ends() -> None:
     labels = ground_truth(world.scene)
     middle = next(lane for lane in labels.lanes if lane.id == "1.0.-1")
     assert middle.terrain_visible[:-2].all(), "seen through the tunnel"
-    (body,) = world.site.spans
+    (body,) = world.site.span_bodies
     assert body.kind == "tunnel"
 
 
