@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from synth3dlanes.road_map import Station
 from synth3dlanes.schema import Color, DocumentPart, Metres, Name, Number
 from synth3dlanes.traffic_elements import MAX_FREE, MAX_LANES, LaneSignal, TrafficSign, TrafficSignal
 
@@ -21,8 +22,8 @@ class Rail(DocumentPart):
     kind: RailKind
     road: Name
     side: RoadSide
-    from_m: Metres
-    to_m: Metres
+    from_m: Station
+    to_m: Station
     aside_m: Metres
     height_m: Annotated[float, Field(gt=0, le=30)]
     color: Color

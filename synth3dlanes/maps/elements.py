@@ -51,9 +51,10 @@ HEAD_M, OVERHEAD_M, SIGN_M, FREE_M = 2.3, 5.2, 2.1, 4.5
 # Some files have turns against the road in degrees: larger ones than this are left out.
 MOST_TURN = 2 * math.pi
 TREES, BUILDINGS, NO_TYPES = ("tree", "vegetation"), ("building",), ("", "-1", "none")
-# Barriers are rails where they are this long at least, as narrow, and as parallel to the road; their heights.
+# Barriers are rails if they are this long at least, and at most this wide, this far from parallel to the road and this
+# far beside its line; their heights.
 BARRIERS, SOLID_WORDS = ("barrier", "guardrail", "railing"), ("concrete", "jersey", "wall")
-LEAST_RAIL_M, MOST_RAIL_M, MOST_ASLANT_M, RAIL_HEIGHTS_M = 4.0, 1.5, 0.5, (0.6, 1.2)
+LEAST_RAIL_M, MOST_RAIL_M, MOST_ASLANT_M, MOST_ASIDE_M, RAIL_HEIGHTS_M = 4.0, 1.5, 0.5, 100.0, (0.6, 1.2)
 LEAST_BUILDING_M, MOST_BUILDING_M, LEAST_HEIGHT_M, MOST_HEIGHT_M = 1.0, 300.0, 0.5, 200.0
 
 
@@ -167,7 +168,8 @@ def _rails(item: Element, at: FileRoad) -> Iterator[GivenRail]:
         height_m = max(number(one, key, at.where, 0.0) for one in (item, place) for key in ("height", "heightStart"))
         from_m, to_m = max(s, 0.0), min(s + length_m, at.road.length_m)
         is_along = abs(t[1] - t[0]) <= MOST_ASLANT_M and width_m <= MOST_RAIL_M
-        if is_along and to_m - from_m >= LEAST_RAIL_M:
+        is_beside = max(map(abs, t)) <= MOST_ASIDE_M
+        if is_along and is_beside and to_m - from_m >= LEAST_RAIL_M:
             height_m = min(max(height_m, RAIL_HEIGHTS_M[0]), RAIL_HEIGHTS_M[1])
             yield GivenRail(kind, at.road.id, from_m, to_m, (t[0] + t[1]) / 2, height_m)
 

@@ -187,6 +187,14 @@ def test_barriers_of_a_file_are_rails() -> None:
     assert given.left_out["objects of type barrier"] == 1
 
 
+def test_a_barrier_is_as_long_as_its_road_but_not_far_beside_it() -> None:
+    """The part of a road that a scene keeps may be longer than a kilometre."""
+    objects = "".join(f'<object type="barrier" s="0" t="{t}" length="3000" id="{i}"/>' for i, t in enumerate((5, 1200)))
+    long = plan(*[("<line/>", 300.0)] * 10)
+    (rail,) = world_at("1:1500:-1", road(long, TWO, "1", after=f"<objects>{objects}</objects>")).scene.roadside.rails
+    assert (rail.from_m, rail.to_m, rail.aside_m) == (0, 1200, -5)
+
+
 def test_of_many_barriers_the_nearest_are_kept_and_none_on_roads_too_far_to_be_there() -> None:
     """A part of a map has roads that are farther from the host than those of its scene."""
     many = "".join(
