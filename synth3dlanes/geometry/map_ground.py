@@ -56,6 +56,8 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
+# Between the stations at which a road's height over the terrain is asked, it changes by less than this.
+BETWEEN_M = 0.5
 # The edges of a road's pavement.
 EDGES = attrgetter("left"), attrgetter("right")
 # The ground is so much lower than the lower side of a deck above it. A tunnel covers places so near to it.
@@ -356,7 +358,7 @@ class MapGround(Ground):
         of what they are laid on: from the edges of their pavement the ground falls or rises until it meets the terrain.
         It stays below decks, and goes over tunnels where places are `covered`."""
         above = np.zeros(len(flat))
-        near, roads = self.network.nearby(flat, np.full(len(flat), EMBANKMENT_M))
+        near, roads = self.network.nearby(flat, self._slopes_reach_m)
         z = height_at(self.network.terrain, flat[near])
         bounds = _Bounds.of(len(z))
         for road, which, s, t in roads:
@@ -375,6 +377,29 @@ class MapGround(Ground):
                     bounds.below(at[inside], self._below_deck(span, s[inside], t[inside]) - z[at[inside]])
         above[near] = bounds.ground(covered[near])
         return above
+
+    @cached_property
+    def _slopes_reach_m(self) -> dict[str, float]:
+        """How far beside each road with heights its slopes may decide the ground: to the terrain, or to the slopes of
+        the road that is highest over it or deepest below."""
+        ranges = {}
+        for name, road in ((road.id, self.network.road(road.id)) for road in self.network.roads):
+            if not road.has_heights:
+                continue
+            s = road.plan.stations
+            edges = np.concatenate([road.base_points(s, side(s)) for side in (road.left, road.right)])
+            raised_m = edges[:, 2] - height_at(self.network.terrain, edges[:, :2])
+            low_m, high_m = float(raised_m.min()), float(raised_m.max())
+            spans = self._spans_of.get(name, ())
+            low_m -= (DECK_M + BELOW_DECK_M + VALLEY_M) * any(not span.is_tunnel for span in spans)
+            high_m += (CEILING_M + COVER_M) * any(span.is_tunnel for span in spans)
+            ranges[name] = low_m, high_m
+        lowest_m = min((low_m for low_m, _ in ranges.values()), default=0.0)
+        highest_m = max((high_m for _, high_m in ranges.values()), default=0.0)
+        return {
+            name: min(EMBANKMENT_M, BERM_M + EMBANKMENT_SLOPE * (max(high_m - lowest_m, highest_m - low_m) + BETWEEN_M))
+            for name, (low_m, high_m) in ranges.items()
+        }
 
     def _on_ground(self, road: SectionRoad, s: Scalars) -> Scalars:
         """The nearest stations of a road at which it lies on the ground; infinite where it never does."""

@@ -65,26 +65,34 @@ class Spiral(FiniteLine):
     curvature: float = 0.0
     bends: float = 0.0
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Place, heading, curvature and its change, as `spiral_frames` takes them."""
+        return (*self.start_world, self.heading_rad, self.curvature, self.bends)
+
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
-        heading = self._heading(s)
-        normals = paired(np.sin(heading), -np.cos(heading))
-        return LineFrames(self._points(s, normals), normals, np.ones(s.shape), -(self.curvature + self.bends * s))
+        return spiral_frames(np.broadcast_to(self.numbers, (*s.shape, 5)), s)
 
-    def _points(self, s: AnyScalars, normals: AnyPoints2) -> AnyPoints2:
-        first = np.array([np.sin(self.heading_rad), -np.cos(self.heading_rad)])
-        if self.bends:
-            u = self._heading(s[..., None] * NODES)
-            way = s[..., None] * (WEIGHTS[:, None] * paired(np.cos(u), np.sin(u))).sum(axis=-2)
-        elif abs(self.curvature) > STRAIGHT:
-            way = (normals - first) / self.curvature
-        else:
-            # To the second order, below which an arc so wide does not differ.
-            way = s[..., None] * np.array([-first[1], first[0]]) - (self.curvature * s * s / 2)[..., None] * first
-        return np.asarray(self.start_world + way)
 
-    def _heading(self, s: AnyScalars) -> AnyScalars:
-        return np.asarray(self.heading_rad + s * (self.curvature + self.bends * s / 2))
+def spiral_frames(numbers: Float[np.ndarray, "*n 5"], s: AnyScalars) -> LineFrames:
+    """Spirals, each by its `numbers`, at one station each."""
+    x, y, first_rad, curvature, bends = (numbers[..., i] for i in range(5))
+    heading = first_rad + s * (curvature + bends * s / 2)
+    normals = paired(np.sin(heading), -np.cos(heading))
+    first = paired(np.sin(first_rad), -np.cos(first_rad))
+    bent, straight = bends != 0, np.abs(curvature) <= STRAIGHT
+    way = (normals - first) / np.where(straight, 1.0, curvature)[..., None]
+    at = straight & ~bent
+    if at.any():
+        # To the second order, below which an arc so wide does not differ.
+        along = paired(-first[at][:, 1], first[at][:, 0])
+        way[at] = s[at][:, None] * along - (curvature[at] * s[at] ** 2 / 2)[:, None] * first[at]
+    if bent.any():
+        nodes = s[bent][:, None] * NODES
+        u = first_rad[bent][:, None] + nodes * (curvature[bent][:, None] + bends[bent][:, None] * nodes / 2)
+        way[bent] = s[bent][:, None] * (WEIGHTS[:, None] * paired(np.cos(u), np.sin(u))).sum(axis=-2)
+    return LineFrames(paired(x, y) + way, normals, np.ones(s.shape), -(curvature + bends * s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +170,12 @@ class Chain(FiniteLine):
     def _starts(self) -> Float[np.ndarray, " k"]:
         return np.cumsum([self.start_m, *(line.length_m for line in self.lines[:-1])])
 
+    @cached_property
+    def _numbers(self) -> Float[np.ndarray, "k 5"] | None:
+        """Those of all lines, if each is a spiral."""
+        lines = [line for line in self.lines if isinstance(line, Spiral)]
+        return np.array([line.numbers for line in lines]) if len(lines) == len(self.lines) else None
+
     def within(self, start_m: float, end_m: float) -> "Chain":
         """The lines between two stations, the outer ones with all their length: at the end, the one before it."""
         first = max(int(np.searchsorted(self._starts, start_m + SAME_M, side="right")) - 1, 0)
@@ -178,6 +192,8 @@ class Chain(FiniteLine):
         first = int(which.min(initial=len(starts) - 1))
         if first == which.max(initial=first):
             return self.lines[first].frames(s - starts[first])
+        if self._numbers is not None:
+            return spiral_frames(self._numbers[which], s - starts[which])
         found = LineFrames(np.zeros((*s.shape, 2)), np.zeros((*s.shape, 2)), np.ones(s.shape), np.zeros(s.shape))
         for i in np.unique(which):
             at = which == i

@@ -1,7 +1,7 @@
 """The network of a map: its roads have stations of their own, and the host drives along a route. World frame, metres;
 the rules are in docs/network.md."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -279,16 +279,22 @@ class MapNetwork(Network):
         return s if (away_m < ahead_m).any() else s[:0]
 
     def nearby(
-        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars | Mapping[str, float]
     ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
         """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
-        near."""
+        near. A mapping gives the reach of each road by its id; without one there, a road is left out."""
         found, near = [], np.zeros(len(xy_world), dtype=bool)
-        reach_m = np.broadcast_to(reach_m, near.shape)
-        farthest_m = float(reach_m.max(initial=0.0))
+        by_road = reach_m if isinstance(reach_m, Mapping) else None
+        reach = np.zeros(near.shape) if isinstance(reach_m, Mapping) else np.broadcast_to(reach_m, near.shape)
+        farthest_m = float(reach.max(initial=0.0))
         order = np.argsort(xy_world[:, 0])
         x = xy_world[order, 0]
         for road, low, high, half_m in self._boxes:
+            if by_road is not None:
+                if road.id not in by_road:
+                    continue
+                farthest_m = by_road[road.id]
+                reach = np.broadcast_to(farthest_m, near.shape)
             first, end = np.searchsorted(x, [low[0] - farthest_m, high[0] + farthest_m])
             at = order[first:end]
             y = xy_world[at, 1]
@@ -296,7 +302,7 @@ class MapNetwork(Network):
             if not at.size:
                 continue
             apart_m, place = road.plan.tree.query(xy_world[at])
-            close = apart_m < half_m + reach_m[at]
+            close = apart_m < half_m + reach[at]
             at = at[close]
             if at.size:
                 guess = road.plan.stations[np.asarray(place)[close]]

@@ -14,6 +14,8 @@ from synth3dlanes.arrays import AnyPoints2, AnyScalars
 
 # Enough for a projection to converge below 1e-6 m within 30 m of a road with the sharpest bend drawn.
 NEWTON_STEPS = 4
+# After steps below this, a projection has converged.
+SETTLED_M = 1e-9
 # A step goes no farther than this, and takes no piece of the line for shorter than this share of its length.
 MAX_STEP_M, MIN_SHARE = 20.0, 0.3
 
@@ -74,7 +76,10 @@ class ReferenceLine(ABC):
             to = xy_world - points
             along = sign * (to[..., 1] * normals[..., 0] - to[..., 0] * normals[..., 1])
             t = dot(to, normals)
-            s = s + np.clip(along / np.maximum(speed - turn * t, MIN_SHARE * speed), -MAX_STEP_M, MAX_STEP_M)
+            step = np.clip(along / np.maximum(speed - turn * t, MIN_SHARE * speed), -MAX_STEP_M, MAX_STEP_M)
+            s = s + step
+            if not (np.abs(step) > SETTLED_M).any():
+                break
         points, normals, _, _ = self.frames(s)
         return s, dot(xy_world - points, normals)
 
