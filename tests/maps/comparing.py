@@ -15,8 +15,9 @@ from synth3dlanes.maps.given_map import GivenMap
 from synth3dlanes.world import World
 from tests.maps.standard import KERB_M, Road
 
-# Labels reach less far from any point of a line; lines are looked at in such steps first.
-REACH_M, COARSE_M, EVERY_M = 240.0, 10.0, 2.0
+# Lines are looked at in steps of the first length, and compared where these are near to a point of the labels; lanes of
+# whole files are compared in steps of the last.
+COARSE_M, NEAR_M, EVERY_M = 10.0, 20.0, 2.0
 
 
 class Apart(NamedTuple):
@@ -51,8 +52,8 @@ def apart(world: World, labels: Labels, given: GivenMap, roads: Mapping[str, Roa
         for k, piece in enumerate(curve.pieces):
             road = own[piece.road.id]
             lengths_m = np.linspace(piece.start_m, piece.end_m, 2 + int((piece.end_m - piece.start_m) / COARSE_M))
-            away_m = np.hypot(*(in_file(curve.points_world(lengths_m)) - points[len(points) // 2])[:, :2].T)
-            near = np.flatnonzero(away_m < REACH_M)
+            away_m, _ = cKDTree(points[:, :2]).query(in_file(curve.points_world(lengths_m))[:, :2])
+            near = np.flatnonzero(away_m < NEAR_M)
             if not near.size:
                 continue
             ends = lengths_m[[max(near[0] - 1, 0), min(near[-1] + 1, len(lengths_m) - 1)]]

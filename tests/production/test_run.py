@@ -255,7 +255,7 @@ def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
     last_words = "worker ended with 1: ValueError: no scene is good"
     assert report.problem.startswith(f"2 scenes in a row failed, the last with: {last_words}")
     report, _ = go(plan(tmp_path, n=1000, maker=fake_samples.miss_a_library))
-    assert report.problem == "ImportError: libmissing.so.1: cannot open shared object file"
+    assert report.problem.startswith("ImportError: libmissing.so.1: cannot open shared object file; install the")
 
 
 @pytest.mark.fresh
