@@ -23,7 +23,7 @@ from synth3dlanes.road_map import MapLaneKind
 # Faces of lanes are no wider than this; cells of junctions, near the host and far from it.
 COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 # What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
-SEAM_M, SEAM_FALL_M, FOOT_M = 0.08, 0.006, 0.05
+SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # The terrain goes down to its bed so far inside the edges of the pavement.
 UNDER_M = 0.15
 # Columns of cells are cut out a little wider; lines of the terrain's grid keep off corners of the pavement.
@@ -109,8 +109,8 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     z = ground.area_height(area, xy)
     if not area.raised_m:
         beside = ~contains(area.polygon, xy)
-        beside[beside] = shapely.distance(area.polygon, shapely.points(xy[beside])) > 0.5 * SEAM_M
-        z = z - SEAM_FALL_M * beside
+        beside[beside] = shapely.distance(area.polygon, shapely.points(xy[beside])) > SEAM_EDGE_M
+        z[beside] = np.minimum(z[beside], ground.under(xy[beside])) - SEAM_FALL_M
     surface = np.full(len(faces), AREA_SURFACES[area.kind])
     found = [Mesh(np.column_stack([xy, z]), faces, xy, surface)]
     if area.raised_m:
