@@ -22,6 +22,9 @@ from synth3dlanes.lift.tracks import Track
 
 # A stretch of fewer points is no lane.
 MIN_POINTS = 3
+# Far away, errors that the lines of many pictures share make deviations across larger than the curve knows of: by this,
+# measured (docs/lift.md), between these distances.
+ENLARGED_FROM_TO_M, ENLARGED = (20.0, 50.0), 1.7
 
 
 def label_frame(drive: Drive, frame: DriveFrame, stretch: Stretch, precision: Precision) -> Labels:
@@ -64,6 +67,8 @@ def _lanes(track: Track, host: float, camera: CameraLabel, ground: GroundMap, pr
         # The lane is known in the world; this frame's pose and the camera's place bring it into the camera's frame.
         far_m = np.linalg.norm(xyz_cam, axis=1)
         off = np.hypot(precision.pose_at(far_m), precision.calibration_at(far_m))
+        std_m = np.hypot(track.std_m[at], off[:, None])
+        std_m[:, 0] *= np.interp(far_m, ENLARGED_FROM_TO_M, (1.0, ENLARGED))
         found.append(
             Lane(
                 id=track.id if not found else f"{track.id}.{len(found) + 1}",
@@ -78,7 +83,7 @@ def _lanes(track: Track, host: float, camera: CameraLabel, ground: GroundMap, pr
                 object_visible=None,
                 color=track.color,
                 direction=track.direction,
-                std_m=np.hypot(track.std_m[at], off[:, None]),
+                std_m=std_m,
             )
         )
     return found
