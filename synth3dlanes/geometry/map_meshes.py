@@ -24,6 +24,8 @@ from synth3dlanes.road_map import MapLaneKind
 COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 # What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
+# Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
+SKIRT_M = 0.12
 # The terrain goes down to its bed so far inside the edges of the pavement.
 UNDER_M = 0.15
 # Columns of cells are cut out a little wider; lines of the terrain's grid keep off corners of the pavement.
@@ -83,6 +85,11 @@ def _strips(ground: MapGround, stretch: SectionRoad) -> list[Mesh]:
             ends[:, 1:-1, 2] -= KERB_M + FOOT_M
             vertices = np.concatenate([ends[:1], vertices, ends[1:]])
             uv = np.concatenate([uv[:1], uv, uv[-1:]])
+        else:
+            feet = vertices[:, [0, -1]] - [0, 0, SKIRT_M]
+            vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
+            uv = np.concatenate([uv[:, :1], uv, uv[:, -1:]], axis=1)
+            surfaces = [surfaces[0], *surfaces, surfaces[-1]]
         found.append(grid(vertices, uv, np.array(surfaces)))
         i = end
     return found
@@ -113,19 +120,17 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
         z[beside] = np.minimum(z[beside], ground.under(xy[beside])) - SEAM_FALL_M
     surface = np.full(len(faces), AREA_SURFACES[area.kind])
     found = [Mesh(np.column_stack([xy, z]), faces, xy, surface)]
-    if area.raised_m:
-        found.append(_kerb(ground, area))
-    return found
+    return [*found, _kerb(ground, area)]
 
 
 def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
-    """Upright faces around a raised area."""
+    """Upright faces around an area, down into the terrain."""
     quads = []
     for ring in shapely.get_rings(shapely.get_parts(area.polygon)):
         ring = shapely.segmentize(ring, 1.0)
         xy = shapely.get_coordinates(ring)
         top = np.column_stack([xy, ground.area_height(area, xy)])
-        low = top - [0, 0, area.raised_m + FOOT_M]
+        low = top - [0, 0, area.raised_m + FOOT_M if area.raised_m else SKIRT_M]
         quads.append(np.stack([low[:-1], low[1:], top[1:], top[:-1]], axis=1))
     corners = np.concatenate(quads)
     faces = np.arange(4 * len(corners)).reshape(-1, 4)

@@ -126,7 +126,7 @@ def check_hills(evidence: Evidence) -> Iterator[Result]:
 
 def check_holes(evidence: Evidence) -> Iterator[Result]:
     """Finding where the sky shows through the ground: at pixels that look down and whose line of sight is below the
-    terrain where this ends, so that it must meet ground before."""
+    terrain where this ends, by a pixel or more, so that it must meet ground before."""
     rows, columns = np.nonzero(evidence.passes["semantic"] == SEMANTIC_IDS["sky"])
     rays = evidence.camera.rays(np.column_stack([columns, rows]) + 0.5) @ evidence.camera.world_from_cam[:3, :3].T
     down = rays[:, 2] < 0
@@ -136,7 +136,8 @@ def check_holes(evidence: Evidence) -> Iterator[Result]:
     with np.errstate(divide="ignore"):
         way_m = np.abs((last[(rays[:, :2] > 0).astype(int), [0, 1]] - eye_world[:2]) / rays[:, :2]).min(axis=1)
     ends = eye_world + way_m[:, None] * rays
-    is_hole = ends[:, 2] < terrain_height(evidence.world.ground, ends[:, :2])
+    pixel_m = way_m / evidence.camera.img_from_cam[0, 0]
+    is_hole = ends[:, 2] < terrain_height(evidence.world.ground, ends[:, :2]) - pixel_m
     n = int(is_hole.sum())
     yield Bounded("surface.holes", n, most=0)
     if n:
