@@ -36,9 +36,6 @@ from tests.validate.sealing import Members
 
 Pixels = np.ndarray
 
-# Elements of fewer pixels do not tell their share.
-SURE_PX = 60
-
 
 # -- pictures
 
@@ -151,14 +148,6 @@ def with_a_hole(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
     return holed
 
 
-def less_seen(document: dict[str, Any]) -> None:
-    """Every element of which there are pixels enough, seen to a quarter of what it is."""
-    for item in document["traffic_elements"]:
-        left, top, right, bottom = item["seen_box_px"] or (0, 0, 0, 0)
-        if (right - left) * (bottom - top) > SURE_PX:
-            item["visible_fraction"] = round(item["visible_fraction"] / 4, 3)
-
-
 def without_bonnet(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
     """The bonnet as road."""
     at = passes["semantic"] == SEMANTIC_IDS["host"]
@@ -254,7 +243,6 @@ OF_STREETS = [
         of_pass("semantic", partial(swapped, "barrier", "kerb")),
         "on faces of (barrier|kerb)",
     ),
-    Fault("visible_fraction of signs a quarter of it", of_json(LABELS, less_seen), "visible_fraction: expected"),
     Fault("symbols missing", of_passes(without_symbols), "pixels of its paint", True),
     Fault("bonnet missing", of_passes(without_bonnet), "expected the bonnet", True),
     Fault("rear half of the sweep three columns on", of_sweep(rear_turned), "lidar"),
