@@ -336,7 +336,7 @@ def test_strange_values_in_files(option: str, every: int, run: Run, around: Path
     assert not faults, listed(faults)
 
 
-NUMBERS = ["-1", "9" * 30, "9" * 5000, "1e5", "nan", "", "٣" * 5000, "0x1F", "\udcff"]
+NUMBERS = ["-1", "9" * 30, "9" * 5000, "1e-5", "nan", "", "٣" * 5000, "0x1F", "\udcff"]
 NUMBERED = [
     *("sample --index {}", "sample --n {}", "sample --seed {}", "sample --frames {}", "sample --fps {}"),
     *("generate --out e --dry-run --device cpu --n {}", "generate --n 1 --out e --dry-run --device cpu --workers {}"),
