@@ -284,17 +284,14 @@ class MapNetwork(Network):
         """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
         near. A mapping gives the reach of each road by its id; without one there, a road is left out."""
         found, near = [], np.zeros(len(xy_world), dtype=bool)
-        by_road = reach_m if isinstance(reach_m, Mapping) else None
-        reach = np.zeros(near.shape) if isinstance(reach_m, Mapping) else np.broadcast_to(reach_m, near.shape)
-        farthest_m = float(reach.max(initial=0.0))
         order = np.argsort(xy_world[:, 0])
         x = xy_world[order, 0]
         for road, low, high, half_m in self._boxes:
-            if by_road is not None:
-                if road.id not in by_road:
-                    continue
-                farthest_m = by_road[road.id]
-                reach = np.broadcast_to(farthest_m, near.shape)
+            own_m = reach_m.get(road.id) if isinstance(reach_m, Mapping) else reach_m
+            if own_m is None:
+                continue
+            reach = np.broadcast_to(own_m, near.shape)
+            farthest_m = float(reach.max(initial=0.0))
             first, end = np.searchsorted(x, [low[0] - farthest_m, high[0] + farthest_m])
             at = order[first:end]
             y = xy_world[at, 1]
