@@ -40,7 +40,7 @@ def checked(function: Callable[Given, Result]) -> Callable[Given, Result]:
         for name, value in bound.arguments.items():
             annotation = _signature(function).parameters[name].annotation
             if isinstance(value, str | os.PathLike) and "\0" in os.fspath(value):
-                problems.append(f"{os.fspath(value)!r}: expected text without a null character")
+                problems.append(f"{name}: expected text without a null character, got {os.fspath(value)!r}")
             elif annotation is not inspect.Parameter.empty and not _fits(value, annotation):
                 problems.append(f"{name}: expected {_words(annotation)}, got {shown(value)}")
             elif isinstance(value, np.integer | np.floating):

@@ -138,7 +138,8 @@ def test_an_address_that_is_none_is_one_line(run: Run, place: str) -> None:
     for command in (("info", place), ("stats", place)):
         result = run(*command)
         assert result.exit_code == 2, result.output
-        assert result.stderr.startswith(place.rstrip("/") if "\0" not in place else repr(place))
+        # No shell passes a null character on: it is told by the library, with the name of its own argument.
+        assert repr(place) in result.stderr if "\0" in place else result.stderr.startswith(place.rstrip("/"))
         assert result.stderr.count("\n") == 1
         assert not isinstance(result.exception, Synth3dlanesError)
 
