@@ -10,6 +10,7 @@ a row mean that the machine is at fault, and stop the run, as do missing files a
 the run waits.
 """
 
+import os
 import time
 from collections import Counter, deque
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -23,7 +24,7 @@ from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.patience import LIMIT_S, Patience
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import LinkError, OutageError
+from synth3dlanes.errors import FormatError, LinkError, OutageError
 from synth3dlanes.files import Folder
 from synth3dlanes.production.forecast import forecast, patience_s
 from synth3dlanes.production.plan import Plan
@@ -88,6 +89,7 @@ class _Run:
 
     def __init__(self, plan: Plan, root: Path, shards: dict[int, Shard], tally: RunTally) -> None:
         self.plan, self.root, self.tally = plan, root, tally
+        self.folder = root.stat()
         self.shards = {number: shard.claimed() for number, shard in shards.items()}
         missing = {number: shard.missing(plan.n) for number, shard in self.shards.items()}
         self.left = {number: len(indices) for number, indices in missing.items()}
@@ -112,10 +114,22 @@ class _Run:
             self._loop()
         except OSError as error:
             self.tally.problem = f"{self.root}: {type(error).__name__}: {error}"
+        except FormatError:
+            # A join during which the data set's folder is moved away finds half a shard.
+            if not self._has_moved():
+                raise
+            self.tally.problem = f"{self.root}: the folder is gone"
         finally:
             for shard in self.opened:
                 with suppress(OSError, LinkError):
                     shard.close()
+
+    def _has_moved(self) -> bool:
+        """Whether the data set's folder is no longer where it was."""
+        try:
+            return not os.path.samestat(self.folder, self.root.stat())
+        except OSError:
+            return True
 
     def _loop(self) -> None:
         plan, tally = self.plan, self.tally

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from synth3dlanes.dataset import write
 from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
@@ -200,6 +201,27 @@ def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole):
     report = generate(plan(out), tell)
     assert report.exit_code == 1
     assert str(out) in report.problem
+    shutil.rmtree(out, ignore_errors=True)
+    (tmp_path / "moved").rename(out)
+    assert go(plan(out)).exit_code == 0
+    soak.check(out, N, whole)
+
+
+def test_a_folder_that_vanishes_during_a_join_is_named_and_its_shards_are_not_blamed(tmp_path, whole, monkeypatch):
+    out, read = tmp_path / "out", write.read_bounded
+
+    def read_and_move_the_folder(path, n_bytes):
+        data = read(path, n_bytes)
+        if path.suffix == ".parquet" and out.exists():
+            out.rename(tmp_path / "moved")
+        return data
+
+    monkeypatch.setattr(write, "read_bounded", read_and_move_the_folder)
+    report = go(plan(out))
+    assert report.exit_code == 1
+    assert str(out) in report.problem
+    assert "remove" not in report.problem
+    monkeypatch.undo()
     shutil.rmtree(out, ignore_errors=True)
     (tmp_path / "moved").rename(out)
     assert go(plan(out)).exit_code == 0
