@@ -61,6 +61,7 @@ pictures: .venv/ready  ## draw the pictures of frames, of the network and of res
 
 golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
 	$(BIN)/python -m tests.golden.make
+	$(BIN)/python -m tests.golden.frozen > /dev/null
 
 assets: .venv/ready  ## rebuild cars, trees, textures and skies from their scripts
 	$(BIN)/python blender_assets/make.py
