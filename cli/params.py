@@ -4,6 +4,7 @@ import json
 
 import click
 
+from .idle import refuse_idle
 from .options import completing, json_option, set_option
 
 
@@ -15,14 +16,19 @@ def params() -> None:
 @params.command()
 @click.argument("source", metavar="[NAME|FILE]", default="appendix_i", shell_complete=completing())
 @set_option
+@click.option("--full", is_flag=True, help="Print every key.")
 @json_option
-def show(source: str, changes: tuple[str, ...], as_json: bool) -> None:
-    """Print a preset or a parameter file, with changes applied, as a complete parameter file with its comments."""
+def show(source: str, changes: tuple[str, ...], full: bool, as_json: bool) -> None:
+    """Print a preset, whole, or what a parameter file or --set changes of one: as a parameter file with comments."""
     from synth3dlanes.params import forms, load_params
-    from synth3dlanes.params_text import params_yaml
+    from synth3dlanes.params_text import changes_yaml, params_yaml
 
+    refuse_idle(not as_json, ["full"], "with --json, which prints every key")
     loaded = load_params(source, changes)
-    click.echo(json.dumps(forms(loaded)) if as_json else params_yaml(loaded, source), nl=as_json)
+    if as_json:
+        click.echo(json.dumps(forms(loaded)))
+    else:
+        click.echo(params_yaml(loaded, source) if full else changes_yaml(loaded, source), nl=False)
 
 
 @params.command()

@@ -54,7 +54,18 @@ _SYNTH3DLANES_COMPLETE=fish_source synth3dlanes | source
 
 PARAMS_HEAD = """# Parameters
 
-A parameter file is a YAML file with the keys below. Each value has one of these forms:
+A parameter file is a YAML file that names what it is based on, and has the keys that it changes:
+
+```yaml
+base: streets                 # a preset, or the path of another file, from the folder of this one
+road:
+  lane_width_m: [3, 3.5]
+```
+
+`--params mine.yaml` uses it, `synth3dlanes params check mine.yaml` checks it, and `synth3dlanes params show --full
+mine.yaml` prints every key. `synth3dlanes params show streets --set road.lane_width_m='[3, 3.5]' > mine.yaml` writes
+this file. To change a single key, `--set camera.pitch_deg=3` will do. Fixing one key does not change the random values
+of the others. Each value has one of these forms:
 
 ```yaml
 lane_width_m: [3.2, 4.0]      # uniform; integers include both ends
@@ -63,10 +74,9 @@ n_lanes: {2: 0.5, 3: 0.3}     # value: weight
 height_m: 1.5                 # constant
 ```
 
-Start from a preset: `synth3dlanes params show realistic > mine.yaml`. Check the file with `synth3dlanes params check
-mine.yaml` and use it with `--params mine.yaml`. To change a single key, use `--set camera.pitch_deg=3`. Fixing one key
-does not change the random values of the others. Lengths are in metres, angles in degrees. A file may leave out keys and
-groups that were added after version 0.1.0, which have the constants of `appendix_i` then; `params check` names them.
+Lengths are in metres, angles in degrees. A file without a base has every key. It may leave out keys and groups that
+were added after version 0.1.0, which have the constants of `appendix_i` then; `params check` names them, and
+`params show` prints the short file that means the same.
 
 Four rules change what is drawn: weather and time of day replace ranges (below); topologies 3 and 4 have at least two
 lanes; a median needs oncoming lanes and at least a metre; the host's lane is one of those present. Oncoming lanes that
@@ -89,10 +99,10 @@ WEATHER_HEAD = """## Weather and time of day
 `weather.kind` and `weather.daytime` are drawn first. Any other than `any` replaces the distributions of these keys, so
 that air, surface, light and camera fit each other; the rest of the scene is drawn as without them.
 
-Your own values come first: a key that you give with `--set` keeps your value in every weather, and so does one that
-your file has otherwise than the preset that it differs least from. `kept: [weather.headlights]` in a file names keys
-that are your own although the preset has the same value; `params show` prints it. A value that does not fit the
-weather, such as a sun at 40 degrees at night, is used and named in a line.
+Your own values come first: a key that you give with `--set`, or in a file with a base, keeps your value in every
+weather. In a file without a base, so do the keys that differ from those of the preset that it differs least from;
+`kept: [weather.headlights]` names further ones. A value that does not fit the weather, such as a sun at 40 degrees at
+night, is used and named in a line.
 """
 
 

@@ -4,7 +4,9 @@ Metres and degrees. Reading a file is the only side effect.
 """
 
 import copy
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -432,26 +434,108 @@ def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
     raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file{hint}")
 
 
+@dataclass(frozen=True, eq=False)
+class _File:
+    """A preset or a parameter file as it is written: its name in messages, its path, text, keys and problems."""
+
+    where: str
+    path: Path
+    text: str
+    document: dict[Any, Any]
+    problems: list[str]
+    preset: str
+
+
+# The key of a file that names the preset or the file that it changes.
+BASE = "base"
+
+
+def _read_file(source: str, by: _File | None = None) -> _File:
+    """A preset or file, as the base of another file or as a user names it."""
+    named = "" if by is None else f"{by.where}: {BASE}: "
+    try:
+        path, where = find_preset(source)
+    except InputError as error:
+        raise InputError(*(f"{named}{problem}" for problem in error.problems)) from None
+    if by is not None and where == source:
+        path = by.path.parent / source
+        where = str(path)
+    text = text_of(path, f"{named}{where}")
+    document, problems = copy.deepcopy(_parsed(text, where))
+    is_preset = os.path.realpath(path) == os.path.realpath(presets_folder() / path.name)
+    if not isinstance(document, dict):
+        raise InputError(*(problems or [f"{where}: expected groups of parameters, got {shown(document)}"]))
+    return _File(where, path, text, document, problems, path.stem if is_preset else "")
+
+
+def files_of(source: str) -> list[_File]:
+    """A preset or file and those that it is based on, itself last. Raises InputError."""
+    files = [_read_file(source)]
+    seen = [os.path.realpath(files[0].path)]
+    while BASE in files[0].document:
+        first, base = files[0], files[0].document.pop(BASE)
+        if not isinstance(base, str):
+            expected = "the name of a preset or the path of a parameter file"
+            raise InputError(*first.problems, f"{first.where}: {BASE}: expected {expected}, got {shown(base)}")
+        files.insert(0, _read_file(base, first))
+        seen.append(os.path.realpath(files[0].path))
+        if seen[-1] in seen[:-1]:
+            circle = " -> ".join(file.where for file in reversed(files))
+            raise InputError(f"{first.where}: {BASE}: expected a file that is not based on this one, got {circle}")
+    return files
+
+
+def preset_under(source: str) -> str:
+    """The preset that a file is based on, or that a source names; "" for a file without a base."""
+    return next((file.preset for file in reversed(files_of(source)) if file.preset), "")
+
+
+def merged(files: Sequence[_File]) -> dict[Any, Any]:
+    """The keys of files, those of later ones in place of those of earlier ones."""
+    document: dict[Any, Any] = {}
+    for file in files:
+        for name, read in file.document.items():
+            under = document.get(name)
+            if isinstance(read, dict) and isinstance(under, dict):
+                document[name] = {**under, **read}
+            else:
+                document[name] = [*under, *read] if isinstance(read, list) and isinstance(under, list) else read
+    return document
+
+
+def _named(files: Iterable[_File]) -> dict[str, str]:
+    """The groups and keys that files have, as `cars` and `cars.n`, each with the name of the last such file."""
+    found = {}
+    for file in files:
+        for name, read in file.document.items():
+            found[str(name)] = file.where
+            found.update({f"{name}.{key}": file.where for key in read} if isinstance(read, dict) else {})
+    return found
+
+
 def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
-    """Read a preset (by name) or a YAML file, then apply overrides like `road.n_lanes=3`.
+    """Read a preset (by name) or a YAML file, with what it is based on, then apply overrides like `road.n_lanes=3`.
 
     Numbers of models and textures refer to `assets`; see `numbers`. Raises one InputError with a line
     for every problem, each naming file and key.
     """
-    path, where = find_preset(source)
-    document, problems = copy.deepcopy(_parsed(text_of(path, where), where))
-    if not isinstance(document, dict):
-        raise InputError(*(problems or [f"{where}: expected groups of parameters, got {shown(document)}"]))
+    files = files_of(source)
+    problems = [problem for file in files for problem in file.problems]
+    document = merged(files)
     overridden, override_problems = _override(document, overrides)
     try:
         params = Params.model_validate(document, context=assets)
     except ValidationError as error:
-        raise InputError(*problems, *override_problems, *_problems(error, where, overridden)) from None
+        places = {**_named(files), **dict.fromkeys(overridden, "overrides")}
+        raise InputError(*problems, *override_problems, *_problems(error, files[-1].where, places)) from None
     if problems or override_problems:
         raise InputError(*problems, *override_problems)
-    # A file has all keys: its author's own are those that differ from the preset that it was made from.
-    is_file = source not in preset_names() and bool(params.open_to())
-    return params.keeping(overridden | nearest_preset(params)[1] if is_file else overridden)
+    # Keys of their author's own are those in files that change a preset; of those in a complete file, which has all
+    # keys, the ones that differ from the preset that it was made from.
+    own = overridden | _named(file for file in files if not file.preset).keys()
+    if not any(file.preset for file in files) and params.open_to():
+        own = overridden | nearest_preset(params)[1] | _named(files[1:]).keys()
+    return params.keeping(own)
 
 
 def nearest_preset(params: Params) -> tuple[str, set[str]]:
@@ -536,12 +620,14 @@ def _override(document: dict[Any, Any], overrides: Iterable[str]) -> tuple[set[s
     return done, problems
 
 
-def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[str]:
+def _problems(error: ValidationError, where: str, places: Mapping[str, str]) -> list[str]:
+    """A line for each problem of a file `where`; the place of a group or key that is elsewhere is in `places`."""
     lines = []
     missing = [".".join(map(str, problem["loc"])) for problem in error.errors() if problem["type"] == "missing"]
     for problem in error.errors():
         path = ".".join(str(step) for step in problem["loc"])
-        place = f"overrides {path}" if path in overridden else f"{where}: {path}"
+        place = places.get(path, where)
+        place += f" {path}" if place == "overrides" else f": {path}"
         if problem["type"] == "missing" and len(missing) > MAX_MISSING:
             continue
         if problem["type"] == "missing":
@@ -555,7 +641,8 @@ def _problems(error: ValidationError, where: str, overridden: set[str]) -> list[
         lines.append(f"{place}: {text}")
     if len(missing) > MAX_MISSING:
         named = ", ".join(missing[:MAX_MISSING])
-        lines.append(f"{where}: {len(missing)} missing keys: {named}, ...; a file has all keys of `params show`")
+        hint = f"a file that changes a preset begins with its name, as `{BASE}: appendix_i`"
+        lines.append(f"{where}: {len(missing)} missing keys: {named}, ...; {hint}")
     return lines
 
 

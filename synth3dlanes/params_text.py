@@ -4,15 +4,14 @@ Reading a file is the only side effect.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import yaml
 from pydantic import ValidationError
 
 from synth3dlanes.distributions import extent, form
-from synth3dlanes.params import Params, find_preset, forms, nearest_preset
-from synth3dlanes.yaml_text import read_yaml, text_of
+from synth3dlanes.params import BASE, Params, files_of, forms, load_params, merged, nearest_preset, preset_under
 
 REFERENCE = "appendix_i"
 # The column of comments, as in the presets.
@@ -32,33 +31,61 @@ Comments = dict[tuple[str, str], str]
 def params_yaml(params: Params, source: str = REFERENCE) -> str:
     """The parameters as a complete YAML file that `load_params` reads back to equal Params.
 
-    Comments are those of the preset or file `source`, or of the reference preset where that has none.
+    Comments are those of the preset or file `source` and of what it is based on, or of the reference preset where these
+    have none.
     """
-    own = _text_of(source)
-    told = (comments_of(source), comments_of(REFERENCE))
-    found = {key: comment for comments in reversed(told) for key, comment in comments.items() if comment}
-    head = _head(own)
+    return _yaml(source, _head(files_of(source)[-1].text), forms(params), params.kept)
+
+
+def changes_yaml(params: Params, source: str) -> str:
+    """The parameters as a YAML file with a preset as `base` and the keys that differ from it, which `load_params` reads
+    back to equal Params; the complete file for a preset without changes. `params` are those of `source` with changes.
+
+    The preset is the one that `source` is or is based on, or that `params` differ least from.
+    """
+    preset = preset_under(source) or nearest_preset(params)[0]
+    file, base = files_of(source)[-1], load_params(preset)
+    if file.preset and params == base:
+        return params_yaml(params, source)
+    under = forms(base)
+    differing = {
+        group: {key: read for key, read in keys.items() if read != under[group][key]}
+        for group, keys in forms(params).items()
+    }
+    told = {group: keys for group, keys in differing.items() if keys}
+    kept = {path for path in params.kept for group, key in [path.split(".")] if key not in differing[group]}
+    return _yaml(source, ("" if file.preset else _head(file.text)) + f"{BASE}: {preset}\n", told, sorted(kept))
+
+
+def _yaml(source: str, head: str, told: Mapping[str, Mapping[str, Any]], kept: Collection[str]) -> str:
+    """A file of these keys below its first lines, with the comments of `source`."""
+    found: Comments = {}
+    for name in (REFERENCE, source):
+        found.update({key: comment for key, comment in comments_of(name).items() if comment})
     parts = [head] if head else []
-    for group, keys in forms(params).items():
+    for group, keys in told.items():
         lines = [_line(f"{group}:", found.get((group, ""), ""))]
         for key, read in keys.items():
             lines.append(_line(f"  {key}: {_flow(read)}", found.get((group, key), "")))
         parts.append("\n".join(lines) + "\n")
-    if params.kept:
-        parts.append(_line(f"kept: [{', '.join(params.kept)}]", KEPT) + "\n")
+    if kept:
+        parts.append(_line(f"kept: [{', '.join(kept)}]", KEPT) + "\n")
     return "\n".join(parts)
 
 
 def comments_of(source: str) -> Comments:
-    """The comment beside each key that a preset or file has, "" where there is none; groups have the key ""."""
+    """The comment beside each key that a preset or file, or what it is based on, has, "" where there is none; groups
+    have the key ""."""
     found: Comments = {}
-    group = ""
-    for line in _text_of(source).splitlines():
-        if (named := LINE.match(line)) is None:
-            continue
-        if not named["indent"]:
-            group = named["key"]
-        found[group, named["key"] * bool(named["indent"])] = (named["comment"] or "").strip()
+    for file in files_of(source):
+        group = ""
+        for line in file.text.splitlines():
+            if (named := LINE.match(line)) is None:
+                continue
+            if not named["indent"]:
+                group = named["key"]
+            place = group, named["key"] * bool(named["indent"])
+            found[place] = (named["comment"] or "").strip() or found.get(place, "")
     return found
 
 
@@ -103,7 +130,7 @@ def keys_left_out(source: str) -> list[str]:
 
     Files of earlier versions lack the keys that were added since. Those of towns are for presets of towns alone.
     """
-    document, _ = read_yaml(_text_of(source), source)
+    document = merged(files_of(source))
     told: list[str] = []
     params = Params.model_validate(document)
     for group, keys in forms(params).items():
@@ -113,11 +140,6 @@ def keys_left_out(source: str) -> list[str]:
         missing = [f"{group}.{key}" for key in keys if key not in there]
         told += [f"{group}.*"] if len(missing) == len(keys) else missing
     return told
-
-
-def _text_of(source: str) -> str:
-    path, where = find_preset(source)
-    return text_of(path, where)
 
 
 def _head(text: str) -> str:

@@ -1,5 +1,6 @@
 """Parameter files: every preset loads, and every kind of mistake names its file and key."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from synth3dlanes.assets.catalogue import CARS, Assets
 from synth3dlanes.distributions import Choice, Integers, Uniform
 from synth3dlanes.errors import InputError
 from synth3dlanes.params import Params, check_params, forms, load_params, preset_names, presets_folder
-from synth3dlanes.params_text import keys_left_out, params_yaml
+from synth3dlanes.params_text import changes_yaml, keys_left_out, params_yaml
 
 APPENDIX_I = (presets_folder() / "appendix_i.yaml").read_text()
 UNIT = st.floats(0, 1, exclude_max=True)
@@ -35,6 +36,25 @@ def test_a_preset_survives_yaml_and_json(name: str, tmp_path: Path) -> None:
     path.write_text(params_yaml(params))
     assert load_params(str(path)) == params
     assert Params.model_validate(params.model_dump(mode="json")) == params
+
+
+# Of what `dataset.json` holds of a preset, when each was a complete file.
+DIGESTS = {
+    "apollo_camera": "a6da67685ed9a25f",
+    "appendix_i": "cb74a4be140d2d87",
+    "diverse": "d2b5a78071901bfb",
+    "openlane_camera": "dcc2f6314b26bb47",
+    "realistic": "d751078fbd6c641a",
+    "streets": "4515312a8fb0b133",
+    "tiny": "2a9096fd964a295f",
+    "town": "dc65f399080a7e9a",
+    "tusimple_camera": "c102a5cd2b705728",
+}
+
+
+def test_presets_that_name_a_base_say_what_they_said_as_complete_files() -> None:
+    found = {name: json.dumps(load_params(name).model_dump(mode="json")).encode() for name in preset_names()}
+    assert {name: hashlib.sha256(text).hexdigest()[:16] for name, text in found.items()} == DIGESTS
 
 
 def test_appendix_i_has_the_papers_ranges() -> None:
@@ -115,6 +135,104 @@ def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
             "trees.model",
         ]
     )
+
+
+OURS = """# Narrow lanes.
+base: streets
+
+road:
+  lane_width_m: [3, 3.5]        # as in old towns
+"""
+
+
+def test_a_file_with_a_base_says_what_changes_of_its_base_say(tmp_path: Path) -> None:
+    """Also through a further file in another folder, whose own values come first, and for what weather leaves alone."""
+    (tmp_path / "below").mkdir()
+    first, second = tmp_path / "first.yaml", tmp_path / "below" / "second.yaml"
+    first.write_text(OURS + "light: {sun_zenith_deg: [20, 40], exposure: 2}\nkept: [air.overcast]\n")
+    second.write_text("base: ../first.yaml\nlight: {exposure: 3}\nair: {visibility_m: [15000, 60000]}\n")
+    own = ["road.lane_width_m=[3, 3.5]", "light.sun_zenith_deg=[20, 40]"]
+    one = load_params("streets", [*own, "light.exposure=2"])
+    assert load_params(str(first)) == one.keeping(["air.overcast"])
+    two = load_params("streets", [*own, "light.exposure=3", "air.visibility_m=[15000, 60000]"])
+    assert load_params(str(second)) == two.keeping(["air.overcast"])
+    assert two.kept == ("air.visibility_m", "light.exposure", "light.sun_zenith_deg")
+    assert load_params(str(second), ["light.exposure=2"]).light.exposure == Choice((2.0,), (1.0,))
+
+
+def test_what_a_preset_changes_of_its_base_is_not_kept_from_the_weather() -> None:
+    for name in ("town", str(presets_folder() / "town.yaml")):
+        assert load_params(name).kept == ()
+
+
+@pytest.mark.parametrize(
+    ("base", "expected"),
+    [
+        ("steets", "mine.yaml: base: steets: expected one of apollo_camera, appendix_i, "),
+        ("steets", "; did you mean streets?"),
+        ("none.yaml", "mine.yaml: base: none.yaml: cannot read: No such file or directory"),
+        ("nuscenes", "; nuscenes is for --camera"),
+        (
+            "[streets]",
+            "mine.yaml: base: expected the name of a preset or the path of a parameter file, got ['streets']",
+        ),
+        ("mine.yaml", "mine.yaml: base: expected a file that is not based on this one, got mine.yaml -> mine.yaml"),
+        ("other.yaml", "got mine.yaml -> other.yaml -> mine.yaml"),
+        ("wrong.yaml", "wrong.yaml: road.lane_with_m: unknown key; did you mean lane_width_m?"),
+        ("list.yaml", "list.yaml: expected groups of parameters, got ['road']"),
+        (
+            "short.yaml",
+            "mine.yaml: 12 missing keys: terrain, road, markings, ...; a file that changes a preset begins with",
+        ),
+    ],
+)
+def test_a_base_that_is_none_is_one_line(base: str, expected: str, in_tmp_path: Path) -> None:
+    Path("mine.yaml").write_text(f"base: {base}\nlight: {{exposure: 2}}\n")
+    Path("other.yaml").write_text("base: mine.yaml\n")
+    Path("wrong.yaml").write_text("base: streets\nroad: {lane_with_m: 3}\n")
+    Path("list.yaml").write_text("[road]\n")
+    Path("short.yaml").write_text("{}\n")
+    with pytest.raises(InputError) as error:
+        load_params("mine.yaml")
+    (line,) = error.value.problems
+    assert expected in line
+
+
+def test_a_mistake_is_told_with_the_file_that_has_it(in_tmp_path: Path) -> None:
+    Path("first.yaml").write_text("base: tiny\ncars: {n: -1, scale: 99}\nroads: {}\n")
+    Path("second.yaml").write_text("base: first.yaml\ncars: {scale: 98, modle: 1}\nroad: 3\n")
+    with pytest.raises(InputError) as error:
+        load_params("second.yaml", ["light.exposure=-2"])
+    assert {line.partition(": expected")[0].partition(";")[0] for line in error.value.problems} == {
+        "first.yaml: cars.n",
+        "first.yaml: roads: unknown key",
+        "second.yaml: cars.scale",
+        "second.yaml: cars.modle: unknown key",
+        "second.yaml: road",
+        "overrides light.exposure",
+    }
+
+
+@pytest.mark.parametrize("changes", [(), ("road.lane_width_m=[3, 3.25]", "weather.headlights=false")])
+@pytest.mark.parametrize("name", ["streets", "town", "tiny"])
+def test_what_is_shown_of_a_file_is_short_and_equal(name: str, changes: tuple[str, ...], in_tmp_path: Path) -> None:
+    """Of a file with a base, and of today's complete files, which say the same."""
+    Path("ours.yaml").write_text(OURS.replace("streets", name))
+    Path("complete.yaml").write_text(params_yaml(load_params("ours.yaml"), "ours.yaml"))
+    for source in ("ours.yaml", "complete.yaml"):
+        params = load_params(source, changes)
+        shown = changes_yaml(params, source)
+        Path("shown.yaml").write_text(shown)
+        assert load_params("shown.yaml") == params
+        assert shown.startswith(f"# Narrow lanes.\nbase: {name}\n\nroad:")
+        assert shown.count(": [3") == shown.count("# as in old towns") == 1
+        assert len(shown.splitlines()) == 5 + 2 * ("kept" in shown)
+
+
+def test_what_is_shown_of_a_preset_is_all_of_it_or_its_changes() -> None:
+    assert changes_yaml(load_params("town"), "town") == params_yaml(load_params("town"), "town")
+    changed = load_params("tiny", ["cars.n=3"])
+    assert changes_yaml(changed, "tiny") == f'base: tiny\n\n{"cars:":<30}  # Table "Objects"\n  n: 3\n'
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ Run = Callable[..., Result]
         ("generate --n 90000000 --out d --device cpu --dry-run", "d: 90,000,000 samples need "),
         (
             "params check partial.yaml",
-            "partial.yaml: 10 missing keys: terrain, road, markings, ...; a file has all keys",
+            "partial.yaml: 10 missing keys: terrain, road, markings, ...; a file that changes",
         ),
         ("sampel", "synth3dlanes: No such command 'sampel'."),
     ],

@@ -28,14 +28,19 @@ def test_sample_prints_the_scene_of_its_index(run: Run) -> None:
     assert run("sample", "--index", 17, "--params", "tiny", "--seed", 1).stdout.splitlines() != many[1:2]
 
 
-def test_params_show_prints_a_complete_file(run: Run, in_tmp_path: Path) -> None:
+def test_params_show_prints_what_a_file_changes_or_every_key(run: Run, in_tmp_path: Path) -> None:
     text = run("params", "show", "--set", "road.n_lanes=3").stdout
     (in_tmp_path / "mine.yaml").write_text(text)
-    assert re.search(r"^  n_lanes: 3  +#", text, re.M), "with its comment"
-    mine, tiny = run("params", "check", "mine.yaml", "tiny").stdout.splitlines()
-    assert mine == "mine.yaml: ok"
-    assert tiny.startswith("tiny: ok; left out, so as they are by default: ")
+    assert re.search(r"^base: appendix_i\n\nroad: .*\n  n_lanes: 3  +#.*\n\Z", text, re.M), "with its comment"
+    assert run("params", "check", "mine.yaml", "tiny").stdout.splitlines() == ["mine.yaml: ok", "tiny: ok"]
     assert run("params", "show", "mine.yaml").stdout == text
+    whole = run("params", "show", "mine.yaml", "--full").stdout
+    assert whole.splitlines() == [
+        "  n_lanes: 3                    # lanes of the main road, before the split"
+        if "  n_lanes: [2, 4]" in line
+        else line
+        for line in run("params", "show").stdout.split("\n\n", 1)[1].splitlines()
+    ]
     assert json.loads(run("params", "show", "--json").stdout)["light"]["exposure"] == [1, 3]
 
 

@@ -309,23 +309,25 @@ def test_strange_values(command: str, key: str, every: int, run: Run, around: Pa
     assert not faults, listed(faults)
 
 
-FILES = {
-    "--params": ("", "tiny", "exposure"),
-    "--camera": ("cameras", "kitti_raw", "height_m"),
-    "--rig": ("rigs", "nuscenes", "height_m"),
-    "--lidar": ("lidars", "hdl_32e", "max_range_m"),
-}
+FILES = [
+    ("--params", "", "appendix_i", "exposure"),
+    ("--params", "", "tiny", "base"),
+    ("--camera", "cameras", "kitti_raw", "height_m"),
+    ("--rig", "rigs", "nuscenes", "height_m"),
+    ("--lidar", "lidars", "hdl_32e", "max_range_m"),
+]
 
 
 @at_both_sizes
-@pytest.mark.parametrize("option", FILES)
-def test_strange_values_in_files(option: str, every: int, run: Run, around: Path) -> None:
-    kind, name, key = FILES[option]
+@pytest.mark.parametrize(("option", "kind", "name", "key"), FILES)
+def test_strange_values_in_files(
+    option: str, kind: str, name: str, key: str, every: int, run: Run, around: Path
+) -> None:
     lines = (presets_folder() / kind / f"{name}.yaml").read_text().splitlines()
     at = next(number for number, line in enumerate(lines) if f"{key}:" in line)
     head = lines[at][: lines[at].index(f"{key}:")]
     faults = {}
-    for text in some(TEXTS, list(FILES).index(option), every):
+    for text in some(TEXTS, FILES.index((option, kind, name, key)), every):
         edited = [*lines[:at], f"{head}{key}: {text}", *lines[at + 1 :]]
         (around / "x.yaml").write_bytes("\n".join(edited).encode("utf-8", "surrogateescape"))
         command = "generate --n 1 --out e --dry-run --device cpu" if option == "--lidar" else "sample"

@@ -39,6 +39,7 @@ GENERATE = "generate --n 1 --out d --params tiny"
         ("render s.json --set light.exposure=1 --set light.exposure=2", "expected one value for light.exposure, got 2"),
         ("bench --samples 4 --quality draft", "--samples 4 and --quality draft exclude each other"),
         ("gallery d --show height --lanes", "--lanes has no effect with --show height"),
+        ("params show tiny --full --json", "--full has no effect with --json, which prints every key."),
         ("stats d --set cars.n=1 --seed 0", "--set and --seed have no effect without --params."),
         ("stats d --assets mine", "--assets has no effect without --params."),
         ("validate d --assets mine", "--assets has no effect without --rerender."),
