@@ -214,6 +214,13 @@ class LiftOutput(Document):
     not_found: list[str]
 
 
+class Named(Document):
+    """What has a name, and a line that says what it is."""
+
+    name: str
+    about: str
+
+
 class Outputs(Document):
     """What each command prints with `--json`; `params show` prints groups of keys in the forms of parameter files."""
 
@@ -228,6 +235,7 @@ class Outputs(Document):
     info: DatasetInfo
     inspect: InspectionOutput
     lift: LiftOutput
+    list_: list[Named] = Field(alias="list", description="`list`: what has a name, in order.")
     params_show: dict[str, dict[str, Any]] = Field(description="`params show`: every key, by group.")
     stats: Stats
     validate_: Validation = Field(alias="validate")

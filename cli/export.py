@@ -14,17 +14,6 @@ if TYPE_CHECKING:
     from synth3dlanes.formats.verify import Verification
 
 
-class ExportCommand(click.Command):
-    """A command whose help lists the formats of all installed packages."""
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The formats, which are loaded for this only."""
-        from synth3dlanes.formats.registry import described
-
-        with formatter.section("Formats"):
-            formatter.write_dl(described())
-
-
 def _size(text: str | None) -> tuple[int, int] | None:
     """`960x640` as width and height."""
     if text is None:
@@ -41,7 +30,7 @@ def _formats(incomplete: str) -> list[str]:
     return [name for name in format_names() if name.startswith(incomplete)]
 
 
-@click.command(cls=ExportCommand)
+@click.command()
 @click.argument("source", metavar="DIR|DIR/SPLIT:KEY")
 @click.option(
     "--format",
@@ -49,7 +38,7 @@ def _formats(incomplete: str) -> list[str]:
     metavar="NAME",
     required=True,
     shell_complete=lambda ctx, param, incomplete: _formats(incomplete),
-    help="Format to write: see below.",
+    help="Format to write; `synth3dlanes list formats` names them.",
 )
 @click.option("--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Output folder.")
 @click.option(

@@ -34,6 +34,7 @@ from .evaluate import evaluate
 from .export import export
 from .generate import generate
 from .lift import lift
+from .listing import list_names
 from .look import clip, gallery, inspect, report
 from .params import params
 from .predict import onnx, predict
@@ -168,6 +169,7 @@ for command in (
         split,
         merge,
         params,
+        list_names,
         assets,
         export,
         lift,

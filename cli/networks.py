@@ -18,7 +18,13 @@ own_model_option = click.option(
     metavar="MODULE:FUNCTION",
     help="The network of your own that the checkpoint was trained with.",
 )
-WEIGHTS = "nano|compact|streets"
+# The weights in the package, and what each is for.
+SHIPPED = {
+    "nano": "scenes of the paper's ranges, on a CPU, and as a start for training",
+    "compact": "scenes of the paper's ranges, where five times the cost of nano is no hindrance",
+    "streets": "photographs; predict takes it for image files",
+}
+WEIGHTS = "|".join(SHIPPED)
 INTRINSICS = "FX,FY,CX,CY|FILE"
 device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
 
@@ -30,7 +36,7 @@ class CheckpointPath(click.ParamType):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Names of weights, and files."""
-        names = [CompletionItem(name) for name in WEIGHTS.split("|") if name.startswith(incomplete)]
+        names = [CompletionItem(name) for name in SHIPPED if name.startswith(incomplete)]
         return [*names, CompletionItem(incomplete, type="file")]
 
 

@@ -149,7 +149,7 @@ params_option = click.option(
     metavar="FILE",
     default="appendix_i",
     shell_complete=completing(),
-    help="Parameters: a YAML file or the name of a preset.",
+    help="Parameters: a YAML file or the name of a preset (`list presets`).",
 )
 set_option = click.option(
     "--set",
@@ -240,7 +240,7 @@ lidar_option = click.option(
     "--lidar",
     metavar="FILE",
     shell_complete=completing("lidars"),
-    help="Lidar on the host: a YAML file or the name of a ready one (docs/lidar.md).",
+    help="Lidar on the host: a YAML file or the name of a ready one (`list lidars`, docs/lidar.md).",
 )
 
 
@@ -264,13 +264,13 @@ camera_option = click.option(
     metavar="FILE|NAME",
     shell_complete=completing("cameras"),
     help="Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
-    "ready one (docs/camera.md).",
+    "ready one (`list cameras`, docs/camera.md).",
 )
 rig_option = click.option(
     "--rig",
     metavar="FILE|NAME",
     shell_complete=completing("rigs"),
-    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (docs/camera.md).",
+    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (`list rigs`, docs/camera.md).",
 )
 assets_option = click.option(
     "--assets",

@@ -7,6 +7,7 @@ import click
 from .idle import refuse_idle
 from .networks import (
     INTRINSICS,
+    SHIPPED,
     WEIGHTS,
     CheckpointPath,
     camera_intrinsics,
@@ -19,7 +20,7 @@ from .options import FiniteRange, OutputFile, patience, progress_bar
 
 def is_checkpoint(what: str) -> bool:
     """Whether a word looks like a checkpoint."""
-    return what in WEIGHTS.split("|") or what.endswith(".pt")
+    return what in SHIPPED or what.endswith(".pt")
 
 
 @click.command()

@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 from synth3dlanes_baseline.checkpoint import Checkpoint, load, place
+from synth3dlanes_cli.networks import SHIPPED
 
 from scripts.latency import rows as latency_rows
 from synth3dlanes.production.benchmarks import benchmark_names, load_benchmark
@@ -78,7 +79,7 @@ def card(name: str, about: dict[str, Any], network: dict[str, Any]) -> str:
     found = load(path)
     config, batch = found.config, found.about.get("batch", found.config.batch)
     facts = {
-        "for": about["for"],
+        "for": SHIPPED[name],
         "file": f"`{path.name}`, {path.stat().st_size / 1e6:.1f} MB, float16, no code in it",
         "network": f"3D-LaneNet, {about['network']}, {n_weights(found):,} numbers",
         "input": f"RGB, scaled to {config.model.image_width_px}x{config.model.image_height_px} px, and the intrinsics",

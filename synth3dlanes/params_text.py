@@ -11,7 +11,19 @@ import yaml
 from pydantic import ValidationError
 
 from synth3dlanes.distributions import extent, form
-from synth3dlanes.params import BASE, Params, files_of, forms, load_params, merged, nearest_preset, preset_under
+from synth3dlanes.params import (
+    BASE,
+    Params,
+    files_of,
+    find_preset,
+    forms,
+    load_params,
+    merged,
+    nearest_preset,
+    preset_names,
+    preset_under,
+)
+from synth3dlanes.yaml_text import text_of
 
 REFERENCE = "appendix_i"
 # The column of comments, as in the presets.
@@ -86,6 +98,16 @@ def comments_of(source: str) -> Comments:
                 group = named["key"]
             place = group, named["key"] * bool(named["indent"])
             found[place] = (named["comment"] or "").strip() or found.get(place, "")
+    return found
+
+
+def presets_described(kind: str = "") -> list[tuple[str, str]]:
+    """The presets, or the ready cameras, rigs or lidars, by name, each with the first sentence of its file."""
+    found = []
+    for name in preset_names(kind):
+        lines = _head(text_of(*find_preset(name, kind))).splitlines()
+        words = " ".join(line.removeprefix("#").strip() for line in lines)
+        found.append((name, words.partition(". ")[0].removesuffix(".")))
     return found
 
 

@@ -70,7 +70,7 @@ class Export:
         elif self.size_px is None:
             return foreign
         got = f"{self.size_px[0]}x{self.size_px[1]}"
-        raise InputError(f"size: expected {kept} (`export --help` names the formats of any size), got {got}")
+        raise InputError(f"size: expected {kept} (`list formats` names those of any size), got {got}")
 
     @cached_property
     def chunks(self) -> list[Chunk]:

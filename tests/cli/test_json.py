@@ -60,6 +60,32 @@ def test_of_scenes_and_data_sets(run: Run, folder: Path) -> None:
     assert check("params_show", run("params", "show", "--json").stdout)["light"]["exposure"] == [1.0, 3.0]
 
 
+@pytest.mark.parametrize(
+    ("kind", "command"),
+    [
+        ("presets", "sample --params NAME"),
+        ("cameras", "sample --params tiny --camera NAME"),
+        ("rigs", "sample --params tiny --rig NAME"),
+        ("lidars", "generate --params tiny --n 1 --out d --dry-run --device cpu --lidar NAME"),
+        ("formats", "export DIR --format NAME --out d/NAME"),
+        ("models", "onnx NAME d.onnx"),
+        ("benchmarks", None),
+    ],
+)
+def test_of_names_that_commands_take(kind: str, command: str | None, run: Run, folder: Path, in_tmp_path: Path) -> None:
+    """Each has a line, on the terminal too, and the command for it takes the first and the last."""
+    rows = check("list", run("list", kind, "--json").stdout)
+    names = [row["name"] for row in rows]
+    assert len(names) == len({*names}) > 1
+    printed = run("list", kind).stdout
+    assert all(row["name"] in printed and row["about"][:40] in printed for row in rows)
+    assert all(20 < len(row["about"]) < 120 and "\n" not in row["about"] for row in rows), rows
+    for name in () if command is None else (names[0], names[-1]):
+        done = run(*command.replace("NAME", name).replace("DIR", str(folder)).split())
+        assert "expected one of" not in done.stderr, done.stderr
+        assert done.exit_code == 0 or kind in ("formats", "models"), done.stderr
+
+
 def test_of_a_run(run: Run, in_tmp_path: Path) -> None:
     dry = run("generate", "--n", 3, "--params", "tiny", "--device", "cpu", "--out", "d", "--dry-run", "--json").stdout
     assert check("generate_dry_run", dry)["samples"] == 3

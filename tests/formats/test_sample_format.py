@@ -99,5 +99,5 @@ def test_shared_lines_become_one_document(monkeypatch, dataset, tmp_path):
 def test_a_size_is_refused(monkeypatch, dataset, tmp_path):
     empty = SampleFormat(title="", readme="", write=lambda frame: None, read=unused, verify=unused, tolerances={})
     monkeypatch.setattr("synth3dlanes.formats.export.open_format", lambda name: empty)
-    with pytest.raises(InputError, match=r"images \(`export --help` names the formats of any size"):
+    with pytest.raises(InputError, match=r"images \(`list formats` names those of any size"):
         Export(str(dataset), tmp_path / "out", "as_it_is", (96, 64)).write()
