@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import Folder, write
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import Folder, write
 
 from .config import TrainConfig, train_config
 from .evaluate import evaluate_checkpoint, evaluate_flat_ground

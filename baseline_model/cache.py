@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from synth3dlanes.arrays import RgbImage
-from synth3dlanes.files import Folder
+from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.files import Folder
 
 from .data import NetworkLabels
 from .poses import Pose

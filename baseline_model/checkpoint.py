@@ -14,9 +14,9 @@ import torch
 from pydantic import ConfigDict, ValidationError
 from torch import Tensor, nn
 
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import Folder, encoded
-from synth3dlanes.schema import Excerpt, Positive, validation_problems
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import Folder, encoded
+from synth3dlanes.system.schema import Excerpt, Positive, validation_problems
 
 from .config import CustomModel, ModelConfig, TrainConfig, changed, parse
 from .data import FocalLengths

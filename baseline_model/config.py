@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.schema import MAX_PX, problem_line, unknown_key
-from synth3dlanes.yaml_text import read_yaml
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.schema import MAX_PX, problem_line, unknown_key
+from synth3dlanes.system.yaml_text import read_yaml
 
 from .curves import HALF_WIDTH_M
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import Labels, LaneKind
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels, LaneKind
 
 from .poses import Pose
 

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 from .config import CustomModel
 from .data import Batch

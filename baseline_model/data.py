@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image
 from torch import Tensor
 
-from synth3dlanes.arrays import Polyline2, RgbImage
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.arrays import Polyline2, RgbImage
+from synth3dlanes.system.errors import FormatError, InputError
 
 from .anchors import CENTERLINE, DELIMITER, CurveBatch
 from .curves import road_curves, target_pose

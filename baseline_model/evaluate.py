@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import astuple, replace
 from pathlib import Path
 
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
 
 from . import checkpoint as checkpoints
 from .ahead import ImageProgress, told

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import Labels
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels
 
 from .curves import target_pose
 from .lanes import Detection, Prediction

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA
 from synth3dlanes.formats.tusimple.read import TusimpleSplit
 from synth3dlanes.formats.tusimple.score import TusimpleScore, mean_score, score_frame
-from synth3dlanes.frames import project
+from synth3dlanes.geometry.frames import project
 
 from .lanes import Detection, Prediction
 

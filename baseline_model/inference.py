@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.errors import InputError
 
 from .ahead import ahead
 from .custom import LaneDetector

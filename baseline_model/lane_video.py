@@ -8,8 +8,8 @@ from types import TracebackType
 import numpy as np
 from PIL import Image
 
-from synth3dlanes.files import Folder
-from synth3dlanes.video import Mp4, mp4
+from synth3dlanes.imaging.video import Mp4, mp4
+from synth3dlanes.system.files import Folder
 
 from .data import CameraImage, img_from_cam
 from .lanes import Prediction

@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, model_validator
 
-from synth3dlanes.errors import FormatError
-from synth3dlanes.files import Folder, open_regular
-from synth3dlanes.frames import transform
-from synth3dlanes.json_arrays import JsonPoints
-from synth3dlanes.labels import LaneKind
-from synth3dlanes.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import LaneKind
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.files import Folder, open_regular
+from synth3dlanes.system.json_arrays import JsonPoints
+from synth3dlanes.system.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
 from .onnx_decode import distinct_lanes, natural_spline
 from .poses import Pose, cam_from_road

@@ -19,9 +19,9 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from synth3dlanes.arrays import RgbImage
-from synth3dlanes.labels import Labels
-from synth3dlanes.machine import workers_here
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.machine import workers_here
 
 from .cache import (
     SLOT_BYTES,

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.frames import transform
+from synth3dlanes.geometry.frames import transform
 
 from .curves import (
     HALF_WIDTH_M,

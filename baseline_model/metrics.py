@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from synth3dlanes.labels import Labels, LaneKind
+from synth3dlanes.labels.labels import Labels, LaneKind
 
 from .curves import METRIC_Y_M, plane_pose, road_curves
 from .lanes import Detection, Prediction

@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from synth3dlanes.errors import MissingPackageError
-from synth3dlanes.files import write
+from synth3dlanes.system.errors import MissingPackageError
+from synth3dlanes.system.files import write
 
 from . import checkpoint as checkpoints
 from .config import ModelConfig

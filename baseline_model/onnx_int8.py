@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.errors import MissingPackageError
-from synth3dlanes.scratch import scratch
+from synth3dlanes.system.errors import MissingPackageError
+from synth3dlanes.system.scratch import scratch
 
 from .data import CameraImage, fit
 from .inference import Detector

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw, ImageFont
 
-from synth3dlanes.arrays import Points3, Polyline2
 from synth3dlanes.figures.colors import INK, KIND_WORDS, KINDS
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
-from synth3dlanes.files import Folder, encoded
-from synth3dlanes.frames import project, transform
-from synth3dlanes.labels import Labels, LaneKind
+from synth3dlanes.geometry.frames import project, transform
+from synth3dlanes.labels.labels import Labels, LaneKind
+from synth3dlanes.system.arrays import Points3, Polyline2
+from synth3dlanes.system.files import Folder, encoded
 
 from .lanes import Prediction
 from .poses import Pose, road_from_cam

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import RgbImage
-from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.reading import read_image, read_text
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
-from synth3dlanes.words import counted
+from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.words import counted
 
 from .ahead import ImageProgress, told
 from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.reading import read_image
+from synth3dlanes.system.errors import InputError
 
 from .data import CameraImage, Intrinsics, LabelledImage, intrinsics_of, size_of
 from .lanes import Prediction
@@ -89,7 +89,7 @@ def _of_file(file: Path, intrinsics: Intrinsics | None) -> CameraImage:
 
 def _of_video(file: Path, intrinsics: Intrinsics | None) -> Pictures:
     """Its frames; keys are their numbers in eight digits. The first one is read at once: then it is a video."""
-    from synth3dlanes.video import open_video
+    from synth3dlanes.imaging.video import open_video
 
     opened = ExitStack()
     try:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes import frames
+from synth3dlanes.geometry import frames
 
 MEAN_PITCH_RAD = float(np.radians(2.5))
 MEAN_HEIGHT_M = 1.65

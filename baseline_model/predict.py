@@ -6,9 +6,9 @@ from pathlib import Path
 
 from PIL import Image
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import Folder
-from synth3dlanes.words import counted
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import Folder
+from synth3dlanes.system.words import counted
 
 from . import checkpoint as checkpoints
 from .ahead import ImageProgress, ahead, told

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from synth3dlanes.errors import FormatError, InputError, MissingPackageError
-from synth3dlanes.files import open_regular
+from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.system.files import open_regular
 
 from .backbone import IMAGE_STD, ImagePathway
 from .model import LaneNet

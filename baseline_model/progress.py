@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
-from synth3dlanes.files import Folder, read_bounded
+from synth3dlanes.system.files import Folder, read_bounded
 
 from .metrics import EvaluationReport
 from .report import summary_line, to_document

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.figures.colors import KIND_WORDS, KINDS, hexadecimal
-from synth3dlanes.files import encoded, write
-from synth3dlanes.words import counted
+from synth3dlanes.system.files import encoded, write
+from synth3dlanes.system.words import counted
 
 from .curves import HALF_WIDTH_M, METRIC_Y_M, SHORTEST_M, Y_REF_M
 from .metrics import Errors, EvaluationReport, KindReport

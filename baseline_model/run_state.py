@@ -11,8 +11,8 @@ import torch
 from torch import nn
 
 from synth3dlanes.dataset.locks import locks
-from synth3dlanes.errors import ClaimedError, FormatError, InputError
-from synth3dlanes.files import Folder
+from synth3dlanes.system.errors import ClaimedError, FormatError, InputError
+from synth3dlanes.system.files import Folder
 
 from . import checkpoint as checkpoints
 from .config import CustomModel, TrainConfig

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4, Points3
-from synth3dlanes.errors import InputError
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import Labels
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.system.errors import InputError
 
 from .data import CameraImage
 from .lanes import Detection, Prediction

@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Int
 
-from synth3dlanes.arrays import RgbImage
 from synth3dlanes.dataset.address import SAMPLE
 from synth3dlanes.dataset.description import clip_of, pictures_per_scene
 from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
 from synth3dlanes.dataset.splits import has_split, one_reader, only_split
-from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.reading import ForeignSample
 from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
-from synth3dlanes.labels import Labels
-from synth3dlanes.words import counted
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.words import counted
 
 from .data import FocalLengths, LabelledImage, Samples, intrinsics_of, scale
 from .tusimple import TusimpleOnPlane

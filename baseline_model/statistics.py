@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import Labels, LaneKind
-from synth3dlanes.words import counted
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels, LaneKind
+from synth3dlanes.system.words import counted
 
 from .anchors import (
     CENTERLINE,

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 from . import custom
 from .anchors import encode

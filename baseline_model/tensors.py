@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import nn
 
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import open_regular
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import open_regular
 
 
 def read_tensors(path: Path, what: str) -> Any:

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from synth3dlanes.errors import FormatError, InputError, MissingPackageError
-from synth3dlanes.files import read_bounded
+from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.system.files import read_bounded
 
 from .backbone import IMAGE_MEAN, IMAGE_STD
 from .config import TIMM, ModelConfig

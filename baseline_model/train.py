@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from synth3dlanes.errors import Synth3dlanesError
-from synth3dlanes.files import Folder
-from synth3dlanes.words import counted
+from synth3dlanes.system.errors import Synth3dlanesError
+from synth3dlanes.system.files import Folder
+from synth3dlanes.system.words import counted
 
 from . import checkpoint as checkpoints
 from .augment import AugmentedBatch, augment, generator_for

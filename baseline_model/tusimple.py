@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.reading import ForeignSample
 from synth3dlanes.formats.tusimple.read import TusimpleSplit
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
+from synth3dlanes.system.errors import InputError
 
 from .lanes import Prediction
 from .poses import Pose, onto_plane, road_from_cam

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Shaped
 from torch import Tensor
 
-from synth3dlanes.errors import Synth3dlanesError, WorkerError
+from synth3dlanes.system.errors import Synth3dlanesError, WorkerError
 
 PREFETCHED_BATCHES = 2
 """Batches that wait in this process; each worker has one more."""

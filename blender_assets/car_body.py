@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 from shapes import Shape, grid_faces
 
-from synth3dlanes.assets.catalogue import CarModel
+from synth3dlanes.scene.assets.catalogue import CarModel
 
 PAINT, GLASS, TYRE, RIM, TRIM, HEAD, TAIL, PLATE, LIVERY = range(9)
 

@@ -8,7 +8,7 @@ from car_body import GLASS, HEAD, LIVERY, PAINT, PLATE, RIM, TAIL, TRIM, TYRE, c
 from car_styles import STYLES
 from shapes import Shape, lathe_x, rounded_box, tube
 
-from synth3dlanes.assets.catalogue import CARS, CarModel
+from synth3dlanes.scene.assets.catalogue import CARS, CarModel
 
 
 def box(

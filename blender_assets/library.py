@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from trees import Tree, fit, grow_all
 
 from synth3dlanes.blender.shaders import car_paint, coated, new_material
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 
 CAR_ID, TREE_ID = SEMANTIC_IDS["car"], SEMANTIC_IDS["tree"]
 FOLIAGE = {  # linear reflectance at either end of the random range

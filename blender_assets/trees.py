@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from shapes import Shape, tube
 
-from synth3dlanes.assets.catalogue import TREES, TreeModel
+from synth3dlanes.scene.assets.catalogue import TREES, TreeModel
 
 BARK, LEAF = 0, 1
 ROOT = np.array([0, 0, -0.3])  # trunks go into the ground, so that none floats on a slope

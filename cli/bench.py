@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from synth3dlanes.words import counted
+from synth3dlanes.system.words import counted
 
 from .options import (
     RENDERERS,
@@ -76,12 +76,12 @@ def bench(
     written to disk as by `generate`, then deleted.
     """
 
+    from synth3dlanes.draw.sample import Scenes
+    from synth3dlanes.params.shots import clips
     from synth3dlanes.production import bench as measuring
     from synth3dlanes.production.devices import resolve_device
     from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.sample import Scenes
-    from synth3dlanes.settings import RenderSettings
-    from synth3dlanes.shots import clips
+    from synth3dlanes.scene.settings import RenderSettings
 
     stored = measuring.read_bench(against, source, samples, frames) if against else None
     library = open_assets(assets)

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from synth3dlanes.settings import SPLIT_NAME
-from synth3dlanes.words import counted
+from synth3dlanes.scene.settings import SPLIT_NAME
+from synth3dlanes.system.words import counted
 
 from .options import json_option, output_console
 

@@ -4,11 +4,11 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from synth3dlanes.assets.folder import FolderCheck
 from synth3dlanes.dataset.info import DatasetInfo
 from synth3dlanes.figures.stats import ParameterStatistics, QuantitySummary
 from synth3dlanes.production.bench import Bench
 from synth3dlanes.production.tally import RunReport
+from synth3dlanes.scene.assets.folder import FolderCheck
 
 Value = bool | int | float | str | None
 

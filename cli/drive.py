@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import write
-from synth3dlanes.words import counted
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import write
+from synth3dlanes.system.words import counted
 
 from .options import FiniteRange, OutputFile, json_option
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.drives.pages import ReviewedFrame, ReviewedSplit
+    from synth3dlanes.recorded.drives.pages import ReviewedFrame, ReviewedSplit
 
 camera_option = click.option(
     "--camera", metavar="NAME", default="", help="Which camera of the drive. Default: its front camera."
@@ -58,8 +58,8 @@ def check(ctx: click.Context, source: str, camera: str, lanes: str, marked: str,
     a lidar (DIR/train:0). Checked are its times, speed and heading, where the ground is, whether scans fit together,
     and whether lanes are on the ground ahead (docs/drives.md).
     """
-    from synth3dlanes.drives.checks import drive_findings
-    from synth3dlanes.drives.open import open_drive
+    from synth3dlanes.recorded.drives.checks import drive_findings
+    from synth3dlanes.recorded.drives.open import open_drive
 
     opened = open_drive(source, camera, lanes, marked)
     findings = drive_findings(opened)
@@ -103,10 +103,10 @@ def mark(source: str, out: Path, camera: str, marked: str, lifted: str, frames: 
     from dataclasses import replace
 
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.drives.lifted import lifted_marks
-    from synth3dlanes.drives.open import open_drive
-    from synth3dlanes.drives.pages import marking_page
-    from synth3dlanes.drives.top_view import top_view
+    from synth3dlanes.recorded.drives.lifted import lifted_marks
+    from synth3dlanes.recorded.drives.open import open_drive
+    from synth3dlanes.recorded.drives.pages import marking_page
+    from synth3dlanes.recorded.drives.top_view import top_view
 
     opened = open_drive(source, camera, marked=marked)
     if lifted:
@@ -134,8 +134,8 @@ def review(split: str, out: Path, every: int, limit: int, before: str) -> None:
     review --review FILE` goes on (docs/drives.md).
     """
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.drives.pages import review_page
-    from synth3dlanes.drives.review import read_review
+    from synth3dlanes.recorded.drives.pages import review_page
+    from synth3dlanes.recorded.drives.review import read_review
 
     reader = Reader(split)
     known = read_review(Path(before)) if before else None
@@ -145,7 +145,7 @@ def review(split: str, out: Path, every: int, limit: int, before: str) -> None:
 
 
 def _split_of(reader: "Reader") -> "ReviewedSplit":
-    from synth3dlanes.drives.pages import ReviewedSplit
+    from synth3dlanes.recorded.drives.pages import ReviewedSplit
 
     derived = reader.description.get("derived") or {}
     x, y, z = derived.get("origin_m", (0.0, 0.0, 0.0))
@@ -153,7 +153,7 @@ def _split_of(reader: "Reader") -> "ReviewedSplit":
 
 
 def _reviewed(reader: "Reader", chosen: range) -> "Iterator[ReviewedFrame]":
-    from synth3dlanes.drives.pages import ReviewedFrame
+    from synth3dlanes.recorded.drives.pages import ReviewedFrame
 
     for i in chosen:
         labels = reader.labels(i)

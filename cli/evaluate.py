@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 from .idle import refuse_idle, refuse_together
 from .networks import (

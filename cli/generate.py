@@ -167,14 +167,14 @@ def generate(
 
     Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
-    from synth3dlanes.given_scenes import given_scenes
+    from synth3dlanes.draw.like import read_like
+    from synth3dlanes.draw.on_map import place_on_map
+    from synth3dlanes.draw.sample import Scenes
+    from synth3dlanes.production.given_scenes import given_scenes
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate as run
-    from synth3dlanes.sample import Scenes
-    from synth3dlanes.sampling.like import read_like
-    from synth3dlanes.sampling.on_map import place_on_map
-    from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.scene.settings import RenderSettings
 
     refuse_idle(like is not None, ["spreads"], "without --like")
     refuse_idle(map_file is not None, ["at"], "without --map")

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from synth3dlanes.words import counted
+from synth3dlanes.system.words import counted
 
 from .options import json_option, progress_bar, split_option
 
@@ -76,7 +76,7 @@ def lift(
     certain it is. Rerun to resume.
     """
     from synth3dlanes.api import check_drive, lift_drive, open_drive
-    from synth3dlanes.errors import InputError
+    from synth3dlanes.system.errors import InputError
 
     opened = open_drive(drive, camera=camera, lanes=lanes, marked=marked, review=review)
     if not unchecked:

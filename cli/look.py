@@ -5,9 +5,9 @@ from pathlib import Path
 
 import click
 
-from synth3dlanes.files import encoded, write
-from synth3dlanes.settings import PASSES
-from synth3dlanes.words import counted
+from synth3dlanes.scene.settings import PASSES
+from synth3dlanes.system.files import encoded, write
+from synth3dlanes.system.words import counted
 
 from .idle import refuse_idle
 from .options import CountRange, OutputFile, json_option, output_console
@@ -37,7 +37,7 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.describe import scene_document
     from synth3dlanes.figures.inspect import draw_inspect, summary
     from synth3dlanes.figures.page import scene_page
-    from synth3dlanes.sources import load_shown
+    from synth3dlanes.figures.samples import load_shown
 
     shown = load_shown(where, image, with_passes=passes, with_clip=html is not None)
     written = {}
@@ -91,9 +91,10 @@ def gallery(
     --where selects samples by the columns of the index (docs/format.md): --where "flip_lateral and n_lanes = 4" or
     --where "junction = 'merge' and max_grade > 0.1".
     """
+    from synth3dlanes.dataset.scenes import some_samples
     from synth3dlanes.dataset.splits import split_name
     from synth3dlanes.figures.gallery import draw_gallery
-    from synth3dlanes.sources import shown_samples, some_samples
+    from synth3dlanes.figures.samples import shown_samples
 
     refuse_idle(show != "height", ["lanes"], "with --show height, which is no view of the camera")
     chosen = some_samples(folder, n, shuffle, where)
@@ -119,7 +120,7 @@ def gallery(
 def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
     """Write the clip to which a sample belongs, such as DIR/train:00000017, as an animated WebP, GIF or PNG."""
     from synth3dlanes.figures.clip import draw_clip
-    from synth3dlanes.sources import load_clip
+    from synth3dlanes.figures.samples import load_clip
 
     found = load_clip(where)
     write(out, draw_clip(found.pictures(lanes), found.fps, width, out.suffix[1:].lower()))

@@ -14,7 +14,8 @@ import click
 from click.exceptions import NoArgsIsHelpError
 
 from synth3dlanes import __version__
-from synth3dlanes.errors import (
+from synth3dlanes.production.signals import StopSignal, handle, stop
+from synth3dlanes.system.errors import (
     ClaimedError,
     InputError,
     OutageError,
@@ -22,7 +23,6 @@ from synth3dlanes.errors import (
     WorkerError,
     is_of_environment,
 )
-from synth3dlanes.production.signals import StopSignal, handle, stop
 
 from .assets import assets
 from .bench import bench

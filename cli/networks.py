@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from click.shell_completion import CompletionItem
 
-from synth3dlanes.errors import InputError, MissingPackageError, how_to_install
+from synth3dlanes.system.errors import InputError, MissingPackageError, how_to_install
 
 own_model_option = click.option(
     "--model",

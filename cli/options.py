@@ -15,17 +15,17 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import Folder
 from synth3dlanes.production.events import duration
-from synth3dlanes.settings import DEVICES, MAX_SEED, PASSES, QUALITY_SAMPLES, SPLIT_NAME
+from synth3dlanes.scene.settings import DEVICES, MAX_SEED, PASSES, QUALITY_SAMPLES, SPLIT_NAME
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import Folder
 
 from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
 
 if TYPE_CHECKING:
-    from synth3dlanes.assets.catalogue import Library
-    from synth3dlanes.params import Params
-    from synth3dlanes.shots import Shots
+    from synth3dlanes.params.params import Params
+    from synth3dlanes.params.shots import Shots
+    from synth3dlanes.scene.assets.catalogue import Library
 
     from .console import OutputConsole
 
@@ -132,7 +132,7 @@ def completing(kind: str = "") -> Completer:
     """Completion by the names of presets of a kind, and by files."""
 
     def complete(_: click.Context, __: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        from synth3dlanes.params import preset_names
+        from synth3dlanes.params.params import preset_names
 
         names = [name for name in preset_names(kind) if name.startswith(incomplete)]
         return [
@@ -354,8 +354,8 @@ def open_assets(folder: Path | None) -> "Library":
 
 def open_params(source: str, changes: Sequence[str], library: "Library") -> "Params":
     """What `--params` and `--set` say; what does not fit each other is said on stderr."""
-    from synth3dlanes.params import load_params
-    from synth3dlanes.params_text import contradictions
+    from synth3dlanes.params.params import load_params
+    from synth3dlanes.params.params_text import contradictions
 
     params = load_params(source, changes, library.assets)
     for line in contradictions(params):
@@ -365,10 +365,10 @@ def open_params(source: str, changes: Sequence[str], library: "Library") -> "Par
 
 def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":
     """What `--camera` or `--rig`, `--frames` and `--fps`, and `--lidar` say."""
-    from synth3dlanes.sensors.camera_files import load_camera
-    from synth3dlanes.sensors.lidar_files import load_lidar
-    from synth3dlanes.sensors.rig_files import load_rig
-    from synth3dlanes.shots import clips
+    from synth3dlanes.params.camera_files import load_camera
+    from synth3dlanes.params.lidar_files import load_lidar
+    from synth3dlanes.params.rig_files import load_rig
+    from synth3dlanes.params.shots import clips
 
     if camera is not None and rig is not None:
         raise click.UsageError("--camera and --rig exclude each other; a rig's file names its cameras.")

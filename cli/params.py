@@ -20,8 +20,8 @@ def params() -> None:
 @json_option
 def show(source: str, changes: tuple[str, ...], full: bool, as_json: bool) -> None:
     """Print a preset, whole, or what a parameter file or --set changes of one: as a parameter file with comments."""
-    from synth3dlanes.params import forms, load_params
-    from synth3dlanes.params_text import changes_yaml, params_yaml
+    from synth3dlanes.params.params import forms, load_params
+    from synth3dlanes.params.params_text import changes_yaml, params_yaml
 
     refuse_idle(not as_json, ["full"], "with --json, which prints every key")
     loaded = load_params(source, changes)
@@ -36,8 +36,8 @@ def show(source: str, changes: tuple[str, ...], full: bool, as_json: bool) -> No
 @set_option
 def check(sources: tuple[str, ...], changes: tuple[str, ...]) -> None:
     """Check parameter files and list every problem in them, and the keys that they leave out."""
-    from synth3dlanes.params import check_params, load_params
-    from synth3dlanes.params_text import contradictions, keys_left_out
+    from synth3dlanes.params.params import check_params, load_params
+    from synth3dlanes.params.params_text import contradictions, keys_left_out
 
     check_params(sources, changes)
     for source in sources:

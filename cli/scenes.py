@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.settings import MAX_SAMPLES
+from synth3dlanes.scene.settings import MAX_SAMPLES
+from synth3dlanes.system.errors import InputError
 
 from .idle import refuse_idle_keys
 from .options import (
@@ -59,7 +59,7 @@ def sample(
     fps: float,
 ) -> None:
     """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
-    from synth3dlanes.sample import Scenes, scene_texts
+    from synth3dlanes.draw.sample import Scenes, scene_texts
 
     if index + n > MAX_SAMPLES:
         raise InputError(f"n: expected at most {MAX_SAMPLES - index} from index {index}, got {n}")
@@ -100,9 +100,9 @@ def render(
     --set changes the scene first: --set light.exposure=3 changes the exposure, --set cars=[] removes the cars. The
     changed scene is written to NAME.scene.json.
     """
+    from synth3dlanes.params.lidar_files import load_lidar
     from synth3dlanes.production.render_file import render_file
-    from synth3dlanes.sensors.lidar_files import load_lidar
-    from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.scene.settings import RenderSettings
 
     refuse_idle_keys(lidar is None, changes, ["lidar", "lidar."], "with --lidar, whose file has it")
     settings, library = RenderSettings(samples, passes, device), open_assets(assets)

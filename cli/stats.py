@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from synth3dlanes.files import encoded, write
+from synth3dlanes.system.files import encoded, write
 
 from .idle import refuse_idle, refuse_idle_keys
 from .options import (

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 from .idle import is_given, refuse_idle_keys, refuse_repeated, refuse_together
 from .networks import WEIGHTS, CheckpointPath, device_option, need_torch

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from synth3dlanes.words import counted
+from synth3dlanes.system.words import counted
 
 from .generate import progress
 from .options import RENDERERS, CountRange, assets_option, device_option, open_assets, workers_option

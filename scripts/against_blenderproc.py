@@ -24,12 +24,12 @@ from blenderproc.python.utility.Utility import Utility  # type: ignore[import-no
 from synth3dlanes.blender import render as ours
 from synth3dlanes.blender.build import build
 from synth3dlanes.dataset.format import encode_image
+from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.imaging.daylight import Daylight, daylight
 from synth3dlanes.imaging.develop import develop
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.world import World
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.world.world import World
 
 SAMPLES = 4
 

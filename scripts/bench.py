@@ -4,13 +4,13 @@ import json
 import sys
 from pathlib import Path
 
-from synth3dlanes.files import write
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.bench import bench
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import clips
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.files import write
 
 # Parameters, samples per pixel, frames of a clip.
 ROWS = (("appendix_i", 4, 1), ("appendix_i", 1, 1), ("streets", 4, 1), ("streets", 1, 1), ("streets", 1, 12))

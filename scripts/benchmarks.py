@@ -7,9 +7,9 @@ import sys
 
 import click
 
-from synth3dlanes.params import presets_folder
-from synth3dlanes.processes import process_pool
+from synth3dlanes.params.params import presets_folder
 from synth3dlanes.production.benchmarks import KIND, benchmark_names, load_benchmark
+from synth3dlanes.system.processes import process_pool
 
 
 def digest(name: str, split: str) -> str:

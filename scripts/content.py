@@ -17,7 +17,7 @@ from synth3dlanes_baseline.sources import Subset, open_split
 from synth3dlanes_baseline.train import train_on
 
 from synth3dlanes import Reader
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 N_IMAGES = 720
 Scene = dict[str, Any]

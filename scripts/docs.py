@@ -11,15 +11,15 @@ from synth3dlanes_cli.main import main
 
 from scripts.latency import table as latency_table
 from scripts.results import models_page, with_benchmarks
-from synth3dlanes.assets.catalogue import BUILT_IN
-from synth3dlanes.distributions import Distribution
 from synth3dlanes.figures.stats import form as written
-from synth3dlanes.labels import LabelsDocument
-from synth3dlanes.params import Params, forms, load_params, preset_names
-from synth3dlanes.params_text import REFERENCE, comments_of
-from synth3dlanes.scene import Scene
+from synth3dlanes.labels.labels import LabelsDocument
+from synth3dlanes.params.distributions import Distribution
+from synth3dlanes.params.params import Params, forms, load_params, preset_names
+from synth3dlanes.params.params_text import REFERENCE, comments_of
+from synth3dlanes.params.weather import DAYTIMES, KINDS
+from synth3dlanes.scene.assets.catalogue import BUILT_IN
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
-from synth3dlanes.weather import DAYTIMES, KINDS
 
 FOLDER = Path(__file__).parents[1] / "docs"
 

@@ -12,15 +12,15 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from PIL import Image
 
-from synth3dlanes.arrays import AnyPoints3, Matrix4
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.views import draw_image
-from synth3dlanes.frames import project, road_from_cam, transform
-from synth3dlanes.labels import Labels, from_json
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Scene, to_json
+from synth3dlanes.geometry.frames import project, road_from_cam, transform
+from synth3dlanes.labels.labels import Labels, from_json
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.scene import Scene, to_json
+from synth3dlanes.system.arrays import AnyPoints3, Matrix4
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/frames.png"
 # The scene and the point of the page's example.

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.files import write
-from synth3dlanes.scratch import scratch
+from synth3dlanes.system.files import write
+from synth3dlanes.system.scratch import scratch
 
 FILE = Path(__file__).parents[1] / "docs/latency.json"
 MODELS = ("nano", "streets", "small", "compact", "paper", "tusimple")

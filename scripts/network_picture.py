@@ -7,12 +7,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures import colors
-from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.paper_roads import paper_network
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Road
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.paper_roads import paper_network
+from synth3dlanes.scene.scene import Road
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/network.png"
 ROAD = {

@@ -21,7 +21,7 @@ from synth3dlanes_baseline.matching import find_pairs, match, point_weights, sam
 from synth3dlanes_baseline.pictures import open_pictures
 from synth3dlanes_baseline.smoothing import Detected, smoothed
 
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
 
 THRESHOLD = 0.5
 NEAR = METRIC_Y_M <= 40

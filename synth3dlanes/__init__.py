@@ -33,7 +33,15 @@ if TYPE_CHECKING:
     )
     from synth3dlanes.dataset.format import Sample
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.errors import (
+    from synth3dlanes.dataset.scenes import read_scene
+    from synth3dlanes.figures.overlay import draw_overlay
+    from synth3dlanes.formats.export import Export
+    from synth3dlanes.labels.labels import Labels, Lane, SymbolLabel
+    from synth3dlanes.params.cameras import CameraSpec
+    from synth3dlanes.params.params import Params
+    from synth3dlanes.renderer import Rendered, Renderer, render
+    from synth3dlanes.scene.scene import Scene
+    from synth3dlanes.system.errors import (
         DiskFullError,
         FormatError,
         InputError,
@@ -41,14 +49,6 @@ if TYPE_CHECKING:
         Synth3dlanesError,
         WorkerError,
     )
-    from synth3dlanes.figures.overlay import draw_overlay
-    from synth3dlanes.formats.export import Export
-    from synth3dlanes.labels import Labels, Lane, SymbolLabel
-    from synth3dlanes.params import Params
-    from synth3dlanes.renderer import Rendered, Renderer, render
-    from synth3dlanes.scene import Scene
-    from synth3dlanes.sensors.cameras import CameraSpec
-    from synth3dlanes.sources import read_scene
 else:
     # Type checkers must not see this function: they would accept any name.
     def __getattr__(name: str) -> Any:
@@ -106,20 +106,20 @@ __all__ = [
 
 # The modules of the names that are not functions of `api`.
 _HOMES = {
-    **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "errors"),
-    **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "errors"),
-    "CameraSpec": "sensors.cameras",
+    **dict.fromkeys(("DiskFullError", "FormatError", "InputError", "MissingPackageError"), "system.errors"),
+    **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "system.errors"),
+    "CameraSpec": "params.cameras",
     "Export": "formats.export",
-    "Labels": "labels",
-    "Lane": "labels",
-    "Params": "params",
+    "Labels": "labels.labels",
+    "Lane": "labels.labels",
+    "Params": "params.params",
     "Reader": "dataset.read",
     **dict.fromkeys(("Rendered", "Renderer", "render"), "renderer"),
     "Sample": "dataset.format",
-    "Scene": "scene",
-    "SymbolLabel": "labels",
+    "Scene": "scene.scene",
+    "SymbolLabel": "labels.labels",
     "draw_overlay": "figures.overlay",
-    "read_scene": "sources",
+    "read_scene": "dataset.scenes",
 }
 
 

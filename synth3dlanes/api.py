@@ -11,10 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from synth3dlanes import scene as scene_format
-from synth3dlanes.arguments import checked
-from synth3dlanes.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.change import change_scene as _change_scene
 from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.format import (
     IMAGE_FORMATS,
@@ -22,43 +18,47 @@ from synth3dlanes.dataset.format import (
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge as _merge
 from synth3dlanes.dataset.rearrange import split_dataset as _split
+from synth3dlanes.dataset.scenes import load_scene as _load_scene
+from synth3dlanes.dataset.scenes import provenance_of, read_scene
 from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader, readers, split_name
-from synth3dlanes.drives.checks import drive_findings
-from synth3dlanes.drives.drive import Drive
-from synth3dlanes.drives.open import open_drive as _open_drive
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import write
+from synth3dlanes.draw.like import read_like
+from synth3dlanes.draw.on_map import MapPlace, place_on_map
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.draw.sample import sample_scene as _sample_scene
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.summary import ExportSummary
-from synth3dlanes.given_scenes import drawn
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
-from synth3dlanes.lift.precision import Precision
-from synth3dlanes.lift.write import LiftReport, lift_to
-from synth3dlanes.params import Params
-from synth3dlanes.params import load_params as _load_params
-from synth3dlanes.params_text import contradictions
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.camera_files import load_camera as _load_camera
+from synth3dlanes.params.cameras import CameraSpec
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import Params
+from synth3dlanes.params.params import load_params as _load_params
+from synth3dlanes.params.params_text import contradictions
+from synth3dlanes.params.rig_files import load_rig as _load_rig
+from synth3dlanes.params.shots import Shots, clips
 from synth3dlanes.production.events import Event
+from synth3dlanes.production.given_scenes import drawn
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import RunReport
 from synth3dlanes.production.user_assets import open_library
+from synth3dlanes.recorded.drives.checks import drive_findings
+from synth3dlanes.recorded.drives.drive import Drive
+from synth3dlanes.recorded.drives.open import open_drive as _open_drive
+from synth3dlanes.recorded.lift.precision import Precision
+from synth3dlanes.recorded.lift.write import LiftReport, lift_to
 from synth3dlanes.renderer import STANDARD, one_of, render_settings, several
-from synth3dlanes.sample import Scenes
-from synth3dlanes.sample import sample_scene as _sample_scene
-from synth3dlanes.sampling.like import read_like
-from synth3dlanes.sampling.on_map import MapPlace, place_on_map
-from synth3dlanes.scene import Scene
-from synth3dlanes.schema import shown
-from synth3dlanes.sensors.camera_files import load_camera as _load_camera
-from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig as _load_rig
-from synth3dlanes.settings import MAX_SAMPLES, MAX_SEED, SPLIT_NAME
-from synth3dlanes.shots import Shots, clips
-from synth3dlanes.sources import load_scene as _load_scene
-from synth3dlanes.sources import provenance_of, read_scene
+from synth3dlanes.scene import scene as scene_format
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.change import change_scene as _change_scene
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SEED, SPLIT_NAME
+from synth3dlanes.system.arguments import checked
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import write
+from synth3dlanes.system.schema import shown
+from synth3dlanes.truth.ground_truth import ground_truth
 
 if TYPE_CHECKING:
     # Loaded by the functions that return them: figures and checks take a second.

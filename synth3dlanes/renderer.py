@@ -12,11 +12,6 @@ from threading import Lock
 import numpy as np
 from jaxtyping import Shaped, UInt8
 
-from synth3dlanes import labels as labels_format
-from synth3dlanes import scene as scene_format
-from synth3dlanes.arguments import checked
-from synth3dlanes.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.dataset.format import (
     HEIGHT,
     IMAGE_FORMATS,
@@ -29,17 +24,22 @@ from synth3dlanes.dataset.format import (
     read_passes,
     read_sweep,
 )
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import write
-from synth3dlanes.labels import Labels
+from synth3dlanes.draw.sample import with_lidar
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels import labels as labels_format
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.lidar_files import load_lidar
 from synth3dlanes.production.render_file import PATIENCE, render_members
 from synth3dlanes.production.workers import Pool
-from synth3dlanes.sample import with_lidar
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
-from synth3dlanes.settings import PASSES as PASS_NAMES
+from synth3dlanes.scene import scene as scene_format
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.assets.folder import require_assets
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import DEVICES, QUALITY_SAMPLES, RenderSettings
+from synth3dlanes.scene.settings import PASSES as PASS_NAMES
+from synth3dlanes.system.arguments import checked
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import write
 
 STANDARD = QUALITY_SAMPLES["standard"]
 

@@ -119,8 +119,8 @@ def flat_scene() -> Any:
 @pytest.fixture
 def hilly_scene() -> Any:
     """Scene 17 of Appendix I: hills, an exit, cars and trees."""
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
+    from synth3dlanes.draw.sample import Scenes, sample_scene
+    from synth3dlanes.params.params import load_params
 
     return sample_scene(Scenes(load_params("appendix_i")), 17)
 

@@ -11,20 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.format import LABELS, Picture, encode
-from synth3dlanes.ground_truth import label
-from synth3dlanes.host import Shot
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
-from synth3dlanes.object_labels import as_seen
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
+from synth3dlanes.labels.object_labels import as_seen
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import SINGLE, Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import PackedSample, Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
-from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.truth.ground_truth import label
 from tests.scenes import FLAT
 
 BAD = 3

@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from synth3dlanes.errors import FormatError, Synth3dlanesError
+from synth3dlanes.system.errors import FormatError, Synth3dlanesError
 
 # Examples that write files are slower; `--hypothesis-profile long` takes many of all.
 files = settings(

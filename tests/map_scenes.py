@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from synth3dlanes.road_map import (
+from synth3dlanes.scene.road_map import (
     MapJunction,
     MapLane,
     MapMark,
@@ -13,7 +13,7 @@ from synth3dlanes.road_map import (
     Polynomial,
     RoadMap,
 )
-from synth3dlanes.scene import Gaussian, Scene, Terrain
+from synth3dlanes.scene.scene import Gaussian, Scene, Terrain
 from tests.scenes import FLAT
 
 WIDTH_M, HALF_M, ARM_M = 3.5, 12.0, 120.0

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from synth3dlanes import files
+from synth3dlanes.system import files
 
 FAULTS = ("emptied", "halved", "zeroed")
 # Of calls that change what is on the disk; those by which a file or folder gets a name.

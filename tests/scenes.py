@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.host import Camera
-from synth3dlanes.scene import Air, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain
-from synth3dlanes.world import World
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.scene import Air, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain
+from synth3dlanes.world.world import World
 
 FLAT = Scene(
     format="synth3dlanes.scene",

@@ -1,8 +1,8 @@
 """A scene with traffic elements of all kinds on a straight flat road."""
 
-from synth3dlanes.roadside import Crossing, Post, Roadside
-from synth3dlanes.scene import Scene
-from synth3dlanes.traffic_elements import LaneSignal, Phase, TrafficSign, TrafficSignal
+from synth3dlanes.scene.roadside import Crossing, Post, Roadside
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.traffic_elements import LaneSignal, Phase, TrafficSign, TrafficSignal
 from tests.scenes import changed
 
 STATES = ("red_cross", "green_arrow", "amber_right")

@@ -17,8 +17,8 @@ import pytest
 
 import synth3dlanes
 from synth3dlanes import renderer as of_renderer
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sampling.on_map import place_on_map
+from synth3dlanes.draw.on_map import place_on_map
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from tests.maps.files import opendrive, plan, road
 
 ROOT = Path(__file__).parents[1]

@@ -15,12 +15,12 @@ import pyarrow.parquet as pq
 import pytest
 from pyarrow import feather
 
-from synth3dlanes.columnar import DAMAGED, TableBounds, read_arrow, read_parquet
 from synth3dlanes.dataset.index import read_index
-from synth3dlanes.drives.described import read_described
-from synth3dlanes.drives.lines import read_lines_of
-from synth3dlanes.drives.tables import read_feather
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.recorded.drives.described import read_described
+from synth3dlanes.recorded.drives.lines import read_lines_of
+from synth3dlanes.recorded.drives.tables import read_feather
+from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_arrow, read_parquet
+from synth3dlanes.system.errors import FormatError, InputError
 
 MOST_MB, LIMIT_BYTES = 900, 6 << 30
 LARGE, MANY = "x" * (4 << 20), 20_000_000

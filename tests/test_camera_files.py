@@ -10,18 +10,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from synth3dlanes.dataset.folder import claim
-from synth3dlanes.errors import InputError
-from synth3dlanes.geometry.camera import rays_of_pixels
-from synth3dlanes.params import load_params, preset_names
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.params.camera_files import load_camera, read_camera
+from synth3dlanes.params.cameras import CameraSpec, black_pictures
+from synth3dlanes.params.params import load_params, preset_names
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots, clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sensors.camera_files import load_camera, read_camera
-from synth3dlanes.sensors.cameras import CameraSpec, black_pictures
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots, clips
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
 from synth3dlanes.validate.run import validate
+from synth3dlanes.world.camera import rays_of_pixels
 
 OWN = "width_px: 640\nheight_px: 480\n"
 # What cv2.FileStorage writes.

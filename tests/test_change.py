@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from synth3dlanes.change import change_scene
-from synth3dlanes.errors import InputError
-from synth3dlanes.host import Shot
-from synth3dlanes.scene import Scene, Weather
+from synth3dlanes.scene.change import change_scene
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Scene, Weather
+from synth3dlanes.system.errors import InputError
 from tests.map_scenes import FOUR_WAY, map_scene
 
 

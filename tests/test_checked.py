@@ -116,8 +116,8 @@ def test_all_of_our_packages_are_checked():
     from synth3dlanes_baseline.poses import cam_from_road
 
     from synth3dlanes.dataset.format import key_of
-    from synth3dlanes.frames import invert
-    from synth3dlanes.labels import CameraLabel
+    from synth3dlanes.geometry.frames import invert
+    from synth3dlanes.labels.labels import CameraLabel
 
     matrix = np.eye(4)
     for call in (

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from synth3dlanes import labels as labels_format
-from synth3dlanes import scene as scene_format
-from synth3dlanes.errors import InputError
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.ground_truth import ground_truth, label
-from synth3dlanes.labels import Labels
-from synth3dlanes.params import Params, load_params
-from synth3dlanes.sample import Scenes, sample_scene, sample_world, scene_texts
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import ShotNumbers, Shots, clips
+from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world, scene_texts
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels import labels as labels_format
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import Params, load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import ShotNumbers, Shots, clips
+from synth3dlanes.scene import scene as scene_format
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.validate.structure import check_shape
-from synth3dlanes.world import World, resolve
+from synth3dlanes.world.world import World, resolve
 from tests.scenes import changed
 
 TWO_SECONDS = clips(21, 10)
@@ -45,7 +45,7 @@ def test_sample_numbers_and_places_are_one_to_one():
 
 
 def camera():
-    from synth3dlanes.sensors.cameras import CameraSpec
+    from synth3dlanes.params.cameras import CameraSpec
 
     sizes = {"width_px": 64, "height_px": 48, "fx_px": 60, "fy_px": 60, "cx_px": 32, "cy_px": 24, "height_m": 1.5}
     return CameraSpec.model_validate(sizes)

@@ -63,7 +63,7 @@ def test_every_group_is_explained() -> None:
 
 def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
     from scripts.docs import preset_comments
-    from synth3dlanes.params import forms, load_params
+    from synth3dlanes.params.params import forms, load_params
 
     keys = {(group, key) for group, values in forms(load_params("appendix_i")).items() for key in values}
     assert set(preset_comments()) == keys
@@ -72,7 +72,7 @@ def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
 def test_every_column_pass_and_id_is_in_the_format_page() -> None:
     from synth3dlanes.dataset.columns import SCHEMA
     from synth3dlanes.dataset.index import ADDED
-    from synth3dlanes.settings import PASSES, SEMANTIC_IDS
+    from synth3dlanes.scene.settings import PASSES, SEMANTIC_IDS
 
     text = re.sub(r"```.*?```", "", (DOCS / "format.md").read_text(), flags=re.DOTALL)
     named = set(re.findall(r"`([^`]+)`", text))

@@ -98,7 +98,7 @@ print(config["available_node_types"]["maker"]["min_workers"], config["docker"]["
 
 
 def test_the_container_has_what_blender_and_we_need():
-    from synth3dlanes.system_libraries import PACKAGES
+    from synth3dlanes.system.system_libraries import PACKAGES
 
     text = (CLUSTER / "Containerfile").read_text().replace("\\\n", " ")
     instructions = [line for line in text.splitlines() if line and not line.startswith("#")]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes.sensors.rig_files import load_rig
+from synth3dlanes.params.rig_files import load_rig
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import Folder, encoded, read_bounded, write
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import Folder, encoded, read_bounded, write
 from tests.small_files import small_files
 
 WRITERS: dict[str, Callable[[Folder, str], object]] = {

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.frames import invert, road_from_cam, transform
+from synth3dlanes.geometry.frames import invert, road_from_cam, transform
 
 POSES = st.builds(road_from_cam, st.floats(0.5, 5), st.floats(-1, 1))
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from synth3dlanes import labels as label_file
-from synth3dlanes import scene as scene_file
-from synth3dlanes.frames import invert, project, road_from_cam, transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import invert, project, road_from_cam, transform
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.world import resolve
 from tests.golden.make import GOLDEN, golden_text
 from tests.scenes import changed, hill
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.assets.catalogue import Assets
-from synth3dlanes.errors import InputError, Synth3dlanesError
-from synth3dlanes.given_scenes import given_scenes
-from synth3dlanes.params import load_params, presets_folder
+from synth3dlanes.params.camera_files import load_camera
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import load_params, presets_folder
+from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.production.benchmarks import load_benchmark
-from synth3dlanes.sensors.camera_files import load_camera
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
+from synth3dlanes.production.given_scenes import given_scenes
+from synth3dlanes.scene.assets.catalogue import Assets
+from synth3dlanes.system.errors import InputError, Synth3dlanesError
 from tests.hostile import HOSTILE, LEAKED, damaged, edited_json, files, refused_or_read
 
 READERS = {

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import InputError
+from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.instance_ids import END, KINDS, RANGES, instance_id, kind_indices, most_of, numbers_of, thing_of
-from synth3dlanes.params import load_params
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.road_map import MapLane, MapMark, MapRoad, MapSection, PlanPiece, RoadMap
-from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.instance_ids import END, KINDS, RANGES, instance_id, kind_indices, most_of, numbers_of, thing_of
+from synth3dlanes.scene.road_map import MapLane, MapMark, MapRoad, MapSection, PlanPiece, RoadMap
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import World, resolve
+from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import constant, map_scene
 from tests.validate.examining import findings
 

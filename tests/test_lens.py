@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.frames import project
-from synth3dlanes.lens import PINHOLE, Lens, LensModel
+from synth3dlanes.geometry.frames import project
+from synth3dlanes.geometry.lens import PINHOLE, Lens, LensModel
 
 # By cv2.projectPoints and cv2.fisheye.projectPoints, whose axes are x right, y down, z forward, for this matrix.
 REFERENCE: dict[str, Any] = json.loads((Path(__file__).parent / "opencv_lenses.json").read_text())

@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given
 
 from synth3dlanes.dataset.format import read_sweep, write_passes, write_sweep
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import from_json, to_json
-from synth3dlanes.params import preset_names
-from synth3dlanes.sample import with_lidar
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.lidars import LidarSpec
-from synth3dlanes.sensors.sweep import Sweep, directions
+from synth3dlanes.draw.sample import with_lidar
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.imaging.sweep import Sweep, directions
+from synth3dlanes.labels.labels import from_json, to_json
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.lidars import LidarSpec
+from synth3dlanes.params.params import preset_names
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.dataset.test_hostile import mutated, refused_or_read
 from tests.scenes import FLAT
 

@@ -8,21 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.assets.catalogue import BUILT_IN
-from synth3dlanes.errors import InputError
-from synth3dlanes.given_scenes import drawn, given_scenes
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.like import near, read_like
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
+from synth3dlanes.production.given_scenes import drawn, given_scenes
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sampling.like import near, read_like
-from synth3dlanes.scene import to_json
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots
+from synth3dlanes.scene.assets.catalogue import BUILT_IN
+from synth3dlanes.scene.scene import to_json
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
 from synth3dlanes.validate.origin import read_origin
 from tests import fake_samples
 

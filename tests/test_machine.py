@@ -5,8 +5,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from synth3dlanes import machine
-from synth3dlanes.machine import PROCESS_BYTES, RENDERER_BYTES, usable_bytes, usable_cores, workers_here
+from synth3dlanes.system import machine
+from synth3dlanes.system.machine import PROCESS_BYTES, RENDERER_BYTES, usable_bytes, usable_cores, workers_here
 
 GIB = 1 << 30
 # The lines of /proc/self/cgroup, files below /sys/fs/cgroup, and of 16 cores and 64 GiB what may be used.
@@ -83,7 +83,7 @@ def test_without_files_the_machine_counts(tmp_path: Path) -> None:
 def test_one_module_asks_how_many_cores_there_are() -> None:
     """Others would miss what a container allows. Workers are pinned to cores of their affinity."""
     root = Path(__file__).parents[1]
-    allowed = {"synth3dlanes/machine.py", "synth3dlanes/production/workers.py"}
+    allowed = {"synth3dlanes/system/machine.py", "synth3dlanes/production/workers.py"}
     asking = {
         str(path.relative_to(root))
         for folder in ("synth3dlanes", "cli", "baseline_model")

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes import labels as label_file
-from synth3dlanes.assets.catalogue import CARS, Assets, vehicle_class
-from synth3dlanes.assets.folder import CarNotes
-from synth3dlanes.frames import quaternion, road_from_cam, rotation, transform
-from synth3dlanes.ground_truth import ground_truth, label
-from synth3dlanes.lens import Lens
-from synth3dlanes.object_labels import CORNERS, as_seen, stacked
-from synth3dlanes.object_truth import rectangles, truncation
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.scene import Car
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import Shots
+from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.geometry.frames import quaternion, road_from_cam, rotation, transform
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.labels.object_labels import CORNERS, as_seen, stacked
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
+from synth3dlanes.scene.assets.catalogue import CARS, Assets, vehicle_class
+from synth3dlanes.scene.assets.folder import CarNotes
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.truth.ground_truth import ground_truth, label
+from synth3dlanes.truth.object_truth import rectangles, truncation
 from tests.scenes import FLAT, changed
 from tests.thorough import first
 

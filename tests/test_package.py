@@ -93,8 +93,8 @@ def test_the_wheel_has_packages_of_our_names_alone(wheel: Path) -> None:
 
 
 def test_commands_run(python: Path, tmp_path: Path) -> None:
-    from synth3dlanes.params import load_params
-    from synth3dlanes.params_text import params_yaml
+    from synth3dlanes.params.params import load_params
+    from synth3dlanes.params.params_text import params_yaml
 
     shown = params_yaml(load_params("appendix_i"))
     assert output([python, "-m", "synth3dlanes", "params", "show"], tmp_path) == shown

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.assets.catalogue import CARS, Assets
-from synth3dlanes.distributions import Choice, Integers, Uniform
-from synth3dlanes.errors import InputError
-from synth3dlanes.params import Params, check_params, forms, load_params, preset_names, presets_folder
-from synth3dlanes.params_text import changes_yaml, keys_left_out, params_yaml
+from synth3dlanes.params.distributions import Choice, Integers, Uniform
+from synth3dlanes.params.params import Params, check_params, forms, load_params, preset_names, presets_folder
+from synth3dlanes.params.params_text import changes_yaml, keys_left_out, params_yaml
+from synth3dlanes.scene.assets.catalogue import CARS, Assets
+from synth3dlanes.system.errors import InputError
 
 APPENDIX_I = (presets_folder() / "appendix_i.yaml").read_text()
 UNIT = st.floats(0, 1, exclude_max=True)

@@ -12,9 +12,9 @@ from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
 import synth3dlanes
-from synth3dlanes.errors import InputError, WorkerError
-from synth3dlanes.machine import workers_here
-from synth3dlanes.processes import n_workers, process_pool
+from synth3dlanes.system.errors import InputError, WorkerError
+from synth3dlanes.system.machine import workers_here
+from synth3dlanes.system.processes import n_workers, process_pool
 
 
 def die(number: int) -> None:

@@ -8,23 +8,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synth3dlanes_baseline.sources import UprightSamples, training_and_validation
 
-from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
-from synth3dlanes.errors import InputError
+from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import plan as export_plan
-from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.ground_truth import label
-from synth3dlanes.host import MAX_BEHIND_M
-from synth3dlanes.params import load_params, preset_names
+from synth3dlanes.geometry.frames import invert, project, transform
+from synth3dlanes.labels import labels as labels_format
+from synth3dlanes.params.cameras import CameraSpec
+from synth3dlanes.params.params import load_params, preset_names
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import Shots
-from synth3dlanes.world import resolve
+from synth3dlanes.scene.host import MAX_BEHIND_M
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world.world import resolve
 from tests import fake_samples
 from tests.scenes import changed
 

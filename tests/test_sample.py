@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene, scene_texts
-from synth3dlanes.scene import to_json
-from synth3dlanes.world import resolve
+from synth3dlanes.draw.sample import Scenes, sample_scene, scene_texts
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.scene import to_json
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.world.world import resolve
 
 N = 400
 # With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
@@ -134,8 +134,8 @@ def test_scenes_differ_by_seed_split_and_index(params):
 
 def test_cars_keep_apart(scenes):
     """Circles along each car's axis, an independent and stricter-than-none test of overlap."""
-    from synth3dlanes.assets.catalogue import CARS
-    from synth3dlanes.geometry.placement import lane_place
+    from synth3dlanes.scene.assets.catalogue import CARS
+    from synth3dlanes.world.placement import lane_place
 
     for scene in scenes[:60]:
         network = resolve(scene).network

@@ -11,24 +11,24 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from synth3dlanes import labels as label_file
-from synth3dlanes import scene as scene_file
-from synth3dlanes.assets.catalogue import CARS, Assets
-from synth3dlanes.errors import FormatError
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels, SymbolLabel
-from synth3dlanes.lens import Lens, LensModel
-from synth3dlanes.object_labels import as_seen
-from synth3dlanes.params import load_params, preset_names
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.geometry.lens import Lens, LensModel
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.labels.labels import Labels, SymbolLabel
+from synth3dlanes.labels.object_labels import as_seen
+from synth3dlanes.params.camera_files import load_camera
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import load_params, preset_names
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import SINGLE, Shots, clips
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.camera_files import load_camera
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import SINGLE, Shots, clips
-from synth3dlanes.world import resolve
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.scene.assets.catalogue import CARS, Assets
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.world import resolve
 from tests.golden.make import GOLDEN
 from tests.scenes import changed
 from tests.thorough import presets

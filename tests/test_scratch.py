@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes.scratch import OWNER, PREFIX, scratch
+from synth3dlanes.system.scratch import OWNER, PREFIX, scratch
 
 HOLDER = """
 import sys
-from synth3dlanes.scratch import scratch
+from synth3dlanes.system.scratch import scratch
 with scratch() as folder:
     (folder / "texture.tif").write_bytes(bytes(1 << 20))
     print(folder, flush=True)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes import system_libraries
-from synth3dlanes.errors import WorkerError
 from synth3dlanes.production.workers import Limits, call
-from synth3dlanes.system_libraries import PACKAGES, install_hint, missing_packages
+from synth3dlanes.system import system_libraries
+from synth3dlanes.system.errors import WorkerError
+from synth3dlanes.system.system_libraries import PACKAGES, install_hint, missing_packages
 
 ROOT = Path(__file__).parents[1]
 NO_LIBRARY = "libXrender.so.1: cannot open shared object file: No such file or directory"
@@ -45,4 +45,4 @@ def test_setup_asks_it_before_anything_is_installed() -> None:
     command = [sys.executable, "-P", "-S", str(ROOT / "synth3dlanes" / "system_libraries.py")]
     told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
     assert told.split() == missing_packages()
-    assert "synth3dlanes/system_libraries.py" in (ROOT / "scripts" / "setup").read_text()
+    assert "synth3dlanes/system/system_libraries.py" in (ROOT / "scripts" / "setup").read_text()

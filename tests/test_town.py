@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import shapely
 
+from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
 from synth3dlanes.figures.stats import is_fine, scene_statistics
-from synth3dlanes.geometry.motion import host_driven
-from synth3dlanes.ground_truth import label
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, draw_world, sample_scene, world_in_shot
-from synth3dlanes.scene import Scene, from_json, to_json
-from synth3dlanes.shots import Shots
-from synth3dlanes.world import World
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import Shots
+from synth3dlanes.scene.scene import Scene, from_json, to_json
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world.motion import host_driven
+from synth3dlanes.world.world import World
 from tests.thorough import first
 from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, order_problems, standing_problems, touching
 
@@ -152,7 +152,7 @@ def clip_problems(world: World):  # type: ignore[no-untyped-def]
 
 
 def _lanes(world: World) -> list[tuple[str, float, float]]:
-    from synth3dlanes.geometry.motion import car_at
+    from synth3dlanes.world.motion import car_at
 
     found = []
     for car in world.scene.cars:

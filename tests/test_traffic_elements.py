@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from synth3dlanes import labels as label_file
-from synth3dlanes.element_labels import element_arrays
-from synth3dlanes.element_truth import meets_quads, seen_elements
-from synth3dlanes.frames import rotation, transform
-from synth3dlanes.geometry.sign_faces import SIGN_FACES
-from synth3dlanes.ground_truth import ground_truth, label
-from synth3dlanes.instance_ids import instance_id
-from synth3dlanes.params import load_params
-from synth3dlanes.roadside import Crossing, Roadside
-from synth3dlanes.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.scene import Scene, from_json, to_json
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import Shots
-from synth3dlanes.traffic_elements import LaneSignal, Phase, SignKind, TrafficSign, TrafficSignal
-from synth3dlanes.world import resolve
+from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.geometry.frames import rotation, transform
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.labels.element_labels import element_arrays
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.roadside import Crossing, Roadside
+from synth3dlanes.scene.scene import Scene, from_json, to_json
+from synth3dlanes.scene.traffic_elements import LaneSignal, Phase, SignKind, TrafficSign, TrafficSignal
+from synth3dlanes.truth.element_truth import meets_quads, seen_elements
+from synth3dlanes.truth.ground_truth import ground_truth, label
+from synth3dlanes.world.sign_faces import SIGN_FACES
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed
 from tests.signals import light, sign, signals_scene
 

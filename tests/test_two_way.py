@@ -8,14 +8,14 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial import cKDTree
 
-from synth3dlanes import labels as label_file
-from synth3dlanes import scene as scene_file
-from synth3dlanes.assets.catalogue import CARS
-from synth3dlanes.geometry.placement import lane_place
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.world import resolve
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.scene.assets.catalogue import CARS
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.placement import lane_place
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT
 from tests.thorough import first
 

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes import video
-from synth3dlanes.arrays import RgbImage
-from synth3dlanes.errors import FormatError, InputError, MissingPackageError
-from synth3dlanes.files import replacing
-from synth3dlanes.video import mp4, open_video
+from synth3dlanes.imaging import video
+from synth3dlanes.imaging.video import mp4, open_video
+from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.system.files import replacing
 from tests.hostile import damaged, files, refused_or_read
 
 RED, GREEN, BLUE = (220, 30, 20), (40, 180, 60), (20, 40, 230)

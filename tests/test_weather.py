@@ -8,15 +8,15 @@ from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
 from synth3dlanes import api
-from synth3dlanes.errors import InputError
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.stats import is_fine, scene_statistics
-from synth3dlanes.host import Host
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.params import Params, load_params
-from synth3dlanes.params_text import params_yaml
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Weather, from_json, to_json
-from synth3dlanes.weather import DAYTIMES, KINDS
+from synth3dlanes.params.params import Params, load_params
+from synth3dlanes.params.params_text import params_yaml
+from synth3dlanes.params.weather import DAYTIMES, KINDS
+from synth3dlanes.scene.host import Host
+from synth3dlanes.scene.scene import Weather, from_json, to_json
+from synth3dlanes.system.errors import InputError
 
 FEW = ["cars.n=2", "trees.n=3"]
 

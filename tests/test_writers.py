@@ -27,12 +27,12 @@ OWN = {
 }
 # These write in folders of this process alone, which `scratch` made, or in one that is made anew by the command.
 ALLOWED = {
-    "synth3dlanes/files.py": "the one that may",
-    "synth3dlanes/scratch.py": "makes the folder of this process",
+    "synth3dlanes/system/files.py": "the one that may",
+    "synth3dlanes/system/scratch.py": "makes the folder of this process",
     "synth3dlanes/blender/__init__.py": "Blender's own temporary folder",
     "synth3dlanes/blender/example_assets.py": "a folder that was not there before",
     "synth3dlanes/production/workers.py": "what workers print, in the folder of this process, and locks in that of all",
-    "synth3dlanes/video.py": "PyAV writes into a stream of the caller, whose writes are checked",
+    "synth3dlanes/imaging/video.py": "PyAV writes into a stream of the caller, whose writes are checked",
     "cli/main.py": "/dev/null",
     "synth3dlanes/production/signals.py": "/dev/null",
     "synth3dlanes/validate/contents.py": "/dev/null",

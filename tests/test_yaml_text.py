@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.yaml_text import MAX_BYTES, read_yaml, text_of, value_of
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.yaml_text import MAX_BYTES, read_yaml, text_of, value_of
 
 PLAIN = "expected plain values (null, true, false, numbers, text, lists and mappings), got the tag "
 

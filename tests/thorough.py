@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from synth3dlanes.params import preset_names
+from synth3dlanes.params.params import preset_names
 
 
 def first(n: int, cases: Iterable[Any]) -> list[Any]:

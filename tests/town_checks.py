@@ -6,10 +6,10 @@ from itertools import combinations
 import numpy as np
 import shapely
 
-from synth3dlanes.road_map import RoadMap
-from synth3dlanes.scene import Scene
-from synth3dlanes.traffic_elements import TrafficSignal
-from synth3dlanes.world import World
+from synth3dlanes.scene.road_map import RoadMap
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.traffic_elements import TrafficSignal
+from synth3dlanes.world.world import World
 from tests.town_maps import MapReader, off
 
 APART_M, TURNED_RAD, LEAST_RADIUS_M, SIDEWAYS = 0.01, np.radians(0.1), 4.0, 3.0

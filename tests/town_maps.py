@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from synth3dlanes.road_map import MapLane, MapRoad, PlanPiece, Polynomial, RoadMap
+from synth3dlanes.scene.road_map import MapLane, MapRoad, PlanPiece, Polynomial, RoadMap
 
 STEPS = 150
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import bpy
 
-from synth3dlanes.assets.built_in import assets_dir
-from synth3dlanes.errors import FormatError
+from synth3dlanes.scene.assets.built_in import assets_dir
+from synth3dlanes.system.errors import FormatError
 
 
 def load_meshes(names: Sequence[str]) -> tuple[bpy.types.Mesh, ...]:

@@ -7,16 +7,16 @@ import bpy
 import numpy as np
 from jaxtyping import UInt8
 
-from synth3dlanes.assets.catalogue import Library
 from synth3dlanes.blender.build import build, open_studio
 from synth3dlanes.blender.cycles_timing import cycles_stages
 from synth3dlanes.blender.render import configure, opened, read_layers, studio, want_passes
 from synth3dlanes.blender.trace import run_cycles
 from synth3dlanes.imaging.daylight import Daylight, daylight
 from synth3dlanes.imaging.develop import develop
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.world import World, resolve
+from synth3dlanes.scene.assets.catalogue import Library
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.world.world import World, resolve
 
 
 def reference(scene: Scene, settings: RenderSettings, library: Library) -> UInt8[np.ndarray, "h w 3"]:

@@ -7,8 +7,6 @@ import bpy
 import mathutils
 import numpy as np
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender import drop_scratch
 from synth3dlanes.blender.camera import set_camera
 from synth3dlanes.blender.lens import make_lens, set_lens
@@ -18,16 +16,18 @@ from synth3dlanes.blender.materials import Materials, make_materials, set_materi
 from synth3dlanes.blender.polygons import corners_of, polygons
 from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.blender.structures import structure_mesh
-from synth3dlanes.geometry.bonnet import bonnet
-from synth3dlanes.geometry.grass import Blades
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.meshes import Mesh
-from synth3dlanes.geometry.paint import paint_color
 from synth3dlanes.imaging.daylight import Daylight
-from synth3dlanes.instance_ids import instance_id
-from synth3dlanes.scene import Car
-from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.world import View, World
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.world.bonnet import bonnet
+from synth3dlanes.world.grass import Blades
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.meshes import Mesh
+from synth3dlanes.world.paint import paint_color
+from synth3dlanes.world.world import View, World
 
 # The collections of a world's objects, in the order in which Cycles gets them, and those that depend on the view.
 COLLECTIONS = ("ground", "paint", "structures", "cars", "trees", "host", "grass", "lens", "lights")

@@ -4,8 +4,8 @@ import bpy
 import mathutils
 import numpy as np
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.host import Camera
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.system.arrays import Matrix4
 
 CAM_FROM_BLENDER = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 CLIP_M = (0.05, 2e4)

@@ -13,8 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 
-from synth3dlanes.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel, vehicle_class
-from synth3dlanes.assets.folder import (
+from synth3dlanes.blender.sky_file import read_sky
+from synth3dlanes.blender.user_models import ImportedMesh, ModelKind, import_model, points_of
+from synth3dlanes.imaging.user_sky import brightest_azimuth
+from synth3dlanes.scene.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel, vehicle_class
+from synth3dlanes.scene.assets.folder import (
     AssetFiles,
     AssetRow,
     CarNotes,
@@ -25,10 +28,7 @@ from synth3dlanes.assets.folder import (
     scan,
     texture_digest,
 )
-from synth3dlanes.blender.sky_file import read_sky
-from synth3dlanes.blender.user_models import ImportedMesh, ModelKind, import_model, points_of
-from synth3dlanes.errors import FormatError
-from synth3dlanes.imaging.user_sky import brightest_azimuth
+from synth3dlanes.system.errors import FormatError
 
 CAR_LENGTH_M, TREE_HEIGHT_M = (2.5, 20.0), (0.3, 60.0)
 TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000}

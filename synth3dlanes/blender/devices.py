@@ -4,7 +4,7 @@ from typing import Any
 
 import bpy
 
-from synth3dlanes.settings import Device, choose_device
+from synth3dlanes.scene.settings import Device, choose_device
 
 
 def found_devices() -> tuple[Device, ...]:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from synth3dlanes.files import encoded, write
+from synth3dlanes.system.files import encoded, write
 
 LENGTH_M, WIDTH_M, HEIGHT_M = 4.2, 1.7, 1.5
 WHEELBASE_M, TRACK_M, WHEEL_RADIUS_M = 2.6, 1.48, 0.32

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import ShaderGraph, new_material
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.camera import BORDER_PX, rays_with_border
-from synth3dlanes.world import View
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.world.camera import BORDER_PX, rays_with_border
+from synth3dlanes.world.world import View
 
 # The instance id of the screen, which no pass shows, and its distance from the eye: nothing is nearer.
 SCREEN_ID, SCREEN_M = 32_000, 0.055

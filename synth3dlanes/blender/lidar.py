@@ -8,13 +8,13 @@ import bpy
 import mathutils
 import numpy as np
 
-from synth3dlanes.arrays import Matrix4
 from synth3dlanes.blender.camera import CAM_FROM_BLENDER
 from synth3dlanes.blender.lens import SCREEN_ID
 from synth3dlanes.blender.trace import distances, run_cycles
-from synth3dlanes.labels import LidarLabel
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import NO_HIT_DEPTH_M
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import LidarLabel
+from synth3dlanes.scene.settings import NO_HIT_DEPTH_M
+from synth3dlanes.system.arrays import Matrix4
 
 # Beams whose spacing is even to this tolerance are rendered in one image: Cycles' directions are no more exact.
 EVEN_RAD = 1e-7

@@ -8,16 +8,16 @@ import mathutils
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.blender.shaders import ShaderGraph, Socket, set_value
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.buildings import GLASS
-from synth3dlanes.geometry.solids import LIT_GLOSS, REFLECTOR_GLOSS, SHEETING_GLOSS
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.haze import KOSCHMIEDER
 from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
 from synth3dlanes.imaging.user_sky import UserSky, hang
-from synth3dlanes.scene import Scene
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.world.buildings import GLASS
+from synth3dlanes.world.solids import LIT_GLOSS, REFLECTOR_GLOSS, SHEETING_GLOSS
 
 STUDIO = "studio"  # the collection of the camera and the lamps
 # Images of the sky. Surfaces are lit by one of fewer pixels, which stays in the processor's cache.

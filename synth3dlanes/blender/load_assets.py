@@ -5,13 +5,13 @@ from pathlib import Path
 
 import bpy
 
-from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, AssetKind, CarModel, Library, Texture, TreeModel
-from synth3dlanes.assets.folder import ROLES, AssetFiles, TextureFiles, scan, texture_digest, verified
 from synth3dlanes.blender.assets import load_meshes
 from synth3dlanes.blender.sky_file import read_sky
 from synth3dlanes.blender.user_models import ModelKind, import_model
-from synth3dlanes.errors import FormatError
 from synth3dlanes.imaging.user_sky import UserSky, prepare_sky
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, CARS, TREES, AssetKind, CarModel, Library, Texture, TreeModel
+from synth3dlanes.scene.assets.folder import ROLES, AssetFiles, TextureFiles, scan, texture_digest, verified
+from synth3dlanes.system.errors import FormatError
 
 NOTHING = AssetFiles({}, {}, (), ())
 

@@ -13,8 +13,6 @@ import bpy
 import numpy as np
 from PIL import Image
 
-from synth3dlanes.assets.catalogue import ROAD_MEANS
-from synth3dlanes.assets.folder import TextureFiles
 from synth3dlanes.blender.shaders import ShaderGraph, coated, new_material, set_value, texture
 from synth3dlanes.blender.structures import structure_materials
 from synth3dlanes.blender.weathering import (
@@ -30,10 +28,12 @@ from synth3dlanes.blender.weathering import (
     wet,
     wheel_tracks,
 )
-from synth3dlanes.geometry.seams import ghost_shade, joint
-from synth3dlanes.scene import Surface
-from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.world import World
+from synth3dlanes.scene.assets.catalogue import ROAD_MEANS
+from synth3dlanes.scene.assets.folder import TextureFiles
+from synth3dlanes.scene.scene import Surface
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.world.seams import ghost_shade, joint
+from synth3dlanes.world.world import World
 
 # A texture scale is the number of tiles in 100 m: road tiles of 3 to 10 m, terrain tiles of 7 to 20 m.
 SCALE_LENGTH_M = 100.0

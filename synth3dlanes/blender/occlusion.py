@@ -13,7 +13,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.build import MeshInstance
-from synth3dlanes.frames import invert, transform
+from synth3dlanes.geometry.frames import invert, transform
 
 # Rays end this far before the point, so that surfaces touching the point do not hide it.
 END_M = 0.02

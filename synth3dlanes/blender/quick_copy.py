@@ -11,8 +11,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from synth3dlanes.files import Folder, encoded
-from synth3dlanes.settings import SCRATCH
+from synth3dlanes.scene.settings import SCRATCH
+from synth3dlanes.system.files import Folder, encoded
 
 
 def quick_copy(file: Path) -> Path:

@@ -7,8 +7,6 @@ from functools import lru_cache, partial
 import bpy
 import numpy as np
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.blender.build import MeshInstance, Studio, build, open_studio
 from synth3dlanes.blender.devices import use_device
 from synth3dlanes.blender.lidar import scan
@@ -17,18 +15,20 @@ from synth3dlanes.blender.occlusion import hidden_by_objects
 from synth3dlanes.blender.silhouettes import seen_fractions
 from synth3dlanes.blender.structures import search_tree
 from synth3dlanes.blender.trace import distances, run_cycles
-from synth3dlanes.element_truth import seen_elements
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.camera import rays_of_pixels
-from synth3dlanes.geometry.visibility import seen_over_ground
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.layers import Layers
-from synth3dlanes.labels import Labels
-from synth3dlanes.machine import usable_cores
-from synth3dlanes.object_labels import as_seen
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.world import View, World
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.labels.object_labels import as_seen
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.machine import usable_cores
+from synth3dlanes.truth.element_truth import seen_elements
+from synth3dlanes.world.camera import rays_of_pixels
+from synth3dlanes.world.visibility import seen_over_ground
+from synth3dlanes.world.world import View, World
 
 # The portal of a lens, and the screen that its rays pass again.
 LENS_BOUNCES = 2

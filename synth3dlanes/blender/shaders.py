@@ -9,8 +9,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.quick_copy import quick_copy
+from synth3dlanes.scene.assets.built_in import assets_dir
 
 Socket = Any  # an output socket, a number or a tuple: the value of a node input
 

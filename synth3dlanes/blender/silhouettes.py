@@ -7,11 +7,11 @@ from jaxtyping import Bool, Float
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
-from synth3dlanes.arrays import Points2, Points3
 from synth3dlanes.blender.build import MeshInstance
 from synth3dlanes.blender.occlusion import Bounds, bounding_box, hidden_by_objects, search_tree
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.system.arrays import Points2, Points3
 
 # Of the rays towards a car, so many for every car, the others for one that is seen in part.
 SOME_RAYS = 100

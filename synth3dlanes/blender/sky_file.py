@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.imaging.user_sky import resized
+from synth3dlanes.system.errors import FormatError
 
 
 def read_sky(path: Path) -> Float[np.ndarray, "3 h w"]:

@@ -4,7 +4,7 @@ import bpy
 import cycles  # type: ignore[import-not-found]
 import numpy as np
 
-from synth3dlanes.settings import NO_HIT_DEPTH_M
+from synth3dlanes.scene.settings import NO_HIT_DEPTH_M
 
 # Cycles writes 1e10 where a ray hits nothing; larger depths than this count as that.
 CYCLES_NO_HIT = 1e9

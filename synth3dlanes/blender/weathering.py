@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from synth3dlanes.assets.built_in import assets_dir
 from synth3dlanes.blender.shaders import ShaderGraph, Socket, texture
+from synth3dlanes.scene.assets.built_in import assets_dir
 
 # Tiles of the map of hollows, along x and y, as roads go: water is deeper where it is dark, in patches of about a metre
 # by three, and in wheel tracks, by this much of the map.

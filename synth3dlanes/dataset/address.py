@@ -13,7 +13,7 @@ import fsspec
 from fsspec.implementations.local import LocalFileSystem
 
 from synth3dlanes.dataset.local_files import LocalFiles
-from synth3dlanes.errors import FormatError, InputError, MissingPackageError, OutageError, Synth3dlanesError
+from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError, OutageError, Synth3dlanesError
 
 SAMPLE = re.compile(r".+:\d+")
 """The address of a sample: `DIR/train:00000017`."""

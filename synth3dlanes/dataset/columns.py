@@ -14,9 +14,9 @@ from pydantic import BaseModel
 
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
 from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA, ARROW_TYPES, RECIPE, SHOT_COLUMNS, place_columns
-from synth3dlanes.host import Camera
-from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.scene import Air, Light, Markings, PaperRoad, Scene, Sensor, Surface
+from synth3dlanes.labels.labels import Labels, Lane
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.scene import Air, Light, Markings, PaperRoad, Scene, Sensor, Surface
 
 PREFIXES = {"markings": "marking_", "camera": "camera_", "weather": "weather_", "host": "host_"}
 PARTS: dict[str, type[BaseModel]] = {

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 
 from synth3dlanes.dataset.format import member_names
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.schema import DocumentPart, Seed, parse
-from synth3dlanes.settings import MAX_SAMPLES, MAX_SHARD_SIZE, SPLIT_NAME
+from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SHARD_SIZE, SPLIT_NAME
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.schema import DocumentPart, Seed, parse
 
 DESCRIPTION = "dataset.json"
 DATASET_FORMAT = "synth3dlanes.dataset"

@@ -19,8 +19,8 @@ from synth3dlanes.dataset.nesting import require_outside
 from synth3dlanes.dataset.patience import Patience, attempt
 from synth3dlanes.dataset.spool import made, spool, spool_of, spooled
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, OutageError
-from synth3dlanes.files import Folder
+from synth3dlanes.system.errors import FormatError, OutageError
+from synth3dlanes.system.files import Folder
 
 NO_PATIENCE = Patience()
 # Seconds that a run waits for its log to be copied to a store.

@@ -8,9 +8,9 @@ from typing import Any
 from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.locks import Locks, locked, locks
-from synth3dlanes.errors import ClaimedError, InputError
-from synth3dlanes.files import Folder, read_bounded
-from synth3dlanes.schema import MAX_BYTES
+from synth3dlanes.system.errors import ClaimedError, InputError
+from synth3dlanes.system.files import Folder, read_bounded
+from synth3dlanes.system.schema import MAX_BYTES
 
 # Besides its own byte, a shard has one for the process that has the shard made by others.
 DRIVER_LOCKS = 1 << 40

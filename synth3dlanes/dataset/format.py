@@ -14,13 +14,13 @@ import OpenEXR
 from jaxtyping import Shaped, UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from synth3dlanes import labels as labels_module
-from synth3dlanes.arrays import Passes
-from synth3dlanes.errors import FormatError
-from synth3dlanes.labels import Labels, LidarLabel
-from synth3dlanes.schema import MAX_PX
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.settings import JPEG_QUALITY
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.labels.labels import Labels, LidarLabel
+from synth3dlanes.scene.settings import JPEG_QUALITY
+from synth3dlanes.system.arrays import Passes
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.schema import MAX_PX
 
 IMAGE_FORMATS = ("jpg", "png")
 SCENE, LABELS, PASSES, HEIGHT, LIDAR = "scene.json", "labels.json", "passes.exr", "height.exr", "lidar.exr"

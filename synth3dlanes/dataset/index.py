@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from synth3dlanes.columnar import DAMAGED, TableBounds, read_parquet
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of
-from synth3dlanes.errors import FormatError
-from synth3dlanes.settings import MAX_SHARD_SIZE
+from synth3dlanes.scene.settings import MAX_SHARD_SIZE
+from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_parquet
+from synth3dlanes.system.errors import FormatError
 
 # Where the metadata of an index has the recipe that its samples were made from.
 RECIPE = b"synth3dlanes.recipe"

@@ -8,8 +8,8 @@ from synth3dlanes.dataset.description import DESCRIPTION, parse_description
 from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets
-from synth3dlanes.errors import FormatError
-from synth3dlanes.params_text import preset_of
+from synth3dlanes.params.params_text import preset_of
+from synth3dlanes.system.errors import FormatError
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 from synth3dlanes.dataset.address import can_list, connect, read_file, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description
 from synth3dlanes.dataset.nesting import require_no_split
-from synth3dlanes.errors import FormatError
+from synth3dlanes.system.errors import FormatError
 
 N_CONNECTIONS = 8
 Index = TypeVar("Index")

@@ -6,9 +6,9 @@ from typing import Any
 
 from fsspec.implementations.local import LocalFileSystem
 
-from synth3dlanes.errors import FormatError
-from synth3dlanes.files import open_regular
-from synth3dlanes.schema import MAX_BYTES
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.files import open_regular
+from synth3dlanes.system.schema import MAX_BYTES
 
 # An index of 1,000,000 samples takes 600 MB, one sample of 8192 x 8192 pixels with all passes 1 GB.
 MAX_READ_BYTES = 2 << 30

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from threading import Lock, RLock
 from typing import BinaryIO
 
-from synth3dlanes.files import Folder
+from synth3dlanes.system.files import Folder
 
 LOCK_FILE = ".lock"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DATASET_FORMAT, DESCRIPTION
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 
 # A split and what lies in it: deeper folders are no concern of the outer data set.
 LEVELS = 2

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from threading import Thread
 from typing import TypeVar
 
-from synth3dlanes.errors import OutageError
+from synth3dlanes.system.errors import OutageError
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 60.0
 LIMIT_S = 1800.0

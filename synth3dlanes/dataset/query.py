@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Int
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.schema import did_you_mean
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.schema import did_you_mean
 
 ValueKind = Literal["a truth value", "a number", "text"]
 COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {

@@ -14,8 +14,6 @@ import pyarrow as pa
 from jaxtyping import Int, Shaped, UInt8
 from pydantic import ValidationError
 
-from synth3dlanes import labels as labels_module
-from synth3dlanes.arguments import checked
 from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, names_of, parse_description, pictures_per_scene
 from synth3dlanes.dataset.format import (
@@ -41,13 +39,15 @@ from synth3dlanes.dataset.index import (
 )
 from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.dataset.nesting import inner_data_sets
-from synth3dlanes.element_labels import TrafficElements, element_arrays
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.labels import Labels
-from synth3dlanes.object_labels import Objects, stacked
-from synth3dlanes.schema import AHEAD_DEG, validation_problems
-from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.labels.element_labels import TrafficElements, element_arrays
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.labels.object_labels import Objects, stacked
+from synth3dlanes.params.cameras import CameraSpec
+from synth3dlanes.system.arguments import checked
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.schema import AHEAD_DEG, validation_problems
 
 KEY_DIGITS = 8
 SIZE_COLUMNS = ("camera_width_px", "camera_height_px")

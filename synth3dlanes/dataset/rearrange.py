@@ -24,10 +24,10 @@ from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.splits import readers, split_name, split_size
 from synth3dlanes.dataset.write import Shard, scan
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import read_bounded
-from synth3dlanes.schema import shown
-from synth3dlanes.settings import SPLIT_NAME
+from synth3dlanes.scene.settings import SPLIT_NAME
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import read_bounded
+from synth3dlanes.system.schema import shown
 
 # By number in a split: the reader that has the sample, and its position there.
 SampleSources = dict[int, tuple[Reader, int]]

@@ -12,10 +12,10 @@ import scipy
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from synth3dlanes.arrays import RgbImage
-from synth3dlanes.frames import turned
-from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
-from synth3dlanes.lens import PINHOLE
+from synth3dlanes.geometry.frames import turned
+from synth3dlanes.geometry.lens import PINHOLE
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, SymbolLabel
+from synth3dlanes.system.arrays import RgbImage
 
 # Pixels that the warp's bicubic filter may need beyond the border.
 FILTER_PX = 3

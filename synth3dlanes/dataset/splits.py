@@ -9,7 +9,7 @@ from synth3dlanes.dataset.address import can_list, connect, is_url, splits_near,
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.listing import splits_with_shards
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 
 
 def readers(folder: str) -> list[Reader]:

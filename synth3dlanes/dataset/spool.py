@@ -19,8 +19,8 @@ from typing import BinaryIO
 
 from synth3dlanes.dataset.stores import unjoin
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import Folder
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import Folder
 
 SPOOL = "SYNTH3DLANES_SPOOL"
 """Environment variable with the path of the folder, if it shall be another one."""

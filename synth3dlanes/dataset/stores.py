@@ -19,8 +19,8 @@ from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.dataset.write import Shard, scan
-from synth3dlanes.errors import InputError, OutageError
-from synth3dlanes.files import Folder, open_regular, read_bounded
+from synth3dlanes.system.errors import InputError, OutageError
+from synth3dlanes.system.files import Folder, open_regular, read_bounded
 
 # Stores whose objects appear whole, as do those in memory. In others a file is written beside, and renamed.
 ATOMIC = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "cos", "obs", "tos", "memory"}

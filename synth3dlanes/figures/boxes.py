@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Polyline2
-from synth3dlanes.element_labels import ElementLabel
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import CameraLabel, Labels
+from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.system.arrays import Polyline2
 
 # Nearer parts of lines cannot be projected. Pieces of a line, which a lens bends.
 NEAR_M, PIECES = 0.3, 12

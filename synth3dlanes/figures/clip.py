@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
-from synth3dlanes.arrays import RgbImage
+from synth3dlanes.system.arrays import RgbImage
 
 # How each kind is written.
 OPTIONS: dict[str, dict[str, int | bool]] = {"webp": {"quality": 80, "method": 6}, "gif": {}, "png": {}}

@@ -5,7 +5,7 @@ seen and dotted where it is hidden; a hollow line is a label with detections ove
 space, a line is dashed where the paint is, and pale where it is hidden or outside the image.
 """
 
-from synth3dlanes.labels import LaneKind
+from synth3dlanes.labels.labels import LaneKind
 
 Rgb = tuple[int, int, int]
 

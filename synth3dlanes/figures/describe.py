@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.figures.shown import ShownScene
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.motion import host_driven, host_speed
-from synth3dlanes.host import Camera, Host
-from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.lens import Lens, width_rad
-from synth3dlanes.object_labels import ObjectLabel
-from synth3dlanes.scene import PaperRoad, Scene, Weather
-from synth3dlanes.words import counted
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.lens import Lens, width_rad
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import Labels, Lane
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.scene.host import Camera, Host
+from synth3dlanes.scene.scene import PaperRoad, Scene, Weather
+from synth3dlanes.system.words import counted
+from synth3dlanes.world.motion import host_driven, host_speed
 
 Facts = dict[str, str]
 

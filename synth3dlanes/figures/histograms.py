@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Scalars
-from synth3dlanes.distributions import Choice, Distribution, Integers, Uniform
+from synth3dlanes.draw.rules import CONDITIONED
 from synth3dlanes.figures.stats import Cases, LabelStatistics, ParameterStatistics, SceneStatistics, is_fine, numbers
-from synth3dlanes.sampling.rules import CONDITIONED
+from synth3dlanes.params.distributions import Choice, Distribution, Integers, Uniform
+from synth3dlanes.system.arrays import Scalars
 
 _UNITS = {"m": "m", "deg": "°", "px": "px"}
 # Discrete parameters with at most this many values get a bin for each.

@@ -21,7 +21,7 @@ from synth3dlanes.figures.describe import (
 from synth3dlanes.figures.passes import draw_pass
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.shown import ShownScene
-from synth3dlanes.settings import PASSES
+from synth3dlanes.scene.settings import PASSES
 
 # Images of a rig's cameras in a row.
 RIG_COLUMNS = 3

@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from synth3dlanes.arguments import checked
 from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
 from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
-from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
+from synth3dlanes.system.arguments import checked
 
 NEAR_M = 0.5
 """Points closer than this are not drawn: points in the camera's plane cannot be projected."""

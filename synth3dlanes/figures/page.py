@@ -12,7 +12,6 @@ from jaxtyping import Float
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
-from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
 from synth3dlanes.figures.describe import (
@@ -34,9 +33,10 @@ from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
-from synth3dlanes.scene import Scene, to_json
-from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
+from synth3dlanes.scene.scene import Scene, to_json
+from synth3dlanes.system.arrays import RgbImage
 
 MAX_FRAMES = 60
 _JPEG_QUALITY = 92

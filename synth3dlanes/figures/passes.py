@@ -10,9 +10,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Patch
 
-from synth3dlanes.arrays import RgbImage
 from synth3dlanes.figures import colors
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import RgbImage
 
 WORDS = {
     "depth": "metres along the viewing direction, from 2 m (yellow) to 500 m (violet); gray: sky",

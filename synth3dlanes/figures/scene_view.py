@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4, Points3
 from synth3dlanes.figures.colors import Rgb
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.solids import Body
-from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.scene import Car, Scene
-from synth3dlanes.world import World, resolve
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel, Labels
+from synth3dlanes.scene.scene import Car, Scene
+from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.world.solids import Body
+from synth3dlanes.world.world import World, resolve
 
 BEHIND_M = 10.0
 AHEAD_M = 120.0

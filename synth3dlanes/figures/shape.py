@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels, Lane
 
 _BASELINE_POINTS = 5
 

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from synth3dlanes.arrays import Passes, RgbImage
-from synth3dlanes.host import Shot
-from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Passes, RgbImage
 
 
 @dataclass(frozen=True, eq=False)

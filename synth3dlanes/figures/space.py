@@ -12,13 +12,13 @@ from synth3dlanes.figures import colors
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, TreeOutline, frustum
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.meshes import Mesh
-from synth3dlanes.geometry.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
-from synth3dlanes.geometry.solids import Body
-from synth3dlanes.labels import CameraLabel, LaneKind
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.world import World
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import CameraLabel, LaneKind
+from synth3dlanes.world.meshes import Mesh
+from synth3dlanes.world.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
+from synth3dlanes.world.solids import Body
+from synth3dlanes.world.world import World
 
 # The area shown extends this far to each side of the camera, in metres.
 _ASIDE_M = 70.0

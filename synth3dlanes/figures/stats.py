@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from synth3dlanes.arrays import Scalars
-from synth3dlanes.distributions import Choice, Distribution, Uniform
+from synth3dlanes.draw.rules import CONDITIONED, ParameterRules
 from synth3dlanes.figures.describe import road_words
 from synth3dlanes.figures.shape import bends, grades
-from synth3dlanes.geometry.camera import horizontal_fov_rad
-from synth3dlanes.labels import Labels
-from synth3dlanes.params import NO_JUNCTION, OPTIONAL, Params
-from synth3dlanes.sampling.rules import CONDITIONED, ParameterRules
-from synth3dlanes.scene import Scene
-from synth3dlanes.town import Town
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.distributions import Choice, Distribution, Uniform
+from synth3dlanes.params.params import NO_JUNCTION, OPTIONAL, Params
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.town import Town
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.world.camera import horizontal_fov_rad
 
 # The distributions of a parameter by the rules, with the number of values drawn from each.
 Cases = tuple[tuple[Distribution, int], ...]

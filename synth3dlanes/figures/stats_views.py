@@ -12,7 +12,7 @@ from rich.table import Table
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.histograms import Histogram, histograms
 from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
-from synth3dlanes.words import counted
+from synth3dlanes.system.words import counted
 
 _COLUMNS = 7
 # Inches over and under the plots. Matplotlib's own layouts would take as long as the drawing.

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Int
 from PIL import Image, ImageDraw
 
-from synth3dlanes.arrays import Polyline2
 from synth3dlanes.figures.colors import Rgb
+from synth3dlanes.system.arrays import Polyline2
 
 Style = Literal["full", "dotted", "hollow"]
 """Seen; hidden; and the outline of a line in which another is drawn: a label under a detection."""

@@ -17,9 +17,9 @@ from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, frustum
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, Lane
-from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
 
 HIDDEN_OPACITY = 0.4
 FRUSTUM_OPACITY = 0.13

@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw
 from scipy.interpolate import CubicSpline
 from scipy.optimize import linear_sum_assignment
 
-from synth3dlanes.arrays import MaskImage, Polyline2
+from synth3dlanes.system.arrays import MaskImage, Polyline2
 
 STEPS = 50
 

@@ -12,15 +12,15 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from synth3dlanes import scene as scene_format
-from synth3dlanes.arrays import RgbImage, Scalars
 from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, LaneKind
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import CameraLabel, Labels, LaneKind
+from synth3dlanes.scene import scene as scene_format
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import RgbImage, Scalars
 
 Points = Float[np.ndarray, "_ d"]
 Distances = Float[np.ndarray, " _"]

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import Labels, Lane, SymbolLabel
-from synth3dlanes.scene import Scene
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels, Lane, SymbolLabel
+from synth3dlanes.scene.scene import Scene
 
 AHEAD_M = 60.0
 NIGHT_RAD = np.radians(96.0)  # the sun 6 degrees below the horizon: the end of civil twilight

@@ -19,8 +19,6 @@ from pydantic import RootModel
 
 from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.locks import LOCK_FILE, locks
-from synth3dlanes.errors import ClaimedError, InputError
-from synth3dlanes.files import Draft, Folder
 from synth3dlanes.formats.format import Format, PinholeFormat, SampleFormat
 from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
 from synth3dlanes.formats.plan import Chunk, open_reader, plan
@@ -28,8 +26,10 @@ from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.registry import open_format
 from synth3dlanes.formats.summary import ExportSummary, readme, summarize, warnings
 from synth3dlanes.formats.writing import Part
-from synth3dlanes.processes import n_workers, process_pool
-from synth3dlanes.schema import Excerpt, PathBelow, parse
+from synth3dlanes.system.errors import ClaimedError, InputError
+from synth3dlanes.system.files import Draft, Folder
+from synth3dlanes.system.processes import n_workers, process_pool
+from synth3dlanes.system.schema import Excerpt, PathBelow, parse
 
 MARKS = ".parts"
 MOST_OPEN = 200

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.arrays import Passes
 from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.words import counted
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Passes
+from synth3dlanes.system.words import counted
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.rails import KERBS, foot_of_front
-from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.ground_truth import RANGE_M, STEP_M
-from synth3dlanes.labels import CameraLabel, Lane
-from synth3dlanes.scene import Scene
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel, Lane
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.truth.ground_truth import RANGE_M, STEP_M
+from synth3dlanes.world.rails import KERBS, foot_of_front
+from synth3dlanes.world.visibility import seen_over_ground
+from synth3dlanes.world.world import resolve
 
 LEAST_POINTS = 2
 

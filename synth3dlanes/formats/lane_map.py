@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.arrays import Points3
-from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.network import GRAPH_END_M
-from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
-from synth3dlanes.geometry.roads import NetworkLane
-from synth3dlanes.labels import Marking, PaintColor, Pair, Segment
-from synth3dlanes.scene import Scene
-from synth3dlanes.world import World, scene_network
+from synth3dlanes.labels.labels import Marking, PaintColor, Pair, Segment
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.network import GRAPH_END_M
+from synth3dlanes.roads.roads import NetworkLane
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Points3
+from synth3dlanes.world.paint import is_double, paint_color, pair_of
+from synth3dlanes.world.world import World, scene_network
 
 REACH_M = 75.0  # beyond the corner of the area that is labelled
 ON_LINE_M = 0.4  # from a point of a delimiter, of which there is one every half metre

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import linear_sum_assignment
 
-from synth3dlanes.arrays import Polyline3
+from synth3dlanes.system.arrays import Polyline3
 
 SAMPLES_Y_M = np.arange(3.0, 103.0)
 NEAR = SAMPLES_Y_M <= 40.0

@@ -9,8 +9,8 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneKind
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
 
 MIN_DEPTH_M = 0.5
 BORDER_PX = 1.0

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.description import clip_of
 from synth3dlanes.dataset.format import SCENE, decode_image, encode_image
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_labels
-from synth3dlanes.files import Folder, encoded
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.conditions import conditions
 from synth3dlanes.formats.format import PinholeFormat, SampleFormat, SampleFrame
@@ -21,7 +19,9 @@ from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.plan import Chunk
 from synth3dlanes.formats.resample import fitting_pinhole, resample
 from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, PinholeFrame
-from synth3dlanes.labels import CameraLabel, Labels
+from synth3dlanes.labels.labels import CameraLabel, Labels
+from synth3dlanes.scene import scene as scene_format
+from synth3dlanes.system.files import Folder, encoded
 
 Record = dict[str, Any]
 

@@ -12,8 +12,8 @@ from jaxtyping import Int
 from synth3dlanes.dataset.address import SAMPLE
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers, split_name
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.writing import PARTS, Part
+from synth3dlanes.system.errors import InputError
 
 FRAMES_PER_CHUNK = 50
 DEALT_EVERY = 5

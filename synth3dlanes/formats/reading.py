@@ -13,11 +13,11 @@ from PIL import Image
 from pydantic import TypeAdapter, ValidationError
 
 from synth3dlanes.dataset.format import decode_image
-from synth3dlanes.errors import FormatError
-from synth3dlanes.files import open_regular, read_bounded
-from synth3dlanes.frames import inside_image, project, road_from_cam
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor, Pair
-from synth3dlanes.schema import PathBelow, shown
+from synth3dlanes.geometry.frames import inside_image, project, road_from_cam
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor, Pair
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.files import open_regular, read_bounded
+from synth3dlanes.system.schema import PathBelow, shown
 
 MAX_FILE_BYTES = 512 << 20
 """An image of 8192 x 8192 takes 200 MB without compression, the labels of 100,000 images 400 MB."""

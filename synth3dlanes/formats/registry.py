@@ -3,8 +3,8 @@
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.format import Format, PinholeFormat
+from synth3dlanes.system.errors import InputError
 
 GROUP = "synth3dlanes.formats"
 OURS = "synth3dlanes"

@@ -7,9 +7,9 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 
 from synth3dlanes.dataset.rectify import bent_pixels, remap, rolled_from_level, warp
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.system.errors import InputError
 
 TOLERANCE_PX = 0.01  # scenes round their angles, so a native camera's focal length is off by parts in a million
 

@@ -5,11 +5,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
-from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.format import FrameList, Rates, ReadFrame
 from synth3dlanes.formats.reading import json_lines
 from synth3dlanes.formats.registry import open_format
-from synth3dlanes.schema import Excerpt, parse
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.schema import Excerpt, parse
 
 EVERY = 10**9
 

@@ -7,9 +7,9 @@ from jaxtyping import Float, Shaped
 from PIL import Image
 
 from synth3dlanes.formats.format import SampleFrame
-from synth3dlanes.instance_ids import numbers_of
-from synth3dlanes.labels import CameraLabel, Lane
-from synth3dlanes.polylines import lengths_along
+from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.labels.labels import CameraLabel, Lane
+from synth3dlanes.scene.instance_ids import numbers_of
 
 PASSES = ("semantic", "instance")
 STUFF = ("sky", "terrain", "road", "shoulder")

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.formats.writing import PinholeFrame
-from synth3dlanes.json_arrays import JsonMatrix3
-from synth3dlanes.schema import Excerpt, Positive, parse
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import JsonMatrix3
+from synth3dlanes.system.schema import Excerpt, Positive, parse
 
 SIDECAR = "sidecar.jsonl"
 

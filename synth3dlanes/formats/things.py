@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 
 from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample
 from synth3dlanes.formats.segments import STUFF
-from synth3dlanes.instance_ids import thing_of
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.instance_ids import thing_of
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 
 PixelNumbers = Int[np.ndarray, " _"]
 

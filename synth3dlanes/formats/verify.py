@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.export import Export, Written, written
 from synth3dlanes.formats.format import FrameList, PinholeFormat, ReadFrame
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.reading import image_header
-from synth3dlanes.words import counted
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.words import counted
 
 MOST_PROBLEMS = 20
 

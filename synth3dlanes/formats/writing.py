@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.frames import invert, project, turned
-from synth3dlanes.labels import CameraLabel, Labels, Lane
+from synth3dlanes.geometry.frames import invert, project, turned
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
+from synth3dlanes.system.arrays import Matrix4
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""

@@ -27,7 +27,7 @@ from synth3dlanes.imaging.sky import (
     skyglow,
     sun_color,
 )
-from synth3dlanes.scene import Light, Scene
+from synth3dlanes.scene.scene import Light, Scene
 
 # Irradiance of the sun outside the atmosphere; sets the brightness of exposure 1.
 SUN_STRENGTH = 3.4

@@ -3,9 +3,6 @@
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from synth3dlanes.geometry.camera import rays_of_pixels
-from synth3dlanes.geometry.motion import host_exposure
-from synth3dlanes.host import Camera
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.falling import add_falling, add_spray
 from synth3dlanes.imaging.film import tonemap
@@ -14,9 +11,12 @@ from synth3dlanes.imaging.glass import add_dirt, add_drops
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.imaging.sensor import add_noise, gain, motion_blur
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.world import View
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.world.camera import rays_of_pixels
+from synth3dlanes.world.motion import host_exposure
+from synth3dlanes.world.world import View
 
 NO_LAMPS = np.zeros((0, 3))
 # Cars are assumed to drive at the host's speed.

@@ -11,12 +11,12 @@ from jaxtyping import Float
 from PIL import Image as Pillow
 from PIL import ImageDraw
 
-from synth3dlanes.arrays import LinearImage
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.motion import car_speed, host_exposure
+from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.imaging.lens import points_away
-from synth3dlanes.scene import Scene
-from synth3dlanes.world import View
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import LinearImage
+from synth3dlanes.world.motion import car_speed, host_exposure
+from synth3dlanes.world.world import View
 
 # The exposure's duration without motion blur; with it, it follows from the metres driven.
 SHORTEST_S = 0.008

@@ -4,13 +4,13 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from synth3dlanes.arrays import LinearImage
-from synth3dlanes.frames import invert, transform
+from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.lens import cosines
 from synth3dlanes.imaging.sky import sun_direction
-from synth3dlanes.scene import Light
-from synth3dlanes.world import View
+from synth3dlanes.scene.scene import Light
+from synth3dlanes.system.arrays import LinearImage
+from synth3dlanes.world.world import View
 
 # The veil of a source that gives the irradiance E at an angle of a degrees is VEIL E / (a ** 2 + CORE ** 2): in the eye
 # it is 10 E / a ** 2 (CIE 1999), in a coated lens behind clean glass about a tenth of that.

@@ -6,7 +6,7 @@ The glass is no object of the scene: masks and passes are those of clear glass.
 import numpy as np
 import scipy
 
-from synth3dlanes.arrays import LinearImage
+from synth3dlanes.system.arrays import LinearImage
 
 # Drops at full strength, their radii as shares of the image's height, and how much smaller than the picture the upside
 # down view in a drop is.

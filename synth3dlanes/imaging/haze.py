@@ -6,10 +6,10 @@ Applies to linear radiance, before the tone curve.
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import LinearImage
 from synth3dlanes.imaging.lens import azimuths, cosines
 from synth3dlanes.imaging.sky import AZIMUTH_RAD
-from synth3dlanes.world import View
+from synth3dlanes.system.arrays import LinearImage
+from synth3dlanes.world.world import View
 
 KOSCHMIEDER = 3.912  # -log 0.02: 2 % of the contrast is left at the meteorological visibility
 HAZE_LAYER_M = 400.0  # height of the haze layer

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 
-from synth3dlanes.settings import NO_HIT_DEPTH_M
+from synth3dlanes.scene.settings import NO_HIT_DEPTH_M
 
 
 @dataclass(frozen=True, eq=False)

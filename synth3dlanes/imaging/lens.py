@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.geometry.camera import rays, rays_of_pixels
-from synth3dlanes.host import Camera
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.world.camera import rays, rays_of_pixels
 
 
 def cosines(camera: Camera, direction_cam: Float[np.ndarray, "3"]) -> Float[np.ndarray, "h w"]:

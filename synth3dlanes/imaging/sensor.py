@@ -4,11 +4,11 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import LinearImage
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.host import Camera
 from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
 from synth3dlanes.imaging.lens import points
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.system.arrays import LinearImage
+from synth3dlanes.world.camera import project
 
 # Largest distance between samples along a pixel's motion, the shortest motion that is blurred, and numbers of samples.
 TAP_PX, SHORTEST_PX, TAPS = 2.5, 0.3, (2, 3, 4, 6, 8, 12, 16, 24, 32)

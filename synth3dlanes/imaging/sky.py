@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from synth3dlanes.assets.built_in import assets_dir
-from synth3dlanes.scene import Light
+from synth3dlanes.scene.assets.built_in import assets_dir
+from synth3dlanes.scene.scene import Light
 
 SKY_SHAPE = (512, 1024)
 HORIZON = SKY_SHAPE[0] // 2

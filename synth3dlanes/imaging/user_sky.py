@@ -12,7 +12,7 @@ from jaxtyping import Float
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.imaging.haze import seen_through_haze
 from synth3dlanes.imaging.sky import AZIMUTH_RAD, ELEVATION_RAD, HORIZON, LUMINANCE, SKY_SHAPE, irradiance
-from synth3dlanes.scene import Scene
+from synth3dlanes.scene.scene import Scene
 
 # A lamp renders the sun, so the picture is limited to this many times its median luminance.
 BRIGHTEST = 24.0

@@ -24,13 +24,13 @@ from scipy.ndimage import gaussian_filter
 
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError
-from synth3dlanes.files import read_bounded
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
 from synth3dlanes.production.workers import Limits, Pool
-from synth3dlanes.schema import MAX_BYTES, parse
-from synth3dlanes.scratch import scratch
-from synth3dlanes.words import counted
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.files import read_bounded
+from synth3dlanes.system.schema import MAX_BYTES, parse
+from synth3dlanes.system.scratch import scratch
+from synth3dlanes.system.words import counted
 
 WARM_UP = 2
 REFERENCE_SAMPLES, REFERENCE_SCENES = 1024, 3

@@ -11,17 +11,17 @@ from pydantic import Field, ValidationError
 
 from synth3dlanes.dataset.description import SplitName
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import InputError
-from synth3dlanes.ground_truth import label
-from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
-from synth3dlanes.params import find_preset, load_params, preset_names
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, SymbolLabel
+from synth3dlanes.params.camera_files import read_document
+from synth3dlanes.params.params import find_preset, load_params, preset_names
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.schema import DocumentPart, Seed, shown, validation_problems
-from synth3dlanes.sensors.camera_files import read_document
-from synth3dlanes.settings import DEVICES, MAX_SAMPLES, QUALITY_SAMPLES, RenderSettings
-from synth3dlanes.shots import clips
+from synth3dlanes.scene.settings import DEVICES, MAX_SAMPLES, QUALITY_SAMPLES, RenderSettings
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.schema import DocumentPart, Seed, shown, validation_problems
+from synth3dlanes.truth.ground_truth import label
 
 KIND = "benchmarks"
 LANE_KEYS = ("id", "kind", "road", "marking", "color", "double", "pair", "direction", "left", "right")

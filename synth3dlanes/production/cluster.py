@@ -14,7 +14,7 @@ from typing import TextIO, TypeVar
 import ray
 
 from synth3dlanes.dataset.patience import attempt, since
-from synth3dlanes.errors import InputError, OutageError
+from synth3dlanes.system.errors import InputError, OutageError
 
 CONNECT_S, HEALTH_S, SHUTDOWN_S = 5.0, 20.0, 10.0
 LOOK_EVERY_S = 5.0

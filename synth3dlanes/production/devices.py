@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from synth3dlanes.machine import renderers_here
 from synth3dlanes.production.recipe import Recipe, require_blender
 from synth3dlanes.production.workers import Limits, call
-from synth3dlanes.settings import Device, choose_device
+from synth3dlanes.scene.settings import Device, choose_device
+from synth3dlanes.system.machine import renderers_here
 
 # A process sees only the GPUs that this variable names. Apple's machines have one.
 MASK = {

@@ -4,11 +4,11 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from synth3dlanes.errors import DiskFullError
 from synth3dlanes.production.events import duration
 from synth3dlanes.production.measured import Measured
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.words import counted
+from synth3dlanes.system.errors import DiskFullError
+from synth3dlanes.system.words import counted
 
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
 SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25

@@ -24,14 +24,14 @@ from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.patience import LIMIT_S, Patience
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, LinkError, OutageError
-from synth3dlanes.files import Folder
 from synth3dlanes.production.forecast import forecast, patience_s
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
 from synth3dlanes.production.room import Room, is_full
 from synth3dlanes.production.tally import RunTally
 from synth3dlanes.production.workers import Limits, Outcome, Pool
+from synth3dlanes.system.errors import FormatError, LinkError, OutageError
+from synth3dlanes.system.files import Folder
 
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
 POLL_S = 0.5

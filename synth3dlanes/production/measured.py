@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.errors import Synth3dlanesError
-from synth3dlanes.files import read_bounded
+from synth3dlanes.system.errors import Synth3dlanesError
+from synth3dlanes.system.files import read_bounded
 
 # Fewer samples say little; of more the last ones are looked at.
 LEAST, MOST = 5, 500

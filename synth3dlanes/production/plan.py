@@ -10,17 +10,17 @@ from typing import Any
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
-from synth3dlanes.machine import renderers_here
+from synth3dlanes.draw.traffic import check_way
+from synth3dlanes.params.cameras import black_pictures
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.measured import measured
 from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
-from synth3dlanes.sampling.traffic import check_way
-from synth3dlanes.sensors.cameras import black_pictures
-from synth3dlanes.settings import MAX_SAMPLES, SPLIT_NAME
-from synth3dlanes.words import counted
+from synth3dlanes.scene.settings import MAX_SAMPLES, SPLIT_NAME
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.machine import renderers_here
+from synth3dlanes.system.words import counted
 
 SHARD_SIZE = 1000
 

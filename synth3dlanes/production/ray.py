@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Any
 
 from synth3dlanes.dataset.patience import LIMIT_S, Patience, since
-from synth3dlanes.errors import ClaimedError, InputError, MissingPackageError, OutageError, how_to_install
 from synth3dlanes.production.devices import WORKERS_PER_GPU, resolve_device
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.local import make_here
@@ -22,6 +21,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_sample
 from synth3dlanes.production.signals import stopping_on_signals
 from synth3dlanes.production.tally import GRACE_S, RunTally
+from synth3dlanes.system.errors import ClaimedError, InputError, MissingPackageError, OutageError, how_to_install
 
 try:
     import ray

@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes import __version__
-from synth3dlanes import scene as scene_module
-from synth3dlanes.assets.catalogue import BUILT_IN, KINDS, Library
 from synth3dlanes.dataset.format import Picture, encode, member_names
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.distributions import form
-from synth3dlanes.errors import MissingPackageError
-from synth3dlanes.geometry.height_map import height_map
-from synth3dlanes.ground_truth import label
+from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.layers import Layers
-from synth3dlanes.params import CameraParams
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import SINGLE
-from synth3dlanes.world import View, World
+from synth3dlanes.params.cameras import CameraSpec
+from synth3dlanes.params.distributions import form
+from synth3dlanes.params.params import CameraParams
+from synth3dlanes.params.shots import SINGLE
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, KINDS, Library
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import MissingPackageError
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world.height_map import height_map
+from synth3dlanes.world.world import View, World
 
 
 @dataclass(frozen=True)

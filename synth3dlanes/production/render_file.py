@@ -4,20 +4,20 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from synth3dlanes.assets.catalogue import Library
-from synth3dlanes.assets.folder import require_assets
-from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import SCENE
-from synth3dlanes.errors import InputError
-from synth3dlanes.files import write
+from synth3dlanes.dataset.scenes import find_scene
+from synth3dlanes.draw.sample import with_lidar
+from synth3dlanes.params.lidars import LidarSpec
 from synth3dlanes.production.recipe import make_image, require_blender
 from synth3dlanes.production.workers import Limits, Pool, ask, call
-from synth3dlanes.sample import with_lidar
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.lidars import LidarSpec
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.sources import find_scene
-from synth3dlanes.world import resolve
+from synth3dlanes.scene.assets.catalogue import Library
+from synth3dlanes.scene.assets.folder import require_assets
+from synth3dlanes.scene.change import change_scene
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import write
+from synth3dlanes.world.world import resolve
 
 # A scene may be as large as its file says.
 PATIENCE = Limits(seconds=math.inf, rss_bytes=1 << 50)

@@ -11,8 +11,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from synth3dlanes.dataset.folder import PROBE
-from synth3dlanes.files import Folder
 from synth3dlanes.production.workers import DISK_FULL
+from synth3dlanes.system.files import Folder
 
 FREE_MARK_SHARE, FREE_MARK_BYTES = 0.01, 1 << 30
 # Seconds between two tries: the first value, doubled up to the second.

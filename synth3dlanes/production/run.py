@@ -9,12 +9,12 @@ may share a folder (each shard has its lock), or their folders may be merged.
 from collections.abc import Callable
 from typing import Literal
 
-from synth3dlanes.machine import renderers_here
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.local import make_here
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.signals import stopping_on_signals
 from synth3dlanes.production.tally import RunReport, RunTally, log_name
+from synth3dlanes.system.machine import renderers_here
 
 Executor = Literal["local", "ray"]
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from synth3dlanes.dataset.destination import RunLog
 from synth3dlanes.production.events import Event, duration
-from synth3dlanes.words import counted
+from synth3dlanes.system.words import counted
 
 # Seconds that samples in progress may take once a run is to stop.
 GRACE_S = 20.0

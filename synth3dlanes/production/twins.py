@@ -14,21 +14,21 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from synth3dlanes.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.assets.folder import require_assets
-from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import how_derived
-from synth3dlanes.errors import InputError
-from synth3dlanes.params import fixed, is_parameter, problems_of
+from synth3dlanes.dataset.scenes import read_scene, scenes_of
+from synth3dlanes.draw.rules import ParameterRules
+from synth3dlanes.draw.sample import Scenes, world_again
+from synth3dlanes.params.params import fixed, is_parameter, problems_of
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes, world_again
-from synth3dlanes.sampling.rules import ParameterRules
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.sources import read_scene, scenes_of
-from synth3dlanes.world import World, resolve
-from synth3dlanes.yaml_text import read_yaml
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.assets.folder import require_assets
+from synth3dlanes.scene.change import change_scene
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.yaml_text import read_yaml
+from synth3dlanes.world.world import World, resolve
 
 # Parameters from which others follow, alone or all of a group: what stands beside a road and drives on it is placed by
 # the road and by the host's place.

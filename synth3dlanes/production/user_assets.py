@@ -4,11 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.assets.folder import FolderCheck
-from synth3dlanes.errors import InputError
 from synth3dlanes.production.recipe import require_blender
 from synth3dlanes.production.workers import Limits, call
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.assets.folder import FolderCheck
+from synth3dlanes.system.errors import InputError
 
 PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
 

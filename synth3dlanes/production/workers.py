@@ -74,7 +74,7 @@ class Outcome:
         if self.status == "done":
             return self.value
         # Not at the top: the worker's program imports nothing of ours before it is pinned.
-        from synth3dlanes.errors import DiskFullError, WorkerError
+        from synth3dlanes.system.errors import DiskFullError, WorkerError
 
         is_full = self.status == "full"
         error = (DiskFullError if is_full else WorkerError)(f"{what}: {self.reason}")
@@ -138,7 +138,7 @@ class Pool:
 
     def __enter__(self) -> "Pool":
         # Not at the top: the worker's program imports nothing of ours before it is pinned.
-        from synth3dlanes.scratch import scratch
+        from synth3dlanes.system.scratch import scratch
 
         self._stack = ExitStack()
         self._scratch = self._stack.enter_context(scratch())
@@ -204,7 +204,7 @@ class Pool:
 
     def _launch(self, slot: int) -> Worker:
         # Not at the top: the worker's program imports nothing of ours before it is pinned.
-        from synth3dlanes.settings import SCRATCH
+        from synth3dlanes.scene.settings import SCRATCH
 
         ours, theirs = Pipe()
         stderr = self._scratch / f"{slot}.txt"
@@ -304,7 +304,7 @@ def _work(pipe: Connection) -> None:
         except (OSError, ImportError) as error:
             full = isinstance(error, OSError) and error.errno in DISK_FULL
             # Not at the top: the worker's program imports nothing of ours before it is pinned.
-            from synth3dlanes.system_libraries import install_hint
+            from synth3dlanes.system.system_libraries import install_hint
 
             reason = f"{type(error).__name__}: {error}{install_hint(str(error))}"
             reply = ("full" if full else "broken", None, reason)

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, binary_opening
 
 from synth3dlanes.imaging.sky import sun_direction
-from synth3dlanes.instance_ids import numbers_of
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
 

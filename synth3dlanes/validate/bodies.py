@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from synth3dlanes.arrays import Points2
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.bonnet import bonnet
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.system.arrays import Points2
 from synth3dlanes.validate.boxes import Boxes, Corners
-from synth3dlanes.world import World
+from synth3dlanes.world.bonnet import bonnet
+from synth3dlanes.world.world import World
 
 # Bodies are cut off at this depth, so that a car beside the camera can be projected.
 NEAR_M = 0.3

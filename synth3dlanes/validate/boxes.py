@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.arrays import Points2, Points3
-from synth3dlanes.frames import from_axes, transform
-from synth3dlanes.geometry.solids import Body
-from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.roadside import Building, Crossing, Post, Rail, RoadSide
-from synth3dlanes.traffic_elements import TrafficSign, TrafficSignal
-from synth3dlanes.world import World
+from synth3dlanes.geometry.frames import from_axes, transform
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene.roadside import Building, Crossing, Post, Rail, RoadSide
+from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
+from synth3dlanes.system.arrays import Points2, Points3
+from synth3dlanes.world.solids import Body
+from synth3dlanes.world.world import World
 
 # Length of the pieces of rails, and how far these overlap.
 PIECE_M, OVERLAP_M = 8.0, 1.0

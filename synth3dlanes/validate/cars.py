@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.instance_ids import numbers_of
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.validate.bodies import corners_world, covers, outline
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Result

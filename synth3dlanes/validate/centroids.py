@@ -20,10 +20,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.interpolate import CubicSpline
 
-from synth3dlanes.arrays import Points3, Scalars
-from synth3dlanes.instance_ids import instance_id
-from synth3dlanes.labels import MASKS, CameraLabel, Labels, Lane
-from synth3dlanes.polylines import stretches
+from synth3dlanes.geometry.polylines import stretches
+from synth3dlanes.labels.labels import MASKS, CameraLabel, Labels, Lane
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.validate.paint import WorldPaint
 
 # Interpolated points per label point: labels are 1 m apart, and a line may bend by millimetres in between.

@@ -11,14 +11,14 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from synth3dlanes import labels as labels_module
-from synth3dlanes import scene as scene_module
-from synth3dlanes.arrays import Passes, RgbImage
 from synth3dlanes.dataset.format import HEIGHT, LABELS, LIDAR, PASSES, SCENE, decode_image, read_passes, read_sweep
-from synth3dlanes.errors import FormatError
-from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import Sweep
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Passes, RgbImage
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.validate.findings import Finding, differences, some
 
 # First bytes of files of these formats.

@@ -6,18 +6,18 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.arrays import Passes, Points3, RgbImage
-from synth3dlanes.frames import transform
-from synth3dlanes.ground_truth import label
-from synth3dlanes.labels import CameraLabel, Labels, Lane
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.sweep import LidarPoints, Sweep
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.imaging.sweep import LidarPoints, Sweep
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Passes, Points3, RgbImage
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.boxes import StructureBoxes, structure_boxes
 from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.pixels import luma
 from synth3dlanes.validate.places import places
-from synth3dlanes.world import World
+from synth3dlanes.world.world import World
 
 # Cosine of the angle between the viewing direction and a pixel's ray, of a lens, from which on depth tells a place.
 LEAST_AHEAD = 0.05

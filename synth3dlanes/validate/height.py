@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry import height_map
-from synth3dlanes.labels import Lane
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Lane
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
 from synth3dlanes.validate.points import joined, judge
+from synth3dlanes.world import height_map
 
 # The height map is used where 3 x 3 cells differ by less than this: a slope of about 0.5 against the road plane.
 # Beside a kerb of a map the map's cells are between both heights.

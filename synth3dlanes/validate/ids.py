@@ -10,17 +10,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
-from synth3dlanes.arrays import Points3
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.instance_ids import KINDS, kind_indices, numbers_of
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.scene.instance_ids import KINDS, kind_indices, numbers_of
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Points3
 from synth3dlanes.validate import boxes
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import on_road, places
-from synth3dlanes.world import World
+from synth3dlanes.world.solids import SURFACES
+from synth3dlanes.world.world import World
 
 # Number of pixels, and share of a body's pixels, that may be wrong: with a wrong id nearly all of them are.
 MAX_SINGLE, MAX_SHARE = 3, 0.05

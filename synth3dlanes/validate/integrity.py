@@ -18,9 +18,9 @@ from synth3dlanes.dataset.companions import COMPANIONS
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import BLOCK, key_of, tar_end, tar_members
 from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, recipe_of, require_columns
-from synth3dlanes.errors import FormatError
-from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.validate.findings import Finding, Problem, differences, some
 
 NAMED_AT_MOST = 5

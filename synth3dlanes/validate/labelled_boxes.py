@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.element_labels import ElementLabel
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.object_labels import ObjectLabel, rectangle_around
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.object_labels import ObjectLabel, rectangle_around
+from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, differences
 

@@ -9,18 +9,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from synth3dlanes.arrays import Passes
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.camera import project
-from synth3dlanes.sensors.sweep import LidarPoints
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.imaging.sweep import LidarPoints
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Passes
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.ids import THINGS, disagreement, kind_of, outside_bodies
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import places
 from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, pavement_at
-from synth3dlanes.world import World
+from synth3dlanes.world.camera import project
+from synth3dlanes.world.world import World
 
 # Of the points, and of those that may be wrong.
 MAX_RANGE_M, MAX_SHARE, MIN_POINTS = 0.01, 0.02, 20

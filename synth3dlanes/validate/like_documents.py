@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from synth3dlanes.labels import MASKS
+from synth3dlanes.labels.labels import MASKS
 from synth3dlanes.validate.findings import NAMED_AT_MOST, shown
 
 # Points of labels are rounded to 0.1 mm; shares of cars are counted by rays, some of which graze.

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import uniform_filter
 
-from synth3dlanes.arrays import IdImage
+from synth3dlanes.system.arrays import IdImage
 from synth3dlanes.validate.pixels import luma
 
 Raster = Shaped[np.ndarray, "h w *c"]

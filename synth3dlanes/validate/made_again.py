@@ -14,9 +14,6 @@ import numpy as np
 from PIL import Image
 
 from synth3dlanes import __version__
-from synth3dlanes import scene as scene_module
-from synth3dlanes.assets.catalogue import Library
-from synth3dlanes.assets.folder import require_assets
 from synth3dlanes.dataset.description import DESCRIPTION, Description
 from synth3dlanes.dataset.format import (
     HEIGHT,
@@ -31,16 +28,19 @@ from synth3dlanes.dataset.format import (
     read_passes,
     read_sweep,
 )
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.instance_ids import END, thing_of
-from synth3dlanes.labels import Labels
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import patience_s
 from synth3dlanes.production.recipe import Recipe, take_picture
 from synth3dlanes.production.workers import Limits, Pool
-from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import PASSES as ALL_PASSES
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.assets.catalogue import Library
+from synth3dlanes.scene.assets.folder import require_assets
+from synth3dlanes.scene.instance_ids import END, thing_of
+from synth3dlanes.scene.settings import PASSES as ALL_PASSES
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.validate.causes import likely_cause
 from synth3dlanes.validate.integrity import Entry, read_sample
 from synth3dlanes.validate.like_documents import unlike
@@ -56,7 +56,7 @@ from synth3dlanes.validate.likeness import (
 )
 from synth3dlanes.validate.origin import Origin
 from synth3dlanes.validate.report import VERDICTS
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 
 T = TypeVar("T")
 Members = Mapping[str, bytes]

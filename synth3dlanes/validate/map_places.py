@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Int
 
-from synth3dlanes.arrays import Points2, Scalars
-from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.map_ground import MapGround
-from synth3dlanes.geometry.map_meshes import SURFACES
-from synth3dlanes.geometry.meshes import MEDIAN, ROAD, SHOULDER
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Points2, Scalars
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.map_meshes import SURFACES
+from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
 
 # A kerb may be this far from a point.
 KERB_ROOM_M = 0.08

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import transform
-from synth3dlanes.object_labels import ObjectLabel
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Instant, MovingObject
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.object_labels import ObjectLabel, object_document
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.object_labels import ObjectLabel, object_document
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, some
 from synth3dlanes.validate.labelled_boxes import (

@@ -14,12 +14,12 @@ from pydantic import ValidationError
 from synth3dlanes import __version__
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.dataset.scenes import Provenance
+from synth3dlanes.draw.sample import sample_scene, world_again
 from synth3dlanes.production.twins import changed_world
-from synth3dlanes.sample import sample_scene, world_again
-from synth3dlanes.scene import Scene
-from synth3dlanes.schema import Excerpt, validation_problems
-from synth3dlanes.sources import Provenance
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.schema import Excerpt, validation_problems
 from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
 
 # If no sample matches dataset.json and there are more than this many, they are reported as one problem.

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Points3, Scalars
-from synth3dlanes.assets.catalogue import ROAD_MEANS
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
-from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.labels import CameraLabel, Lane, Marking, PaintColor
-from synth3dlanes.scene import Scene
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import CameraLabel, Lane, Marking, PaintColor
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.terrain import gradient_at
+from synth3dlanes.scene.assets.catalogue import ROAD_MEANS
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.validate.places import AnyPlaces, places
-from synth3dlanes.world import World
+from synth3dlanes.world.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
+from synth3dlanes.world.world import World
 
 # Paint narrower, or a dash lower in the image, than this may fall between the pixels' single samples.
 RESOLVED_PX = 1.0

@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.boxes import meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
+from synth3dlanes.world.visibility import seen_over_ground
 
 # Largest share of white pixels, and least mean brightness. A bright sky in fog may fill half the image, unclipped.
 MAX_CLIPPED, MIN_MEAN = 0.5, 8.0

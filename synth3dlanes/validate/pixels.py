@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from synth3dlanes.arrays import Points2
+from synth3dlanes.system.arrays import Points2
 
 # At most this many pixels of a kind are used, evenly spread over the image.
 MAX_PIXELS = 10_000

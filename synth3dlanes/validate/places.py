@@ -9,18 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int
 
-from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry import meshes
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.map_ground import MapGround
-from synth3dlanes.geometry.roads import Offset, Road
-from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.roads import Offset, Road
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.validate.map_places import MapPlaces
-from synth3dlanes.world import World
+from synth3dlanes.world import meshes
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.world import World
 
 # Points are projected onto a road that parts from another up to this far before that and this far left of its lanes.
 BEHIND_M, ASIDE_M = 20.0, 1.0

@@ -12,15 +12,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 from scipy.spatial import cKDTree
 
-from synth3dlanes.arrays import Passes, Points2
-from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.instance_ids import numbers_of
-from synth3dlanes.labels import CameraLabel, Lane
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.labels.labels import CameraLabel, Lane
+from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Passes, Points2
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.pixels import Squares, around, depth_between
+from synth3dlanes.world.solids import SURFACES
 
 # Label faults affect whole lines: a line fails if more than this share of its points, and more than two
 # points, are off.

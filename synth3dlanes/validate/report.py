@@ -14,12 +14,13 @@ from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from synth3dlanes.arrays import RgbImage
 from synth3dlanes.dataset.address import connect, translate_store_errors
-from synth3dlanes.errors import FormatError, OutageError
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
-from synth3dlanes.files import Folder, encoded
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.errors import FormatError, OutageError
+from synth3dlanes.system.files import Folder, encoded
+from synth3dlanes.system.words import counted
 from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, RunningMean, judge
 from synth3dlanes.validate.findings import (
     BAND_NAMES,
@@ -36,7 +37,6 @@ from synth3dlanes.validate.findings import (
     Signed,
 )
 from synth3dlanes.validate.moving import between
-from synth3dlanes.words import counted
 
 MEASURES = {
     "paint_px": "pixels from delimiter points to their paint (semantic pass)",

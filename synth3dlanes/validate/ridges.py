@@ -18,15 +18,15 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Lane
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.validate.bodies import may_show_cars
 from synth3dlanes.validate.boxes import meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.places import places
-from synth3dlanes.world import World
+from synth3dlanes.world.world import World
 
 LEAST_PX_PER_M = 1e-3
 # Half the length of a profile, and its step, which resolves the narrowest paint (0.1 m).

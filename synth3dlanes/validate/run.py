@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Shaped
 
-from synth3dlanes.arrays import Passes
-from synth3dlanes.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.dataset.address import connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import (
     DESCRIPTION,
@@ -25,14 +23,14 @@ from synth3dlanes.dataset.description import (
 )
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_data_sets
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.geometry import height_map
-from synth3dlanes.geometry.camera import rays_of_pixels
-from synth3dlanes.host import Camera
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.processes import n_workers, process_pool
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.cameras import black_pictures
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.params.cameras import black_pictures
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Passes
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.processes import n_workers, process_pool
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
@@ -42,7 +40,9 @@ from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
 from synth3dlanes.validate.structure import check_measured, check_shape
-from synth3dlanes.world import resolve
+from synth3dlanes.world import height_map
+from synth3dlanes.world.camera import rays_of_pixels
+from synth3dlanes.world.world import resolve
 
 # Exceptions of geometry computed from invalid scenes or labels. Samples of a correct data set raise none.
 NO_GEOMETRY = (

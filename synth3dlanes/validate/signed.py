@@ -4,18 +4,18 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from synth3dlanes.arrays import Passes, Points3, Scalars
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.roads import Ramp
-from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.labels import Labels
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.roads import Ramp
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Passes, Points3, Scalars
 from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Signed
 from synth3dlanes.validate.places import places
-from synth3dlanes.world import World
+from synth3dlanes.world.world import World
 
 # Least amount of paint for a value: pixels, or slices of an image.
 MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}

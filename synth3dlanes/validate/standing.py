@@ -9,19 +9,19 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4, Points2, Points3, Scalars
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry import meshes
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.passages import PASSAGE_M
-from synth3dlanes.geometry.placement import TREE_SINK_M
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Matrix4, Points2, Points3, Scalars
 from synth3dlanes.validate.boxes import beside_world
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
 from synth3dlanes.validate.places import places
-from synth3dlanes.world import World
+from synth3dlanes.world import meshes
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.passages import PASSAGE_M
+from synth3dlanes.world.placement import TREE_SINK_M
+from synth3dlanes.world.world import World
 
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
 # 5 cm), and beyond RANGE_M along the road the ground's faces are metres long. A tree's base is 0.1 m below the ground

@@ -11,16 +11,16 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.frames import invert, road_from_cam, transform, turned
-from synth3dlanes.geometry.placement import HOST_SIZE_M, footprint, overlaps_any
-from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.labels import CameraLabel, Labels, Lane, SymbolLabel
-from synth3dlanes.scene import Scene
+from synth3dlanes.geometry.frames import invert, road_from_cam, transform, turned
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, SymbolLabel
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.bodies import cores, outlines
 from synth3dlanes.validate.boxes import meet
 from synth3dlanes.validate.evidence import BORDER_PX, Evidence, inside_px
 from synth3dlanes.validate.findings import Finding, shown
+from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4

@@ -10,18 +10,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.arrays import Ids, Passes, Points3, Scalars
-from synth3dlanes.geometry import meshes
-from synth3dlanes.geometry.ground import EMBANKMENT_SLOPE, VERGE_M
-from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Ids, Passes, Points3, Scalars
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
-from synth3dlanes.world import World
+from synth3dlanes.world import meshes
+from synth3dlanes.world.ground import EMBANKMENT_SLOPE, VERGE_M
+from synth3dlanes.world.world import World
 
 # At most about this many evenly spread pixels are used.
 MAX_PIXELS = 45_000

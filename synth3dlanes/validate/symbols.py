@@ -9,17 +9,17 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Points2, Scalars
-from synth3dlanes.geometry.roads import Parting, Road
-from synth3dlanes.geometry.symbols import Polygon, SymbolShape, dense, shape
-from synth3dlanes.instance_ids import numbers_of
-from synth3dlanes.scene import Symbol
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.roads.roads import Parting, Road
+from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.scene import Symbol
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import AnyPlaces, on_road, places
-from synth3dlanes.world import World
+from synth3dlanes.world.symbols import Polygon, SymbolShape, dense, shape
+from synth3dlanes.world.world import World
 
 # Pixels this close to an edge of paint may show either side of it.
 MARGIN_M = 0.04

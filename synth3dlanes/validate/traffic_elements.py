@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Points2
-from synth3dlanes.element_labels import ElementLabel, element_document
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.instance_ids import thing_of
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.element_labels import ElementLabel, element_document
+from synth3dlanes.scene.instance_ids import thing_of
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Points2
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Result, some
 from synth3dlanes.validate.labelled_boxes import MIN_SEEN, SideLimit, against_box, by_pixels, check_seen_box, otherwise

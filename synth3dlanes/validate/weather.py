@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterator
 
-from synth3dlanes.change import value_at
-from synth3dlanes.distributions import Choice, extent
+from synth3dlanes.params.distributions import Choice, extent
+from synth3dlanes.params.weather import replaced
+from synth3dlanes.scene.change import value_at
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.weather import replaced
 
 # Values of scenes are rounded to 1e-6.
 ROUNDED = 1e-4

@@ -39,8 +39,8 @@ def make_labels(centers, delimiters=(), *, pitch_rad=0.04, height_m=1.6, size_px
     `hidden` is an interval of y that the ground hides."""
     from synth3dlanes_baseline.poses import Pose, cam_from_road, road_from_cam
 
-    from synth3dlanes.frames import transform
-    from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
+    from synth3dlanes.geometry.frames import transform
+    from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
 
     pose = Pose(pitch_rad, height_m)
     width_px, height_px = size_px
@@ -93,7 +93,7 @@ def drawn_samples(rng, n, size_px=(480, 360)):
     """Samples whose images show the delimiters as bright lines and the centre lines as dark ones, on grey."""
     from PIL import Image, ImageDraw
 
-    from synth3dlanes.frames import project
+    from synth3dlanes.geometry.frames import project
 
     samples = []
     for index in range(n):

@@ -7,7 +7,7 @@ import pytest
 from synth3dlanes_baseline import checkpoint, evaluate, sources
 from synth3dlanes_baseline.ablation import learning_curve
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 SIZES = {"train": 4, "val": 2, "test": 3}
 FEW = {"batch": 2, "epochs": 1.0, "device": "cpu"}

@@ -15,10 +15,10 @@ from synth3dlanes_baseline.onnx_decode import distinct_lanes
 from synth3dlanes_baseline.poses import road_from_cam
 from synth3dlanes_baseline.statistics import statistics_of
 
-from synth3dlanes.frames import transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.params.params import load_params
+from synth3dlanes.truth.ground_truth import ground_truth
 
 
 def _encode(labels, **changes):

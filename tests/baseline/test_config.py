@@ -12,7 +12,7 @@ from synth3dlanes_baseline.config import (
 )
 from synth3dlanes_baseline.model import LaneNet
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 
 def test_every_model_and_row_makes_a_run_that_survives_json():

@@ -16,7 +16,7 @@ from synth3dlanes_baseline.evaluate import score
 from synth3dlanes_baseline.train import plan_on, train_on
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 PAGE = Path(__file__).parents[2] / "docs/own_network.md"
 CPU = torch.device("cpu")

@@ -10,7 +10,7 @@ from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.run_state import prepare
 from synth3dlanes_baseline.tensors import load_weights
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 SMALL = {"model.image_channels": [8, 12, 16, 24], "model.projected_channels": [8, 8, 12, 16]}
 IMAGE, INTRINSICS = torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]]).repeat(2, 1)

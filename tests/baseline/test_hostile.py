@@ -16,7 +16,7 @@ from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.photographs import read_intrinsics
 from synth3dlanes_baseline.pretrained import load_pretrained
 
-from synth3dlanes.errors import FormatError, Synth3dlanesError
+from synth3dlanes.system.errors import FormatError, Synth3dlanesError
 from tests.hostile import HOSTILE, edited_json, files, mutated, refused_or_read
 
 PREDICTION = {

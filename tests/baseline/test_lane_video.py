@@ -15,10 +15,10 @@ from synth3dlanes_baseline.lanes import read_predictions
 from synth3dlanes_baseline.pictures import open_pictures
 from synth3dlanes_baseline.predict import PredictConfig, predict
 
-from synth3dlanes.errors import FormatError, InputError, Synth3dlanesError
 from synth3dlanes.figures.colors import KINDS
-from synth3dlanes.frames import project
-from synth3dlanes.video import mp4, open_video
+from synth3dlanes.geometry.frames import project
+from synth3dlanes.imaging.video import mp4, open_video
+from synth3dlanes.system.errors import FormatError, InputError, Synth3dlanesError
 
 RATE_HZ = 10.0
 

@@ -13,7 +13,7 @@ from synth3dlanes_baseline.lanes import write_predictions
 from synth3dlanes_baseline.overlay import save_pictures
 from synth3dlanes_baseline.progress import TrainingLog
 
-from synth3dlanes.errors import LinkError
+from synth3dlanes.system.errors import LinkError
 
 
 def writers(out: Path, roads):

@@ -17,7 +17,7 @@ from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import annotation_of
 from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
 
-from synth3dlanes.errors import FormatError
+from synth3dlanes.system.errors import FormatError
 
 CPU = torch.device("cpu")
 

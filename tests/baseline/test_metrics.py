@@ -7,9 +7,9 @@ import pytest
 from synth3dlanes_baseline.metrics import Evaluation, MetricConfig, ap_at_101_points, average_precision
 from synth3dlanes_baseline.report import summary_line, to_document, to_text
 
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.params.params import load_params
+from synth3dlanes.truth.ground_truth import ground_truth
 
 
 def _evaluate(pairs, **changes):

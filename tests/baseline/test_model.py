@@ -18,7 +18,7 @@ from synth3dlanes_baseline.loss import ALONG, loss
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.projection import top_from_road
 
-from synth3dlanes.frames import invert, project, transform
+from synth3dlanes.geometry.frames import invert, project, transform
 
 
 def _batch(roads, n=2, size_px=(160, 120), seed=0):
@@ -57,7 +57,7 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
 
 @pytest.mark.parametrize("name", ["paper", "tiny"])
 def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(name):
-    from synth3dlanes.frames import road_from_cam
+    from synth3dlanes.geometry.frames import road_from_cam
 
     config = train_config(name, ablation="image_view").model
     model = LaneNet(config)

@@ -16,7 +16,7 @@ from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.photographs import evaluate_predictions, open_photographs, read_intrinsics
 from synth3dlanes_baseline.sources import focal_lengths
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 
 SIZE_PX = (360, 480)
 ONE_CAMERA = FocalLengths(415.7, 415.7, 1.0)

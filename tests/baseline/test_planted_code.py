@@ -19,7 +19,7 @@ from synth3dlanes_baseline.config import train_config
 from synth3dlanes_cli.benchmark import _score
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 from tests.thorough import first
 
 PACKAGE = Path(checkpoint.__file__).parent

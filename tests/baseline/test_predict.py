@@ -32,9 +32,9 @@ from synth3dlanes_baseline.predict import PredictConfig, PredictionSummary, dete
 from synth3dlanes_baseline.report import markdown, save_plots, table_1_cells, to_document, to_text
 from synth3dlanes_baseline.statistics import describe_targets
 
-from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.figures.colors import KINDS
-from synth3dlanes.frames import project
+from synth3dlanes.geometry.frames import project
+from synth3dlanes.system.errors import FormatError, InputError
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from PIL import Image
 from synth3dlanes_baseline.checkpoint import SHIPPED, detector
 from synth3dlanes_baseline.predict import PredictConfig, predict
 
-from synth3dlanes.video import mp4
+from synth3dlanes.imaging.video import mp4
 from tests.power_cut import survive
 from tests.small_files import withstands
 

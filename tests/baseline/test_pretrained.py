@@ -10,7 +10,7 @@ from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.pretrained import load_pretrained
 from torch.nn import functional
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 
 BLOCKS = (2, 2, 3, 3, 3)
 CHANNELS = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512]

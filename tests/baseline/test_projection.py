@@ -22,7 +22,7 @@ from synth3dlanes_baseline.projection import (
     top_from_road,
 )
 
-from synth3dlanes.frames import project, transform
+from synth3dlanes.geometry.frames import project, transform
 
 PITCHES = st.floats(-0.05, 0.2)
 HEIGHTS = st.floats(1.0, 2.5)

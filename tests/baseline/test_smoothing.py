@@ -9,8 +9,8 @@ from synth3dlanes_baseline.lanes import Detection, Prediction
 from synth3dlanes_baseline.poses import Pose
 from synth3dlanes_baseline.smoothing import associate, smoothed
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.frames import transform
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.system.errors import InputError
 
 Y_M = np.arange(1.0, 90.0)
 BLACK = np.zeros((2, 2, 3), dtype=np.uint8)

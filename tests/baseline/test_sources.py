@@ -12,19 +12,19 @@ from synth3dlanes_baseline.data import annotation_of
 from synth3dlanes_baseline.sources import open_split, training_and_validation
 from synth3dlanes_baseline.tusimple import TusimpleOnPlane
 
-from synth3dlanes import scene as scene_format
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import Picture, encode, member_names
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.formats.apollo.read import ApolloSplit
 from synth3dlanes.formats.openlane.read import OpenLaneSplit
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.shots import clips
+from synth3dlanes.scene import scene as scene_format
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests import fake_samples
 
 N = 3

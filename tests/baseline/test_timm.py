@@ -21,7 +21,7 @@ from synth3dlanes_baseline.timm_trunk import TimmPathway, measured_lattices
 from synth3dlanes_baseline.train import train_on
 from torch import nn
 
-from synth3dlanes.errors import FormatError, InputError, MissingPackageError
+from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
 from tests.baseline.conftest import drawn_samples
 from tests.baseline.test_workers import run
 from tests.thorough import first

@@ -14,7 +14,7 @@ from synth3dlanes_baseline.loading import Process, batch_index, sample_order
 from synth3dlanes_baseline.optim import Schedule
 from synth3dlanes_baseline.train import DivergenceError, train_on
 
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 
 PLAIN = {"augmentation": {"flip": 0.0, "noise": 0.0, "brightness": 0.0, "contrast": 0.0}}
 SMALL_PX = (160, 120)

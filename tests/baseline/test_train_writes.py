@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from synth3dlanes_baseline import checkpoint, progress, train
 from synth3dlanes_cli.main import main
 
-from synth3dlanes import files
-from synth3dlanes.errors import ClaimedError
+from synth3dlanes.system import files
+from synth3dlanes.system.errors import ClaimedError
 from tests.thorough import first
 
 CALLS = ("fsync", "replace", "open")

@@ -19,8 +19,8 @@ from synth3dlanes_baseline.projection import road_from_cam
 from synth3dlanes_baseline.sources import open_split
 from synth3dlanes_baseline.tusimple import POSE, TusimpleOnPlane
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.frames import transform
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.system.errors import InputError
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, t
 from synth3dlanes_baseline.workers import made_ahead
 from torch import Tensor
 
-from synth3dlanes.errors import WorkerError
+from synth3dlanes.system.errors import WorkerError
 from tests.baseline.conftest import drawn_samples
 
 ROOT = Path(__file__).parents[2]

@@ -14,11 +14,11 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Vector  # noqa: E402
 from mathutils.bvhtree import BVHTree  # noqa: E402
 
-from synth3dlanes.assets.built_in import assets_dir  # noqa: E402
-from synth3dlanes.assets.catalogue import CARS, ROAD_MEANS, TREES  # noqa: E402
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets  # noqa: E402
 from synth3dlanes.blender.materials import BUMPS, TERRAIN_MEANS, Materials, make_materials  # noqa: E402
 from synth3dlanes.blender.render import opened  # noqa: E402
+from synth3dlanes.scene.assets.built_in import assets_dir  # noqa: E402
+from synth3dlanes.scene.assets.catalogue import CARS, ROAD_MEANS, TREES  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03
 MAX_BYTES = 25e6

@@ -10,15 +10,15 @@ import bpy
 import numpy as np
 import pytest
 
-from synth3dlanes import sample
 from synth3dlanes.blender import render as renderer
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.params import load_params
+from synth3dlanes.draw import sample
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots, clips
 from synth3dlanes.production.recipe import Recipe, make_sample
-from synth3dlanes.sample import Scenes
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
-from synth3dlanes.shots import Shots, clips
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
 
 pytestmark = pytest.mark.render
 

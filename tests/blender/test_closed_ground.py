@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
-from synth3dlanes.world import World
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.world.world import World
 
 pytestmark = pytest.mark.render
 

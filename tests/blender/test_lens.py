@@ -8,13 +8,13 @@ import pytest
 pytest.importorskip("bpy")
 
 from synth3dlanes.dataset.rectify import bent_pixels, rectified_image, remap
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.camera import rays_of_pixels
-from synth3dlanes.lens import PINHOLE, Lens
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.camera import rays_of_pixels
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.thorough import first
 from tests.validate.examining import findings, measures

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from synth3dlanes.blender.lidar import even_runs
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.instance_ids import instance_id
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_scene, with_lidar
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.lidars import LidarSpec
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import Scenes, sample_scene, with_lidar
-from synth3dlanes.scene import Car
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.lidars import LidarSpec
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, measures
 

@@ -12,17 +12,17 @@ import bpy
 
 from synth3dlanes.blender.light import set_light
 from synth3dlanes.blender.render import render, studio
-from synth3dlanes.ground_truth import label
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import response
-from synth3dlanes.instance_ids import instance_id
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.roadside import Building, Post
-from synth3dlanes.scene import Car, Tree
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.roadside import Building, Post
+from synth3dlanes.scene.scene import Car, Tree
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, flat_road_places
 from tests.thorough import first
 from tests.validate.examining import findings

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from synth3dlanes.blender.quick_copy import quick_copy
-from synth3dlanes.settings import SCRATCH
+from synth3dlanes.scene.settings import SCRATCH
 
 
 @pytest.fixture

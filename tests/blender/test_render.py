@@ -10,18 +10,18 @@ from mathutils import Vector
 
 from synth3dlanes.blender import build as builder
 from synth3dlanes.blender import render as renderer
-from synth3dlanes.frames import project, transform
-from synth3dlanes.geometry.terrain import gradient_at
-from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.geometry.frames import project, transform
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.instance_ids import instance_id, numbers_of
-from synth3dlanes.labels import Labels
-from synth3dlanes.params import load_params
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Car, Tree
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
-from synth3dlanes.world import resolve
+from synth3dlanes.roads.terrain import gradient_at
+from synth3dlanes.scene.instance_ids import instance_id, numbers_of
+from synth3dlanes.scene.scene import Car, Tree
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
 from tests.thorough import first
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from synth3dlanes.blender.render import with_object_visibility
-from synth3dlanes.ground_truth import label
-from synth3dlanes.instance_ids import instance_id, numbers_of
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.roadside import Building, Crossing, Post, Rail, Roadside
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.instance_ids import instance_id, numbers_of
+from synth3dlanes.scene.roadside import Building, Crossing, Post, Rail, Roadside
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed
 from tests.validate.examining import findings
 

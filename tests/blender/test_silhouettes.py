@@ -6,14 +6,14 @@ import pytest
 
 from synth3dlanes.blender import build as builder
 from synth3dlanes.blender import render as renderer
-from synth3dlanes.instance_ids import instance_id, numbers_of
-from synth3dlanes.lens import Lens
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Car
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.world import resolve
+from synth3dlanes.scene.instance_ids import instance_id, numbers_of
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
 from tests.thorough import first
 

@@ -13,8 +13,6 @@ bpy = pytest.importorskip("bpy")
 
 from PIL import Image  # noqa: E402
 
-from synth3dlanes.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
-from synth3dlanes.assets.folder import FolderCheck, require_assets  # noqa: E402
 from synth3dlanes.blender import example_assets as example  # noqa: E402
 from synth3dlanes.blender import render as renderer  # noqa: E402
 from synth3dlanes.blender.assets import load_meshes  # noqa: E402
@@ -22,18 +20,20 @@ from synth3dlanes.blender.build import build  # noqa: E402
 from synth3dlanes.blender.check_assets import _wheels, check_folder  # noqa: E402
 from synth3dlanes.blender.sky_file import read_sky  # noqa: E402
 from synth3dlanes.blender.user_models import points_of  # noqa: E402
-from synth3dlanes.distributions import Integers  # noqa: E402
-from synth3dlanes.errors import FormatError, InputError  # noqa: E402
-from synth3dlanes.frames import transform  # noqa: E402
+from synth3dlanes.draw.sample import Scenes  # noqa: E402
+from synth3dlanes.geometry.frames import transform  # noqa: E402
 from synth3dlanes.imaging.daylight import daylight  # noqa: E402
 from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance  # noqa: E402
 from synth3dlanes.imaging.user_sky import hang, prepare_sky  # noqa: E402
-from synth3dlanes.params import load_params  # noqa: E402
+from synth3dlanes.params.distributions import Integers  # noqa: E402
+from synth3dlanes.params.params import load_params  # noqa: E402
 from synth3dlanes.production.recipe import Recipe, take_picture  # noqa: E402
-from synth3dlanes.sample import Scenes  # noqa: E402
-from synth3dlanes.scene import Scene, from_json, to_json  # noqa: E402
-from synth3dlanes.settings import RenderSettings  # noqa: E402
-from synth3dlanes.world import resolve  # noqa: E402
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
+from synth3dlanes.scene.assets.folder import FolderCheck, require_assets  # noqa: E402
+from synth3dlanes.scene.scene import Scene, from_json, to_json  # noqa: E402
+from synth3dlanes.scene.settings import RenderSettings  # noqa: E402
+from synth3dlanes.system.errors import FormatError, InputError  # noqa: E402
+from synth3dlanes.world.world import resolve  # noqa: E402
 
 pytestmark = pytest.mark.render
 

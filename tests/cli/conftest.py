@@ -19,15 +19,15 @@ def run(in_tmp_path: object) -> Callable[..., Result]:
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of 12 scenes of Appendix I, labelled, on images without contents."""
-    from synth3dlanes import scene as scene_module
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.format import Picture, encode
     from synth3dlanes.dataset.write import Shard
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
+    from synth3dlanes.draw.sample import Scenes, sample_scene
+    from synth3dlanes.params.params import load_params
     from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.sample import Scenes, sample_scene
-    from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.scene import scene as scene_module
+    from synth3dlanes.scene.settings import RenderSettings
+    from synth3dlanes.truth.ground_truth import ground_truth
 
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
     recipe = Recipe(Scenes(params), RenderSettings(), "png")

@@ -12,7 +12,7 @@ from synth3dlanes_cli.main import main
 from synth3dlanes_cli.options import CountRange
 
 from synth3dlanes.production.events import Event
-from synth3dlanes.schema import did_you_mean
+from synth3dlanes.system.schema import did_you_mean
 
 Run = Callable[..., Result]
 

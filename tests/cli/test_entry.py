@@ -39,10 +39,10 @@ def test_too_little_memory_is_one_line() -> None:
     """Where a library asks for more than a limit allows."""
     from synth3dlanes_cli.entry import NO_MEMORY
 
-    script = "import sys, resource, synth3dlanes_cli.main as main; import synth3dlanes.sample, numpy\n"
+    script = "import sys, resource, synth3dlanes_cli.main as main; import synth3dlanes.draw.sample, numpy\n"
     script += "room = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize() + (1 << 28)\n"
     script += "resource.setrlimit(resource.RLIMIT_AS, (room, room))\n"
-    script += "synth3dlanes.sample.scene_texts = lambda *_: [numpy.ones(1 << 30)]\n"
+    script += "synth3dlanes.draw.sample.scene_texts = lambda *_: [numpy.ones(1 << 30)]\n"
     script += "main.main(['sample'], prog_name='synth3dlanes')"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=240)
     assert (done.returncode, done.stdout, done.stderr) == (1, "", f"synth3dlanes sample: {NO_MEMORY}\n")

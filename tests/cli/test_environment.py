@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
-from synth3dlanes import files
+from synth3dlanes.system import files
 from tests.thorough import first
 
 ERRORS = ("ENOSPC", "EIO", "EROFS", "EBUSY", "EDQUOT", "EMFILE")

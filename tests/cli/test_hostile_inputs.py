@@ -18,9 +18,9 @@ from click.testing import Result
 from PIL import Image
 from synth3dlanes_cli.entry import NO_MEMORY
 
-from synth3dlanes.drives.checks import drive_findings
-from synth3dlanes.drives.open import open_drive
-from synth3dlanes.params import presets_folder
+from synth3dlanes.params.params import presets_folder
+from synth3dlanes.recorded.drives.checks import drive_findings
+from synth3dlanes.recorded.drives.open import open_drive
 from tests.drives import road as made
 from tests.hostile import LEAKED
 

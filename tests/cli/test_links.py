@@ -19,10 +19,10 @@ import pytest
 from click.testing import CliRunner, Result
 from matplotlib.figure import Figure
 
-from synth3dlanes.errors import LinkError
 from synth3dlanes.production import local, plan, render_file
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Outcome, Pool
+from synth3dlanes.system.errors import LinkError
 from tests import fake_samples
 from tests.thorough import first
 
@@ -158,7 +158,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
 @pytest.fixture(scope="session")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four samples of clips, true labels on black images."""
-    from synth3dlanes.shots import Shots
+    from synth3dlanes.params.shots import Shots
 
     out = tmp_path_factory.mktemp("links") / "data"
     recipe = fake_samples.recipe(shots=Shots(frames=2, fps=10.0))

@@ -48,7 +48,7 @@ def test_too_little_memory_for_a_library_is_one_line(run: Run, monkeypatch: pyte
     def fails(*_: object) -> None:
         raise ImportError("libx.so: failed to map segment from shared object")
 
-    monkeypatch.setattr("synth3dlanes.drives.open.open_drive", fails)
+    monkeypatch.setattr("synth3dlanes.recorded.drives.open.open_drive", fails)
     result = run("drive", "check", "d")
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     assert result.stderr.startswith("synth3dlanes drive: not enough memory")

@@ -9,10 +9,10 @@ import pytest
 from click.testing import Result
 from rich.console import Console
 
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.stats import scene_statistics
 from synth3dlanes.figures.stats_views import statistics_table
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.params.params import load_params
 
 Run = Callable[..., Result]
 

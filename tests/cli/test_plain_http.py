@@ -16,7 +16,7 @@ from click.testing import Result
 
 from synth3dlanes.dataset.address import translate_store_errors
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import FormatError, InputError, OutageError, Synth3dlanesError
+from synth3dlanes.system.errors import FormatError, InputError, OutageError, Synth3dlanesError
 
 Run = Callable[..., Result]
 

@@ -27,7 +27,7 @@ from tests.thorough import first
             "; rerun to resume",
         ),
         (["validate", "d"], "synth3dlanes.validate.run.validate", ""),
-        (["sample"], "synth3dlanes.sample.scene_texts", ""),
+        (["sample"], "synth3dlanes.draw.sample.scene_texts", ""),
     ],
 )
 def test_a_signal_ends_a_command_in_one_line(monkeypatch, error, code, arguments, function, line):

@@ -17,9 +17,9 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import Shots
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
 from tests import fake_samples
 
 RECIPE = fake_samples.recipe()

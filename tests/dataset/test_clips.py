@@ -6,7 +6,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.columns import SCHEMA
 from synth3dlanes.dataset.index import ADDED
 from synth3dlanes.dataset.info import dataset_info
@@ -14,10 +13,11 @@ from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.splits import evenly_spaced
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.labels import labels as labels_format
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.shots import clips
+from synth3dlanes.system.errors import FormatError, InputError
 from tests import fake_samples
 
 FRAMES = 6

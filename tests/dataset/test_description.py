@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from synth3dlanes.dataset.description import parse_description, recipe_text, updated_description
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 from tests import fake_samples
 
 RECIPE = {**fake_samples.recipe().description(), "shard_size": 10}

@@ -9,7 +9,7 @@ import pytest
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError, MissingPackageError
+from synth3dlanes.system.errors import InputError, MissingPackageError
 from tests import fake_samples
 
 RECIPE = fake_samples.recipe()
@@ -64,7 +64,8 @@ def test_another_recipe_is_refused_in_both(tmp_path):
 def test_a_driver_needs_shards_that_nobody_makes_and_leaves_them_to_others(tmp_path):
     """Locks are those of a process, so the other run is another process."""
     code = (
-        "import sys; from synth3dlanes.errors import ClaimedError; from tests.dataset.test_destination import *\n"
+        "import sys\nfrom synth3dlanes.system.errors import ClaimedError\n"
+        "from tests.dataset.test_destination import *\n"
         "for is_driver in (True, False):\n"
         "    try:\n"
         "        with Destination(sys.argv[1]).claim(DESCRIPTION, 'train', 3, [0], is_driver): print('free')\n"

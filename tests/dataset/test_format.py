@@ -17,7 +17,7 @@ from synth3dlanes.dataset.format import (
     tar_end,
     write_passes,
 )
-from synth3dlanes.errors import FormatError
+from synth3dlanes.system.errors import FormatError
 
 
 @given(st.lists(st.binary(max_size=2000), min_size=1, max_size=5))

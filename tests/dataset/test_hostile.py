@@ -20,8 +20,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes import labels as labels_module
-from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.description import parse_description, updated_description
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import decode_image, encode_image, read_passes, tar_bytes, tar_members, write_passes
@@ -30,7 +28,9 @@ from synth3dlanes.dataset.info import dataset_info
 from synth3dlanes.dataset.rearrange import merge
 from synth3dlanes.dataset.splits import readers
 from synth3dlanes.dataset.write import Shard, scan
-from synth3dlanes.errors import FormatError, Synth3dlanesError
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.system.errors import FormatError, Synth3dlanesError
 from tests import fake_samples
 from tests.hostile import WHERE, files, mutated, refused_or_read
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from synth3dlanes.assets.catalogue import Assets, Library, Texture
 from synth3dlanes.dataset.description import recipe_text, updated_description
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import InputError
+from synth3dlanes.scene.assets.catalogue import Assets, Library, Texture
+from synth3dlanes.system.errors import InputError
 from tests import fake_samples
 
 SIZE = 2

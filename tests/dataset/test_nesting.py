@@ -11,7 +11,7 @@ from synth3dlanes.dataset.info import dataset_info
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.splits import one_reader, readers
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.validate.run import validate
 from tests import fake_samples
 

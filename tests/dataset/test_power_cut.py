@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes import files
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.system import files
 from tests import fake_samples
 from tests.power_cut import survive
 from tests.thorough import first

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from synth3dlanes.dataset.columns import SCHEMA
 from synth3dlanes.dataset.index import ADDED_SCHEMA
 from synth3dlanes.dataset.query import rows_where
-from synth3dlanes.errors import InputError
+from synth3dlanes.system.errors import InputError
 
 N_LANES = [2, 3, 4, 4, 3, 2]
 GRADES = [0.0, 0.05, 0.1, 0.15, 0.2, -0.1]

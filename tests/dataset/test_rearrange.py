@@ -13,8 +13,8 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import assign, merge, split_dataset
 from synth3dlanes.dataset.splits import evenly_spaced, readers
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.scene import from_json
+from synth3dlanes.scene.scene import from_json
+from synth3dlanes.system.errors import FormatError, InputError
 from tests import fake_samples
 
 SIZE = 3

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from synth3dlanes import labels as label_file
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
-from synth3dlanes.frames import road_from_cam
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.lens import PINHOLE, Lens
+from synth3dlanes.geometry.frames import road_from_cam
+from synth3dlanes.geometry.lens import PINHOLE, Lens
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.scenes import changed
 
 CAMERA = {"cx_px": 251, "cy_px": 172, "pitch_rad": 0.07}

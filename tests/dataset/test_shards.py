@@ -15,7 +15,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset import write
 from synth3dlanes.dataset.columns import SCHEMA, index_row
 from synth3dlanes.dataset.description import recipe_text
@@ -25,8 +24,9 @@ from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.write import Shard, scan
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import open_regular
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import open_regular
 from tests import fake_samples
 
 

@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from synth3dlanes.drives.checks import drive_findings
-from synth3dlanes.drives.open import open_drive
-from synth3dlanes.errors import InputError
+from synth3dlanes.recorded.drives.checks import drive_findings
+from synth3dlanes.recorded.drives.open import open_drive
+from synth3dlanes.system.errors import InputError
 from tests.drives import road as made
 from tests.thorough import first
 

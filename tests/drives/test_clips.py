@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import Picture, encode
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.drives.open import open_drive
-from synth3dlanes.errors import FormatError
-from synth3dlanes.frames import transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.imaging.sweep import Sweep, directions
+from synth3dlanes.params.lidars import LidarSpec
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sensors.lidars import LidarSpec
-from synth3dlanes.sensors.sweep import Sweep, directions
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots
+from synth3dlanes.recorded.drives.open import open_drive
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.truth.ground_truth import ground_truth
 
 LIDAR = LidarSpec(
     elevations_deg={"beams": 24, "top": -2, "bottom": -30}, azimuths=360, max_range_m=60.0, height_m=1.9, forward_m=0.4

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.drives.drive import MarkedLane
-from synth3dlanes.drives.lines import read_lines_of
-from synth3dlanes.drives.marks import marks_text, read_marks
-from synth3dlanes.drives.open import open_drive
-from synth3dlanes.drives.poses import read_kitti_poses, read_pose_feather, read_pose_json, read_tum
-from synth3dlanes.drives.review import read_review
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.recorded.drives.drive import MarkedLane
+from synth3dlanes.recorded.drives.lines import read_lines_of
+from synth3dlanes.recorded.drives.marks import marks_text, read_marks
+from synth3dlanes.recorded.drives.open import open_drive
+from synth3dlanes.recorded.drives.poses import read_kitti_poses, read_pose_feather, read_pose_json, read_tum
+from synth3dlanes.recorded.drives.review import read_review
+from synth3dlanes.system.errors import FormatError, InputError
 from tests.drives import road as made
 from tests.hostile import files, mutated, refused_or_read
 

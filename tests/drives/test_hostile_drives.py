@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.drives.checks import drive_findings
-from synth3dlanes.drives.open import open_drive
-from synth3dlanes.drives.top_view import top_view
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.recorded.drives.checks import drive_findings
+from synth3dlanes.recorded.drives.open import open_drive
+from synth3dlanes.recorded.drives.top_view import top_view
+from synth3dlanes.system.errors import FormatError, InputError
 from tests.drives import road as made
 from tests.hostile import damaged, files, refused_or_read
 

@@ -4,10 +4,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from synth3dlanes.drives.drive import Drive
-from synth3dlanes.drives.open import open_drive
-from synth3dlanes.errors import FormatError
-from synth3dlanes.frames import invert, transform
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.recorded.drives.drive import Drive
+from synth3dlanes.recorded.drives.open import open_drive
+from synth3dlanes.system.errors import FormatError
 from tests.drives import road as made
 
 FLU_FROM_OURS = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.drives import top_view as module
-from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame, Scan
-from synth3dlanes.drives.top_view import TILE_PX, top_view
-from synth3dlanes.errors import InputError
+from synth3dlanes.recorded.drives import top_view as module
+from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, Scan
+from synth3dlanes.recorded.drives.top_view import TILE_PX, top_view
+from synth3dlanes.system.errors import InputError
 
 HEIGHT_M = 1.8
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.frames import invert, road_from_cam, transform
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
-from synth3dlanes.scene import Car, Scene, Tree
+from synth3dlanes.geometry.frames import invert, road_from_cam, transform
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
+from synth3dlanes.scene.scene import Car, Scene, Tree
 from tests.browser import browser as browser
 from tests.browser import open_page as open_page
 from tests.scenes import FLAT, changed, hill

@@ -8,8 +8,8 @@ from synth3dlanes.figures.boxes import elements_in_image, lines_img, objects_in_
 from synth3dlanes.figures.colors import ELEMENT, OBJECT
 from synth3dlanes.figures.describe import ELEMENT_COLUMNS, OBJECT_COLUMNS, element_row, object_row
 from synth3dlanes.figures.overlay import draw_overlay
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.lens import Lens
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.scenes import changed
 from tests.signals import signals_scene
 

@@ -9,14 +9,14 @@ from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.page import report_page, scene_page
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.host import Shot
-from synth3dlanes.labels import Labels
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.thorough import first
 
 AFTER_DRAWING = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"

@@ -11,9 +11,9 @@ from synth3dlanes.figures.clip import draw_clip
 from synth3dlanes.figures.describe import describe
 from synth3dlanes.figures.page import MAX_FRAMES, scene_page
 from synth3dlanes.figures.shown import ShownScene
-from synth3dlanes.ground_truth import label
-from synth3dlanes.host import Shot
-from synth3dlanes.world import resolve
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world.world import resolve
 
 
 def shown_in(scene, frame, n_frames=3):

@@ -7,7 +7,7 @@ import pytest
 
 from synth3dlanes.figures.colors import KINDS
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
-from synth3dlanes.labels import Labels, LaneKind
+from synth3dlanes.labels.labels import Labels, LaneKind
 
 
 def middle_of(drawn: np.ndarray, row: int, kind: LaneKind, background: int = 120) -> float:

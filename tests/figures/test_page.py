@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from matplotlib.tri import Triangulation
 
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.histograms import Histogram
 from synth3dlanes.figures.page import report_page, scene_page
 from synth3dlanes.figures.page_plots import plot
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.params.params import load_params
+from synth3dlanes.truth.ground_truth import ground_truth
 
 VOID = {"meta", "link", "input", "img"}
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from synth3dlanes.distributions import Choice, Integers, Uniform
+from synth3dlanes.draw.draws import draws_of
+from synth3dlanes.draw.sample import Scenes, _road, sample_scene
 from synth3dlanes.figures.histograms import _of_labels, declared_shares, histograms
 from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import forms, load_params
-from synth3dlanes.sample import Scenes, _road, sample_scene
-from synth3dlanes.sampling.draws import draws_of
+from synth3dlanes.params.distributions import Choice, Integers, Uniform
+from synth3dlanes.params.params import forms, load_params
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.thorough import presets
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from synth3dlanes.formats.writing import PinholeFrame
-from synth3dlanes.labels import CameraLabel, Labels, Lane, LaneGraph
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
 
 
 def frame(pinhole, **changes):

@@ -23,13 +23,13 @@ def _image(labels):
 def write_split():
     """Writes `n` samples of a split under a folder, as `generate` lays them out; `make_passes` makes the passes of
     labels."""
-    from synth3dlanes import scene as scene_format
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.format import Picture, encode, member_names
     from synth3dlanes.dataset.write import Shard
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
+    from synth3dlanes.draw.sample import Scenes, sample_scene
+    from synth3dlanes.params.params import load_params
+    from synth3dlanes.scene import scene as scene_format
+    from synth3dlanes.truth.ground_truth import ground_truth
     from tests import fake_samples
 
     def write(root, split, n, changes=(), make_passes=None):

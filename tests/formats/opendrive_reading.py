@@ -14,11 +14,11 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import AnyScalars
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.opendrive.convention import USER_DATA
 from synth3dlanes.formats.opendrive.xml import Element
 from synth3dlanes.formats.reading import MOST
+from synth3dlanes.system.arrays import AnyScalars
+from synth3dlanes.system.errors import FormatError
 
 PROFILES = ("elevation", "superelevation", "laneOffset")
 AT_M = 1e-9

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.distance import cdist
 
-from synth3dlanes.arrays import Polyline3
+from synth3dlanes.system.arrays import Polyline3
 
 LanePolylines = tuple[Polyline3, ...]
 

@@ -14,7 +14,6 @@ from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats import export
 from synth3dlanes.formats.argoverse2.convention import RING_CAMERAS, mark_type
 from synth3dlanes.formats.argoverse2.maps import thinned
@@ -23,15 +22,16 @@ from synth3dlanes.formats.argoverse2.write import annotate
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.frames import transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import LidarLabel
-from synth3dlanes.lens import Lens
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.imaging.sweep import Sweep
+from synth3dlanes.labels.labels import LidarLabel
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.sensors.sweep import Sweep
-from synth3dlanes.shots import Shots
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests import fake_samples
 from tests.formats.problems import problems
 from tests.scenes import FLAT

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.conditions import conditions
 from synth3dlanes.formats.culane.convention import SCENES, scene_list, scene_of
 from synth3dlanes.formats.export import Export
@@ -17,17 +18,16 @@ from synth3dlanes.formats.openlane.convention import WAYMO_FROM_CAM
 from synth3dlanes.formats.openlane.read import parse
 from synth3dlanes.formats.openlane.write import CASES
 from synth3dlanes.formats.writing import Pinhole
-from synth3dlanes.frames import transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import SINGLE, clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.roadside import Crossing, Rail, Roadside
-from synth3dlanes.sample import Scenes
-from synth3dlanes.scene import Car, Symbol, Tree
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import SINGLE, clips
+from synth3dlanes.scene.roadside import Crossing, Rail, Roadside
+from synth3dlanes.scene.scene import Car, Symbol, Tree
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests import fake_samples
 from tests.formats import closed_form as cf
 from tests.formats.problems import problems

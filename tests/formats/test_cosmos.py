@@ -15,8 +15,7 @@ from pyarrow import Table, parquet
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import replacing
+from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos import verify as of_tables
 from synth3dlanes.formats.cosmos.controls import depth_picture, edges, nearness_span
@@ -26,16 +25,17 @@ from synth3dlanes.formats.cosmos.read import CosmosClip
 from synth3dlanes.formats.cosmos.verify_videos import video_problems
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.lens import Lens
-from synth3dlanes.params import load_params
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.imaging.video import mp4, open_video
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots
-from synth3dlanes.video import mp4, open_video
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import replacing
 from tests import fake_samples
 from tests.formats import closed_form as cf
 from tests.formats.problems import problems

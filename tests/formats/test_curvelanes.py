@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from PIL import Image
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.curvelanes import write
 from synth3dlanes.formats.curvelanes.read import parse
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.writing import Pinhole
+from synth3dlanes.system.errors import FormatError
 from tests.formats import closed_form as cf
 from tests.formats.random_roads import cameras, roads
 

@@ -5,10 +5,10 @@ import re
 
 import pytest
 
-from synth3dlanes.errors import Synth3dlanesError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.registry import format_names
 from synth3dlanes.formats.verify import verify
+from synth3dlanes.system.errors import Synth3dlanesError
 from tests.formats.test_segmentation import passes_of
 from tests.hostile import LEAKED
 from tests.thorough import first

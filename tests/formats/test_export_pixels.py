@@ -19,10 +19,10 @@ def rendered(tmp_path_factory):
     """A rendered scene without cars; its dashes are long."""
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.write import Shard
-    from synth3dlanes.params import load_params
+    from synth3dlanes.draw.sample import Scenes
+    from synth3dlanes.params.params import load_params
     from synth3dlanes.production.recipe import Recipe, make_sample
-    from synth3dlanes.sample import Scenes
-    from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.scene.settings import RenderSettings
 
     changes = ["cars.n=0", "trees.n=0", "markings.dash_fraction=0.7", "markings.grayscale=0.9", "road.topology=1"]
     recipe = Recipe(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import FormatError, InputError
+from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import ReadFrame, SampleFrame
@@ -16,20 +16,20 @@ from synth3dlanes.formats.kitti.convention import occlusion, parse_line
 from synth3dlanes.formats.kitti.verify import verify as of_frame
 from synth3dlanes.formats.kitti.write import annotate, kitti_object
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.frames import transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
-from synth3dlanes.lens import Lens
-from synth3dlanes.object_labels import as_seen
-from synth3dlanes.params import load_params
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.labels.object_labels import as_seen
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
-from synth3dlanes.scene import Car
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.formats.test_damaged_exports import check_damaged_files
 from tests.scenes import FLAT, changed
 

@@ -9,19 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes import labels as label_file
-from synth3dlanes import scene as scene_file
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots, clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots, clips
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests import fake_samples
 from tests.thorough import first
 

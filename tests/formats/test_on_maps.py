@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pytest
 
+from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.registry import format_names
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.params import load_params
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
 from tests import fake_samples
 from tests.thorough import first
 

@@ -7,16 +7,16 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.geometry.paint import is_double, paint_color, painted_rows
-from synth3dlanes.geometry.symbols import shape
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.roadside import Building, Post, Rail, Roadside
-from synth3dlanes.scene import Symbol, Tree
-from synth3dlanes.world import resolve
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.scene.roadside import Building, Post, Rail, Roadside
+from synth3dlanes.scene.scene import Symbol, Tree
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.world.paint import is_double, paint_color, painted_rows
+from synth3dlanes.world.symbols import shape
+from synth3dlanes.world.world import resolve
 from tests.formats.opendrive_reading import read_roads as read_file_roads
 from tests.scenes import FLAT, changed, hill
 from tests.thorough import first

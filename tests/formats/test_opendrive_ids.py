@@ -7,13 +7,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.formats.opendrive.xml import numbered
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sampling.on_map import MapPlace
-from synth3dlanes.world import World
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.world.world import World
 from tests.formats.test_on_maps import TOWN
 from tests.maps import files
 from tests.maps.test_round_trip import forks

@@ -5,11 +5,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from synth3dlanes.draw.sample import Scenes, draw_world
 from synth3dlanes.formats.opendrive.map_write import opendrive_of_map
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, draw_world
-from synth3dlanes.traffic_elements import TrafficSign, TrafficSignal
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
 
 
 def where(item: TrafficSignal | TrafficSign) -> np.ndarray:

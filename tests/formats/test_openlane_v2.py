@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import ReadFrame, SampleFrame
@@ -14,14 +15,13 @@ from synth3dlanes.formats.openlane_v2.read import frames, parse
 from synth3dlanes.formats.openlane_v2.verify import verify as verify_frame
 from synth3dlanes.formats.openlane_v2.write import annotate
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.lens import Lens
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.maps.places import MapStation
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.sampling.on_map import MapPlace
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.places import MapStation
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.formats import openlane_v2_score as scoring
 from tests.formats.openlane_v2_score import LaneTopology, score
 from tests.maps.files import opendrive, plan, road

@@ -7,9 +7,9 @@ import threading
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.errors import ClaimedError, InputError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.registry import format_names, open_format
+from synth3dlanes.system.errors import ClaimedError, InputError
 from tests.formats.problems import problems
 
 CODE = '''

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.format import PinholeFormat
 from synth3dlanes.formats.registry import format_names, open_format
 from synth3dlanes.formats.resample import fitting_pinhole, resample, source_pixels
 from synth3dlanes.formats.writing import Pinhole
-from synth3dlanes.lens import Lens
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.system.errors import InputError
 from tests.formats import closed_form as cf
 
 FORMATS = {name: open_format(name) for name in format_names()}
@@ -78,9 +78,9 @@ def test_the_fitting_camera_is_the_widest_that_the_image_covers(f_px, roll_rad):
 
 @pytest.mark.parametrize("name", ["apollo", "openlane"])
 def test_camera_presets_render_natively_and_change_nothing_else(name):
-    from synth3dlanes.ground_truth import ground_truth
-    from synth3dlanes.params import load_params
-    from synth3dlanes.sample import Scenes, sample_scene
+    from synth3dlanes.draw.sample import Scenes, sample_scene
+    from synth3dlanes.params.params import load_params
+    from synth3dlanes.truth.ground_truth import ground_truth
 
     params, base = load_params(f"{name}_camera"), load_params("appendix_i")
     view = FORMATS[name].camera

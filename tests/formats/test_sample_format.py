@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import SampleFormat
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.writing import FrameAnnotation
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.shots import clips
+from synth3dlanes.system.errors import InputError
 from tests import fake_samples
 
 

@@ -8,23 +8,23 @@ from typing import Any
 import pytest
 import yaml
 
-from synth3dlanes.errors import InputError
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.registry import format_names
 from synth3dlanes.formats.verify import Verification, verify
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.params import load_params
+from synth3dlanes.params.camera_files import load_camera
+from synth3dlanes.params.cameras import CameraSpec
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
-from synth3dlanes.sampling.on_map import MapPlace
-from synth3dlanes.sensors.camera_files import load_camera
-from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import Shots
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
 from tests import fake_samples
 from tests.formats.test_on_maps import TOWN
 from tests.maps import files

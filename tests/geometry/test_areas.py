@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from shapely.geometry.base import BaseGeometry
 
 import synth3dlanes
-from synth3dlanes.geometry import areas
-from synth3dlanes.geometry.areas import (
+from synth3dlanes.world import areas
+from synth3dlanes.world.areas import (
     NOTHING,
     difference,
     intersection,

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.horizon import DAM_FROM_M
-from synth3dlanes.geometry.meshes import Mesh
-from synth3dlanes.ground_truth import label
-from synth3dlanes.world import World, resolve
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world.horizon import DAM_FROM_M
+from synth3dlanes.world.meshes import Mesh
+from synth3dlanes.world.world import World, resolve
 from tests.scenes import changed, hill
 
 HILLS = (hill(30, 60, 9, 40), hill(30, -60, 9, 40), hill(-20, 0, -6, 35))

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.geometry.camera import img_from_cam
-from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import invert, project, transform
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.world.camera import img_from_cam
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed, hill
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from jaxtyping import Bool
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry import grass
-from synth3dlanes.ground_truth import label
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.world import World
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.params.params import load_params
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world import grass
+from synth3dlanes.world.world import World
 
 HIGH = ["vegetation.grass_m=0.6", "trees.n=0", "cars.n=0"]
 
@@ -104,5 +104,5 @@ def test_a_place_where_no_blade_grows_has_no_grass(monkeypatch: pytest.MonkeyPat
     whole = world.grass(world.view)
     assert whole is not None
     nothing = grass.Blades(whole.corners_world[:0], whole.shade[:0], whole.dryness[:0])
-    monkeypatch.setattr("synth3dlanes.world.blades", lambda *_: nothing)
+    monkeypatch.setattr("synth3dlanes.world.world.blades", lambda *_: nothing)
     assert world.grass(world.view) is None

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.height_map import height_map
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.height_map import height_map
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
 
 

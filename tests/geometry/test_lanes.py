@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.paper_roads import smooth_min
-from synth3dlanes.world import resolve
+from synth3dlanes.roads.paper_roads import smooth_min
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.map_lines import Chain, Cubic, Spiral
+from synth3dlanes.roads.map_lines import Chain, Cubic, Spiral
 
 ARC = Spiral(60.0, (3.0, -2.0), 0.7, 0.02)
 SPIRAL = Spiral(80.0, (1.0, 5.0), -0.4, 0.01, -0.0006)

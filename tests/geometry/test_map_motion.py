@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.motion import car_at
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.world import resolve
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.motion import car_at
+from synth3dlanes.world.world import resolve
 from tests.map_scenes import ARM_M, HALF_M, HILLS, LEFT_TURN, WIDTH_M, map_scene
 
 TRACK = ((0.0, 0.0), (2.0, 18.0), (4.0, 28.5), (6.0, 28.5), (10.0, 70.0))
@@ -75,7 +75,7 @@ def test_a_car_stands_on_the_surface_and_heads_as_its_lane_does(lane):
 
 
 def test_lines_and_neighbours_are_named_alike_in_every_frame_of_a_clip():
-    from synth3dlanes.ground_truth import label
+    from synth3dlanes.truth.ground_truth import label
 
     seen: dict[str, tuple] = {}
     for time_s in (0.0, 4.0, 6.0, 9.0):

@@ -5,13 +5,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from synth3dlanes import labels as label_file
-from synth3dlanes import scene as scene_file
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.road_map import MapRoad, RoadMap
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.scene.road_map import MapRoad, RoadMap
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.world import resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road
 
 MAPS = {"four way": FOUR_WAY, "left turn": LEFT_TURN, "T": T_JUNCTION, "sections": sections_road()}

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.arrays import Points3
-from synth3dlanes.geometry.map_ground import MapGround
-from synth3dlanes.geometry.meshes import Mesh
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.params.params import load_params
+from synth3dlanes.system.arrays import Points3
 from synth3dlanes.validate.standing import mesh_height
-from synth3dlanes.world import World, resolve
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.meshes import Mesh
+from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road
 from tests.thorough import first
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.geometry import meshes
-from synth3dlanes.ground_truth import label
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import SINGLE, Shots, clips
-from synth3dlanes.world import resolve
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.geometry.frames import invert, project, transform
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import SINGLE, Shots, clips
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world import meshes
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill, seen_on_flat_ground
 
 HILLS = (hill(30, -20, 25, 50), hill(-60, 60, -30, 40), hill(10, 90, 15, 30))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.motion import car_at, host_at, host_exposure
-from synth3dlanes.host import Shot
-from synth3dlanes.scene import Car
-from synth3dlanes.world import resolve
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.world.motion import car_at, host_at, host_exposure
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 
 HILLS = {"topology": 3, "offset_m50_m": 8.0, "offset_p50_m": -6.0}

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.ground import Ground
-from synth3dlanes.geometry.horizon import FarHills
-from synth3dlanes.geometry.map_lines import Spiral
-from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.roads import NetworkLane, Offset, Road
-from synth3dlanes.scene import Terrain
+from synth3dlanes.roads.map_lines import Spiral
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.roads import NetworkLane, Offset, Road
+from synth3dlanes.scene.scene import Terrain
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.horizon import FarHills
 from tests.scenes import FLAT, hill
 
 TERRAIN = Terrain(gaussians=(hill(40, 60, 12, 90), hill(-80, 20, -8, 70)))

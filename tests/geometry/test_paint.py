@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import label as clusters
 
-from synth3dlanes.geometry.paint import DOT_HEIGHT_M, DOT_M, DOTS_M
-from synth3dlanes.ground_truth import label
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.params.params import load_params
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.standing import mesh_height
-from synth3dlanes.world import resolve
+from synth3dlanes.world.paint import DOT_HEIGHT_M, DOT_M, DOTS_M
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
 from tests.thorough import first
 

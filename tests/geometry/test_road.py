@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 
 CURVED = {"offset_m100_m": 8.0, "offset_m50_m": -5.0, "offset_p50_m": 6.0, "offset_p100_m": -9.0}

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from synth3dlanes.geometry.beside import beside
-from synth3dlanes.geometry.roadside import bodies
-from synth3dlanes.ground_truth import ground_truth, label
-from synth3dlanes.params import load_params
-from synth3dlanes.roadside import Building, Crossing, Post, Rail, Roadside
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.scene import Scene
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.roadside import Building, Crossing, Post, Rail, Roadside
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.validate.boxes import inside, structure_boxes
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.beside import beside
+from synth3dlanes.world.roadside import bodies
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed, hill
 from tests.validate.examining import findings
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.paint import PAINT_LIFT_M
-from synth3dlanes.geometry.seams import CLEAR_M, OLD_ASPHALT, WANDER_M, joint
-from synth3dlanes.world import resolve
+from synth3dlanes.world.paint import PAINT_LIFT_M
+from synth3dlanes.world.seams import CLEAR_M, OLD_ASPHALT, WANDER_M, joint
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, seen_on_flat_ground
 
 ROADS = [

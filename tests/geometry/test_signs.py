@@ -5,13 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.placement import car_place
-from synth3dlanes.geometry.sign_faces import FACES, SIGNS
-from synth3dlanes.geometry.solids import SURFACES
-from synth3dlanes.params import load_params
-from synth3dlanes.roadside import Crossing, Roadside
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.world import resolve
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.roadside import Crossing, Roadside
+from synth3dlanes.world.placement import car_place
+from synth3dlanes.world.sign_faces import FACES, SIGNS
+from synth3dlanes.world.solids import SURFACES
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed
 
 NO_ENTRY, TO_THE_ROAD = 6, {12, 15}

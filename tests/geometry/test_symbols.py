@@ -6,16 +6,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from synth3dlanes import labels as labels_module
-from synth3dlanes import scene as scene_module
-from synth3dlanes.errors import FormatError
-from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.geometry.symbols import ARROWS, LENGTHS_M, shape
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Symbol
-from synth3dlanes.world import resolve
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.geometry.frames import invert, project, transform
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.scene import Symbol
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.symbols import ARROWS, LENGTHS_M, shape
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed, seen_on_flat_ground
 
 FLIPS = [(False, False), (True, False), (False, True), (True, True)]

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.geometry.horizon import FarHills
-from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.scene import Gaussian, Terrain
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.scene.scene import Gaussian, Terrain
+from synth3dlanes.world.horizon import FarHills
 
 GAUSSIANS = st.builds(
     Gaussian,

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from synth3dlanes.geometry.visibility import TOLERANCE_M, _behind_crest, seen_over_ground
-from synth3dlanes.world import resolve
+from synth3dlanes.world.visibility import TOLERANCE_M, _behind_crest, seen_over_ground
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
 
 

@@ -14,19 +14,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from synth3dlanes import labels as label_file
-from synth3dlanes import scene as scene_file
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.maps.places import read_place
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.params.cameras import CameraSpec
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import SINGLE, Shots
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sampling.on_map import MapPlace
-from synth3dlanes.sensors.cameras import CameraSpec
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.scene.settings import RenderSettings
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 
 FILE = Path(__file__).parent / "frozen.json"

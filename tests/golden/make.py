@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from synth3dlanes import labels as label_file
-from synth3dlanes import scene as scene_file
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.truth.ground_truth import ground_truth
 
 # Name -> index of the scene in split "golden" of seed 0: a split, a merge from the left, and a plain road.
 GOLDEN = {"split": 1, "left_merge": 20, "plain": 0}

@@ -11,7 +11,7 @@ from synth3dlanes.imaging.film import tonemap
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.sensor import MOST_GAIN, add_noise, gain, motion_blur
 from synth3dlanes.imaging.sky import overcast_dome
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed
 
 LEVEL = FLAT.camera.model_copy(update={"pitch_rad": 0.0})

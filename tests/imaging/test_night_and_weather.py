@@ -14,8 +14,8 @@ from synth3dlanes.imaging.falling import add_falling, add_spray
 from synth3dlanes.imaging.glare import add_glow, add_lamp_heads, add_sun_glare
 from synth3dlanes.imaging.glass import add_dirt, add_drops
 from synth3dlanes.imaging.sky import LUMINANCE, irradiance
-from synth3dlanes.scene import Car
-from synth3dlanes.world import resolve
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 
 SHAPE = (360, 480)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.bonnet import bonnet
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.world.bonnet import bonnet
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 
 HOST = {"bonnet": 0.3, "gray": 0.2, "gloss": 0.5}

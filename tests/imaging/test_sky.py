@@ -5,7 +5,7 @@ import pytest
 
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.sky import SKY_SHAPE, clear_sky, cloud_cover, sun_color, sun_direction
-from synth3dlanes.scene import Light
+from synth3dlanes.scene.scene import Light
 from tests.scenes import changed
 
 

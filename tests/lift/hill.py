@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from synth3dlanes.drives.drive import Drive, DriveCamera, DriveFrame, Scan
+from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, Scan
 
 STEP_M, LANES_M = 4.0, (-5.25, -1.75, 1.75)
 CAMERA_M, LIDAR_M, FOCAL_PX, SIZE_PX = 1.5, 1.9, 1000.0, (1280, 720)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.lift import centres
-from synth3dlanes.lift.tracks import Track, unplaced
+from synth3dlanes.recorded.lift import centres
+from synth3dlanes.recorded.lift.tracks import Track, unplaced
 
 S = np.arange(0.0, 120.0)
 

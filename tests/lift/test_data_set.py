@@ -10,13 +10,13 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes import labels as labels_format
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import split_dataset
-from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.formats.export import Export
-from synth3dlanes.lift.precision import NO_ERROR
-from synth3dlanes.lift.write import LiftReport, lift_to
+from synth3dlanes.labels import labels as labels_format
+from synth3dlanes.recorded.lift.precision import NO_ERROR
+from synth3dlanes.recorded.lift.write import LiftReport, lift_to
+from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.validate.run import validate
 from synth3dlanes.validate.structure import check_measured
 from tests.drives.road import road, write_described

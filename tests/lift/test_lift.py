@@ -6,16 +6,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from synth3dlanes.drives.drive import Drive
-from synth3dlanes.errors import InputError
-from synth3dlanes.frames import transform
-from synth3dlanes.lift.cast import cast, seen_over
-from synth3dlanes.lift.curves import SeenLine, smooth
-from synth3dlanes.lift.ground import GroundMap, fit_ground
-from synth3dlanes.lift.path import path_of
-from synth3dlanes.lift.precision import NO_ERROR, Precision
-from synth3dlanes.lift.run import lifted_frames
-from synth3dlanes.lift.stretch import scans_along
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.recorded.drives.drive import Drive
+from synth3dlanes.recorded.lift.cast import cast, seen_over
+from synth3dlanes.recorded.lift.curves import SeenLine, smooth
+from synth3dlanes.recorded.lift.ground import GroundMap, fit_ground
+from synth3dlanes.recorded.lift.path import path_of
+from synth3dlanes.recorded.lift.precision import NO_ERROR, Precision
+from synth3dlanes.recorded.lift.run import lifted_frames
+from synth3dlanes.recorded.lift.stretch import scans_along
+from synth3dlanes.system.errors import InputError
 from tests.lift import hill
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.drives.drive import MarkedLane, RejectedLane
-from synth3dlanes.drives.lifted import lifted_marks
-from synth3dlanes.drives.review import with_review
-from synth3dlanes.errors import InputError
-from synth3dlanes.frames import transform
-from synth3dlanes.lift.precision import NO_ERROR
-from synth3dlanes.lift.run import lifted_frames
-from synth3dlanes.lift.write import lift_to
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.recorded.drives.drive import MarkedLane, RejectedLane
+from synth3dlanes.recorded.drives.lifted import lifted_marks
+from synth3dlanes.recorded.drives.review import with_review
+from synth3dlanes.recorded.lift.precision import NO_ERROR
+from synth3dlanes.recorded.lift.run import lifted_frames
+from synth3dlanes.recorded.lift.write import lift_to
+from synth3dlanes.system.errors import InputError
 from tests.lift import hill
 
 

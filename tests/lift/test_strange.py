@@ -9,15 +9,15 @@ import pytest
 from fsspec.implementations.memory import MemoryFileSystem
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.drives.drive import Drive, DriveFrame, MarkedLane
-from synth3dlanes.drives.marks import marks_text
-from synth3dlanes.drives.open import open_drive
-from synth3dlanes.errors import InputError
-from synth3dlanes.lift import stretch
-from synth3dlanes.lift.path import path_of
-from synth3dlanes.lift.precision import NO_ERROR
-from synth3dlanes.lift.run import lifted_frames
-from synth3dlanes.lift.write import lift_to
+from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, MarkedLane
+from synth3dlanes.recorded.drives.marks import marks_text
+from synth3dlanes.recorded.drives.open import open_drive
+from synth3dlanes.recorded.lift import stretch
+from synth3dlanes.recorded.lift.path import path_of
+from synth3dlanes.recorded.lift.precision import NO_ERROR
+from synth3dlanes.recorded.lift.run import lifted_frames
+from synth3dlanes.recorded.lift.write import lift_to
+from synth3dlanes.system.errors import InputError
 from tests.drives import road as made
 from tests.lift import hill
 from tests.power_cut import survive

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.map_lines import plan_line
-from synth3dlanes.geometry.map_network import MapNetwork
-from synth3dlanes.geometry.section_road import CrossSection
-from synth3dlanes.labels import Labels
-from synth3dlanes.maps.given_map import GivenMap
-from synth3dlanes.world import World
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.roads.map_lines import plan_line
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.maps.given_map import GivenMap
+from synth3dlanes.roads.section_road import CrossSection
+from synth3dlanes.world.world import World
 from tests.maps.standard import KERB_M, Road
 
 # Lines are looked at in steps of the first length, and compared where these are near to a point of the labels; lanes of

@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.height_map import height_map
-from synth3dlanes.geometry.map_ground import MapGround
-from synth3dlanes.geometry.passages import CEILING_M, COVER_M, DECK_M
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.maps.places import read_place
-from synth3dlanes.params import load_params
-from synth3dlanes.roadside import MAX_RAILS
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sampling.on_map import MapPlace
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.scene.roadside import MAX_RAILS
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.standing import mesh_height
-from synth3dlanes.world import World
+from synth3dlanes.world.height_map import height_map
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.passages import CEILING_M, COVER_M, DECK_M
+from synth3dlanes.world.world import World
 from tests.geometry.test_map_surface import gaps
 from tests.maps.files import TWO, opendrive, plan, road
 

@@ -12,10 +12,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pytest
 
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.maps.part import part_around
-from synth3dlanes.maps.places import draw_place
+from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
+from synth3dlanes.roads.maps.part import part_around
+from synth3dlanes.roads.maps.places import draw_place
+from synth3dlanes.system.errors import FormatError, InputError
 from tests.maps.files import lane, opendrive, plan, road, section
 from tests.maps.test_parts import link
 

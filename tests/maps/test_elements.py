@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.map_ground import MapGround
-from synth3dlanes.maps.elements import GivenElement
-from synth3dlanes.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.maps.places import read_place
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sampling.map_standing import _shown
-from synth3dlanes.sampling.on_map import MapPlace, red_lines
-from synth3dlanes.shots import clips
-from synth3dlanes.traffic_elements import TrafficSign, TrafficSignal
-from synth3dlanes.world import World
+from synth3dlanes.draw.map_standing import _shown
+from synth3dlanes.draw.on_map import MapPlace, red_lines
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import clips
+from synth3dlanes.roads.maps.elements import GivenElement
+from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
+from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.world import World
 from tests.maps.files import TWO, lane, opendrive, plan, road, section
 
 EAST = plan(("<line/>", 300.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.maps.given_map import GivenMap, read_opendrive
+from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from tests.maps.files import lane, opendrive, plan, road, section
 
 ARC = plan(("<line/>", 30.0), ('<arc curvature="0.01"/>', 60.0), start=(5.0, 6.0, np.pi / 2))

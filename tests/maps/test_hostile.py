@@ -11,14 +11,14 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.maps import document
-from synth3dlanes.maps.given_map import read_map, read_opendrive
-from synth3dlanes.params import load_params
-from synth3dlanes.road_map import PlanPiece
-from synth3dlanes.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.sampling.on_map import MapPlace
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps import document
+from synth3dlanes.roads.maps.given_map import read_map, read_opendrive
+from synth3dlanes.scene.road_map import PlanPiece
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.map_scenes import FOUR_WAY, map_scene
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 from tests.maps.test_parts import link

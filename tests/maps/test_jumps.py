@@ -6,19 +6,19 @@ from functools import cache
 import numpy as np
 import pytest
 
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.opendrive.write import opendrive as opendrive_of
-from synth3dlanes.frames import transform
-from synth3dlanes.geometry.map_ground import MapGround
-from synth3dlanes.geometry.map_meshes import pavement_meshes
-from synth3dlanes.geometry.map_network import MapNetwork
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
-from synth3dlanes.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.maps.places import read_place
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sampling.on_map import MapPlace
-from synth3dlanes.world import World
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
+from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.map_meshes import pavement_meshes
+from synth3dlanes.world.world import World
 from tests.maps.comparing import apart
 from tests.maps.files import PLAIN, lane, opendrive, plan, road, section
 from tests.maps.standard import read

@@ -11,25 +11,25 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.errors import InputError
-from synth3dlanes.geometry import placement
-from synth3dlanes.geometry.map_network import MapNetwork
-from synth3dlanes.geometry.motion import car_at
-from synth3dlanes.geometry.terrain import gradient_at, height_at
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import to_json as labels_text
-from synth3dlanes.maps.given_map import read_opendrive
-from synth3dlanes.maps.places import read_place
-from synth3dlanes.maps.plan import plan_points
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.map_terrain import road_points, terrain_of
+from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.labels.labels import to_json as labels_text
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sampling.map_terrain import road_points, terrain_of
-from synth3dlanes.sampling.on_map import MapPlace
-from synth3dlanes.scene import Gaussian, Terrain, from_json, to_json
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import clips
-from synth3dlanes.world import World
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.roads.maps.plan import plan_points
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.scene.scene import Gaussian, Terrain, from_json, to_json
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world import placement
+from synth3dlanes.world.motion import car_at
+from synth3dlanes.world.world import World
 from tests.maps.files import PLAIN, lane, opendrive, plan, road, section
 
 ON = '<predecessor id="{0}"/><successor id="{0}"/>'

@@ -5,11 +5,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from synth3dlanes.maps.cubics import value
-from synth3dlanes.maps.furniture import edges_at
-from synth3dlanes.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.maps.plan import places, plan_points
-from synth3dlanes.road_map import MapMark
+from synth3dlanes.roads.maps.cubics import value
+from synth3dlanes.roads.maps.furniture import edges_at
+from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
+from synth3dlanes.roads.maps.plan import places, plan_points
+from synth3dlanes.scene.road_map import MapMark
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section, walked
 
 PIECES = {

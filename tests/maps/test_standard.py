@@ -4,7 +4,7 @@ the ends of sections too."""
 import numpy as np
 import pytest
 
-from synth3dlanes.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.given_map import read_opendrive
 from tests.maps.comparing import everywhere
 from tests.maps.files import lane, opendrive, plan, road, section
 from tests.maps.standard import read

@@ -7,8 +7,8 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.errors import FormatError
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production import bench
 from synth3dlanes.production.bench import (
     Bench,
@@ -21,8 +21,8 @@ from synth3dlanes.production.bench import (
     ssim,
 )
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import FormatError
 
 
 def test_psnr_and_ssim_of_known_differences(rng):

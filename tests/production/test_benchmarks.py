@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from synth3dlanes import labels as label_file
 from synth3dlanes.dataset.format import LABELS
-from synth3dlanes.errors import InputError
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
+from synth3dlanes.draw.sample import sample_scene
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.production.benchmarks import BenchmarkSplit, benchmark_names, labels_digest, load_benchmark
-from synth3dlanes.sample import sample_scene
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.validate.sealing import Members, seal
 
 SMALL = """

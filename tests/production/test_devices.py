@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.production import devices
 from synth3dlanes.production.devices import default_workers, masks, may_have_gpu, resolve_device
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, Outcome, Pool
-from synth3dlanes.settings import DEVICES, Device, RenderSettings, choose_device
+from synth3dlanes.scene.settings import DEVICES, Device, RenderSettings, choose_device
+from synth3dlanes.system.errors import InputError
 from tests import fake_samples
 
 CPU = Device("cpu", "AMD EPYC")
@@ -75,7 +75,7 @@ def test_workers_take_turns_with_the_gpus():
 
 
 def test_what_became_of_a_task_is_an_error_by_name():
-    from synth3dlanes.errors import DiskFullError, WorkerError
+    from synth3dlanes.system.errors import DiskFullError, WorkerError
 
     assert Outcome("a", "done", 7).result("x") == 7
     for status, kind in (

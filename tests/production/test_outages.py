@@ -131,7 +131,7 @@ def test_what_an_outage_leaves_here_is_put_by_the_next_run(
 
 
 def test_a_run_whose_store_is_out_from_the_start_ends_at_once(gate: store_server.Gate) -> None:
-    from synth3dlanes.errors import OutageError
+    from synth3dlanes.system.errors import OutageError
 
     gate.close()
     with pytest.raises(OutageError, match=r"^s3://lanes/out.*: cannot be reached: "):

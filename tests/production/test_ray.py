@@ -14,9 +14,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from synth3dlanes.errors import InputError, MissingPackageError, OutageError
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
+from synth3dlanes.system.errors import InputError, MissingPackageError, OutageError
 from tests import fake_samples, soak
 
 N, MORE = 12, 40

@@ -21,14 +21,14 @@ import pytest
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import ClaimedError, DiskFullError, InputError, MissingPackageError
-from synth3dlanes.files import Draft
 from synth3dlanes.production import local, workers
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_sample
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, Worker
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import ClaimedError, DiskFullError, InputError, MissingPackageError
+from synth3dlanes.system.files import Draft
 from tests import fake_samples
 from tests.thorough import first
 
@@ -347,7 +347,7 @@ def test_a_second_run_of_the_same_process_is_refused(tmp_path, whole):
 
     assert generate(plan(tmp_path, part=(1, 2)), tell).exit_code == 0
     refused = f"out {tmp_path}: shard 0 is locked by another run"
-    assert problems == [refused, 0, f"synth3dlanes.errors.ClaimedError: {refused}"]
+    assert problems == [refused, 0, f"synth3dlanes.system.errors.ClaimedError: {refused}"]
     assert contents(tmp_path) == whole
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from synth3dlanes.dataset import write
-from synth3dlanes.errors import FormatError, InputError
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
+from synth3dlanes.system.errors import FormatError, InputError
 from tests import fake_samples, soak
 from tests.thorough import first
 

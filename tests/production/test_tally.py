@@ -6,8 +6,8 @@ from pathlib import Path
 
 from synth3dlanes.dataset import stores
 from synth3dlanes.dataset.destination import Destination
-from synth3dlanes.errors import OutageError
 from synth3dlanes.production.tally import RunTally
+from synth3dlanes.system.errors import OutageError
 
 
 def told(asked: int = 10, missing: range = range(4, 10), log=None) -> tuple[RunTally, list]:

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.errors import InputError
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe, scene_json
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Scene, from_json
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.scene import Scene, from_json
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError
 from synth3dlanes.validate.origin import Origin
 from tests import fake_samples
 

@@ -16,12 +16,12 @@ CHANGES += ["markings.left_yellow={true: 1, false: 1}", "markings.wear=[0, 0.5]"
 
 @pytest.fixture(scope="session")
 def rendered(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
-    from synth3dlanes.params import load_params
+    from synth3dlanes.draw.sample import Scenes
+    from synth3dlanes.params.params import load_params
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
     from synth3dlanes.production.run import generate
-    from synth3dlanes.sample import Scenes
-    from synth3dlanes.settings import RenderSettings
+    from synth3dlanes.scene.settings import RenderSettings
 
     settings = RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance", "height"), device="cpu")
     recipe = Recipe(Scenes(load_params("appendix_i", CHANGES), 4, "train"), settings, "jpg")

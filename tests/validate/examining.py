@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Measure, Result, Signed, findings_of

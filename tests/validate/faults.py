@@ -17,7 +17,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset.format import (
     LABELS,
     PASSES,
@@ -27,10 +26,11 @@ from synth3dlanes.dataset.format import (
     read_passes,
     write_passes,
 )
-from synth3dlanes.labels import Labels
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import SEMANTIC_IDS
-from synth3dlanes.world import resolve
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.world.world import resolve
 from tests.validate.sealing import Members, describe, seal
 
 Passes = dict[str, np.ndarray]

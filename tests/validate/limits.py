@@ -17,7 +17,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.validate.examining import examine
 
 COLUMNS = ("number", "least", "most", "values", "from", "to", "worst sample", "")

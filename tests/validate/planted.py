@@ -22,21 +22,21 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.format import HEIGHT, PASSES
-from synth3dlanes.errors import FormatError
-from synth3dlanes.params import Params, load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import Params, load_params
+from synth3dlanes.params.shots import SINGLE
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
-from synth3dlanes.scene import Scene
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.settings import PASSES as ALL_PASSES
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import SINGLE
+from synth3dlanes.scene.change import change_scene
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import PASSES as ALL_PASSES
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.validate.made_again import compare
-from synth3dlanes.world import World, resolve
+from synth3dlanes.world.world import World, resolve
 from tests.validate import redone
 from tests.validate.faults import FAULTS, WORLDS, Fault, in_samples
 from tests.validate.faults import World as Changing

@@ -11,7 +11,6 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, uniform_filter
 
-from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset.format import (
     HEIGHT,
     LABELS,
@@ -24,9 +23,10 @@ from synth3dlanes.dataset.format import (
     write_passes,
     write_sweep,
 )
-from synth3dlanes.instance_ids import numbers_of
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 from tests.validate.faults import with_shares
 from tests.validate.sealing import Members
 

@@ -5,14 +5,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from synth3dlanes import labels as labels_module
 from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import LABELS, key_of
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.errors import FormatError
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.validate.report import ValidationReport
 
 SHARD_SIZE = 1000

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from synth3dlanes.frames import project, transform
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.instance_ids import instance_id
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import project, transform
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.bias import TESTS, RunningMean, judge
 from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
@@ -18,7 +18,7 @@ from synth3dlanes.validate.findings import Measure, Signed
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.pixels import luma
 from synth3dlanes.validate.report import ValidationReport
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, flat_road_places, hill
 from tests.validate.examining import seen
 from tests.validate.examining import signed as signed_of

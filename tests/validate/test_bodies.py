@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.assets.catalogue import CARS
+from synth3dlanes.scene.assets.catalogue import CARS
 from synth3dlanes.validate.bodies import CORE_HEIGHT, CORE_SIDES
 
 pytest.importorskip("bpy")

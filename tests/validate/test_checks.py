@@ -1,9 +1,9 @@
 """The list of checks: each has a name of its own and says what it finds; what a check lacks it is not asked without."""
 
-from synth3dlanes.ground_truth import ground_truth
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT
 from tests.validate.examining import examine, seen
 

@@ -15,18 +15,18 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from synth3dlanes import labels as labels_module
-from synth3dlanes import scene as scene_module
 from synth3dlanes.dataset.columns import index_row
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, HEIGHT, LABELS, PASSES, SCENE, tar_bytes, tar_end
-from synth3dlanes.errors import FormatError
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
-from synth3dlanes.settings import PASSES as ALL_PASSES
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.settings import PASSES as ALL_PASSES
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.validate.run import validate
 from tests.thorough import first

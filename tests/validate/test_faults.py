@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from synth3dlanes.dataset.format import LABELS, SCENE, decode_image, encode_image, tar_bytes
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.labels import Labels, Lane
+from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.integrity import walk
 from synth3dlanes.validate.report import ValidationReport

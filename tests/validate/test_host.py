@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Car, Scene
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.scene import Car, Scene
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed
 from tests.thorough import presets
 from tests.validate.examining import findings

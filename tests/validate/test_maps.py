@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synth3dlanes import labels as label_file
-from synth3dlanes.assets.catalogue import BUILT_IN
 from synth3dlanes.dataset.format import read_passes
-from synth3dlanes.frames import transform
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels import labels as label_file
 from synth3dlanes.production.recipe import make_image
-from synth3dlanes.road_map import RoadMap
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.assets.catalogue import BUILT_IN
+from synth3dlanes.scene.road_map import RoadMap
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, map_scene, sections_road
 
 pytestmark = [pytest.mark.render, pytest.mark.thorough]

@@ -9,21 +9,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from synth3dlanes.frames import invert, project, transform
-from synth3dlanes.ground_truth import ground_truth, label
-from synth3dlanes.instance_ids import instance_id
-from synth3dlanes.labels import Labels, Lane
-from synth3dlanes.lens import Lens
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.scene import Car, Scene
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.geometry.frames import invert, project, transform
+from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.labels.labels import Labels, Lane
+from synth3dlanes.params.params import load_params
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.scene import Car, Scene
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.validate.bodies import NEAR_M, ahead, corners_world, covers
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import BAND_NAMES, Finding, Measure, RangeHistogram
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.report import ValidationReport
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed, flat_road_places
 from tests.validate.examining import findings, measures, reasons, seen
 

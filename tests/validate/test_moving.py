@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.ground_truth import label
-from synth3dlanes.labels import Labels
-from synth3dlanes.object_labels import ObjectLabel
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.shots import Shots, clips
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots, clips
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.report import ValidationReport
 from tests.validate.examining import examine

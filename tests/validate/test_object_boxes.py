@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.frames import quaternion, rotation, turned
-from synth3dlanes.host import Lidar
-from synth3dlanes.object_labels import ObjectLabel
+from synth3dlanes.geometry.frames import quaternion, rotation, turned
+from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import Car
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.host import Lidar
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.labelled_boxes import SeenPart
 from synth3dlanes.validate.object_boxes import judge, views_of
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, reasons
 

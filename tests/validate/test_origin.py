@@ -12,8 +12,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from synth3dlanes import __version__
-from synth3dlanes import scene as scene_module
-from synth3dlanes.change import change_scene
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import SCENE, Picture, encode
@@ -21,17 +19,19 @@ from synth3dlanes.dataset.index import read_recipe
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Labels
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
-from synth3dlanes.sample import Scenes
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import clips
+from synth3dlanes.scene import scene as scene_module
+from synth3dlanes.scene.change import change_scene
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.findings import Problem
 from synth3dlanes.validate.origin import MANY, Origin, drawn_otherwise
 from tests import fake_samples

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.labels import Labels, Pair
+from synth3dlanes.labels.labels import Labels, Pair
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, flat_road_places
 from tests.validate.examining import findings, reasons
 

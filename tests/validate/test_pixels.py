@@ -13,19 +13,19 @@ from PIL import Image
 
 from synth3dlanes.dataset.format import PASSES, decode_image, encode_image, read_passes, write_passes
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.instance_ids import instance_id, numbers_of, thing_of
-from synth3dlanes.labels import Labels, PaintColor
-from synth3dlanes.labels import from_json as labels_from_json
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.labels.labels import Labels, PaintColor
+from synth3dlanes.labels.labels import from_json as labels_from_json
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
-from synth3dlanes.sample import Scenes
-from synth3dlanes.scene import from_json
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.instance_ids import instance_id, numbers_of, thing_of
+from synth3dlanes.scene.scene import from_json
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.ridges import PLACES_M, LineProfiles, check_move
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.thorough import first
 from tests.validate.examining import findings, reasons

@@ -6,20 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.assets.catalogue import BUILT_IN
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.geometry import meshes
-from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.geometry.visibility import seen_over_ground
-from synth3dlanes.ground_truth import label
-from synth3dlanes.params import load_params
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene.assets.catalogue import BUILT_IN
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.ids import MAX_BEYOND_M
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.places import RoadPlaces, on_road, places
 from synth3dlanes.validate.surface import MAX_ASIDE_M, MAX_GAP_M, RANGE_M
-from synth3dlanes.world import World
+from synth3dlanes.world import meshes
+from synth3dlanes.world.visibility import seen_over_ground
+from synth3dlanes.world.world import World
 from tests.thorough import first
 
 N_SCENES, N_POINTS = 9, 600

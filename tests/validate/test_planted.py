@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes.params import load_params
+from synth3dlanes.params.params import load_params
 from tests.validate import planted
 from tests.validate.faults import FAULTS, WORLDS, Fault
 from tests.validate.sealing import check, describe, drop_passes, seal

@@ -8,21 +8,21 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.change import change_scene
-from synth3dlanes.errors import InputError, MissingPackageError
-from synth3dlanes.params import Params, load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.params.lidar_files import load_lidar
+from synth3dlanes.params.params import Params, load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import SINGLE, Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe, make_sample
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, call
-from synth3dlanes.sample import Scenes
-from synth3dlanes.sensors.lidar_files import load_lidar
-from synth3dlanes.sensors.rig_files import load_rig
-from synth3dlanes.settings import RenderSettings
-from synth3dlanes.shots import SINGLE, Shots
+from synth3dlanes.scene.change import change_scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.system.errors import InputError, MissingPackageError
 from synth3dlanes.validate.made_again import compare, some_of
 from synth3dlanes.validate.run import validate
-from synth3dlanes.world import World, resolve
+from synth3dlanes.world.world import World, resolve
 from tests import warm
 from tests.validate.redone import ALL, SWEEPS, WORLDS, other_rounding, picture_of
 from tests.validate.sealing import Members, describe, read_members, seal

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.geometry.meshes import Mesh
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.labels import Lane
+from synth3dlanes.labels.labels import Lane
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.standing import mesh_height
 from synth3dlanes.validate.structure import _order
+from synth3dlanes.world.meshes import Mesh
 from tests.map_scenes import FOUR_WAY, map_scene
 
 LABELS = ground_truth(map_scene(FOUR_WAY, 95.0))

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from synth3dlanes.dataset.format import read_passes, write_passes
-from synth3dlanes.instance_ids import numbers_of
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes
-from synth3dlanes.scene import from_json
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.scene import from_json
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
 from tests.validate.sealing import Members, check, read_members, seal
 
 pytestmark = [pytest.mark.render, pytest.mark.thorough]

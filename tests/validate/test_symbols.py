@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from synth3dlanes.instance_ids import instance_id
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import Scene, Symbol
-from synth3dlanes.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.scene import Scene, Symbol
+from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
 from tests.validate.examining import findings
 

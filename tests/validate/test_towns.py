@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 
 from synth3dlanes.dataset.format import LABELS
-from synth3dlanes.ground_truth import label
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.sample import Scenes, sample_world
-from synth3dlanes.shots import clips
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
 from tests.validate import planted
 from tests.validate.examining import findings, reasons, seen

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.element_labels import ElementLabel
+from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import findings_of
 from synth3dlanes.validate.traffic_elements import check_elements, judge, over_its_lane, shining
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.signals import signals_scene
 
 pytestmark = pytest.mark.render

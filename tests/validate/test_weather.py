@@ -4,16 +4,16 @@ import json
 
 import pytest
 
-from synth3dlanes.ground_truth import ground_truth
-from synth3dlanes.params import load_params
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.weather import DAYTIMES, KINDS
 from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.sample import Scenes, sample_scene
-from synth3dlanes.scene import Scene
-from synth3dlanes.settings import RenderSettings
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.origin import Origin
-from synth3dlanes.weather import DAYTIMES, KINDS
-from synth3dlanes.world import resolve
+from synth3dlanes.world.world import resolve
 from tests.validate.examining import reasons, seen
 
 FEW = ("cars.n=0", "trees.n=0", "road.topology=1")

@@ -6,9 +6,9 @@ the format share puts the camera at (0, h sin p, h cos p), where h is the field 
 
 import numpy as np
 
-from synth3dlanes.arrays import Matrix4
 from synth3dlanes.formats.writing import Pinhole
-from synth3dlanes.frames import road_from_cam
+from synth3dlanes.geometry.frames import road_from_cam
+from synth3dlanes.system.arrays import Matrix4
 
 CAMERA = Pinhole(1920, 1080, 2015.0)
 """The tools of the format assume it; its files do not carry intrinsics."""

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.apollo.read import FlagLists, PointLists
 from synth3dlanes.formats.apollo.score import score as score_lines
 from synth3dlanes.formats.apollo.verify import read
 from synth3dlanes.formats.format import Rates, ReadFrame
 from synth3dlanes.formats.line_score import Line3d
 from synth3dlanes.formats.scoring import EVERY, lines_by, predicted, rates
-from synth3dlanes.json_arrays import JsonPoints
-from synth3dlanes.schema import Excerpt, Unit
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import JsonPoints
+from synth3dlanes.system.schema import Excerpt, Unit
 
 
 class _Prediction(Excerpt):

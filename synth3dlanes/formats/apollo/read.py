@@ -11,8 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, model_validator
 
-from synth3dlanes import schema
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.apollo.convention import CAMERA, apollo_from_cam
 from synth3dlanes.formats.reading import (
     ForeignLane,
@@ -22,10 +20,12 @@ from synth3dlanes.formats.reading import (
     read_image,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.json_arrays import JsonPoints
-from synth3dlanes.labels import Labels, LaneKind
-from synth3dlanes.schema import Excerpt, Metres, Number, PathBelow
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import Labels, LaneKind
+from synth3dlanes.system import schema
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import JsonPoints
+from synth3dlanes.system.schema import Excerpt, Metres, Number, PathBelow
 
 PointLists = tuple[Float[np.ndarray, "_ 3"], ...]
 FlagLists = tuple[Bool[np.ndarray, " _"], ...]

@@ -21,7 +21,7 @@ from synth3dlanes.formats.comparing import (
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import first_lines
 from synth3dlanes.formats.sidecar import Sidecars
-from synth3dlanes.schema import Excerpt
+from synth3dlanes.system.schema import Excerpt
 
 # Coordinates have six decimals, those of the labels four.
 LINES, CENTERS = (Rule("m", 0.001, most=most, name=name) for most, name in ((6, "lane line"), (np.inf, "center line")))

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from synth3dlanes.formats.apollo.convention import CAMERA, ROOT, apollo_from_cam, cam_height_m
 from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFrame
-from synth3dlanes.frames import transform
-from synth3dlanes.labels import CameraLabel, Labels, LaneKind
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import CameraLabel, Labels, LaneKind
 
 MAX_LINES = 6
 HALF_WIDTH_M = 10.0

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from synth3dlanes.assets.catalogue import VehicleClass
-from synth3dlanes.labels import Marking, PaintColor, Pair
+from synth3dlanes.labels.labels import Marking, PaintColor, Pair
+from synth3dlanes.scene.assets.catalogue import VehicleClass
 
 FRONT_CAMERA = "ring_front_center"
 RING_CAMERAS = (

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Points3
 from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type, piece_id
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
-from synth3dlanes.geometry.motion import host_driven
-from synth3dlanes.labels import LaneGraph
-from synth3dlanes.world import World
+from synth3dlanes.labels.labels import LaneGraph
+from synth3dlanes.system.arrays import Points3
+from synth3dlanes.world.motion import host_driven
+from synth3dlanes.world.world import World
 
 REACH_M = 150.0
 """How far the map reaches beyond all places of the host in the clip, and as far the other way."""

@@ -10,9 +10,6 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
-from synth3dlanes import schema
-from synth3dlanes.columnar import DAMAGED, TableBounds, read_arrow
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import (
     ANNOTATIONS,
     INTRINSICS,
@@ -22,8 +19,11 @@ from synth3dlanes.formats.argoverse2.convention import (
     LogFiles,
 )
 from synth3dlanes.formats.reading import read_file
-from synth3dlanes.frames import rotation
-from synth3dlanes.schema import Excerpt, Number
+from synth3dlanes.geometry.frames import rotation
+from synth3dlanes.system import schema
+from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_arrow
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.schema import Excerpt, Number
 
 # A point takes 24 bytes, a box 130; files with boxes have few rows.
 BOUNDS = TableBounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)

@@ -9,17 +9,17 @@ import numpy as np
 import shapely
 from jaxtyping import Float
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.argoverse2.convention import CATEGORIES, LogFiles, mark_type, place_of
 from synth3dlanes.formats.argoverse2.read import IMAGE, Log, LogLane, LogMap, matrices
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances, is_beside
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.lane_map import half_widths, link_gaps
 from synth3dlanes.formats.writing import PARTS
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import Lane, Segment
-from synth3dlanes.object_labels import CORNERS
-from synth3dlanes.polylines import resampled
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.polylines import resampled
+from synth3dlanes.labels.labels import Lane, Segment
+from synth3dlanes.labels.object_labels import CORNERS
+from synth3dlanes.system.errors import FormatError
 
 # The pieces of each segment, in order, and half its least and its greatest width.
 PiecesOf = dict[str, list[LogLane]]

@@ -13,8 +13,6 @@ import pyarrow as pa
 from jaxtyping import Float
 from pyarrow import feather
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.argoverse2.convention import (
     ANNOTATIONS,
     CAMERAS,
@@ -36,10 +34,12 @@ from synth3dlanes.formats.argoverse2.convention import (
 from synth3dlanes.formats.argoverse2.maps import PIECE_M, map_files
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.writing import CV_FROM_CAM, FrameAnnotation, world_from_host
-from synth3dlanes.frames import from_axes, invert, quaternion, transform
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.object_labels import ObjectLabel
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import from_axes, invert, quaternion, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.world.world import resolve
 
 README = f"""Argoverse 2's sensor data set: a log for each scene, its frames those of the clip.
 

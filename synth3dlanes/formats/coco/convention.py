@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 
 from synth3dlanes.formats.segments import STUFF
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 
 CLASSES_AT_MOST = 32  # segment ids are instance * 32 + category
 

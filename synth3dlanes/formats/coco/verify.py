@@ -9,15 +9,15 @@ import numpy as np
 from jaxtyping import Shaped
 from pydantic import Field
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_mask
 from synth3dlanes.formats.segments import STUFF
 from synth3dlanes.formats.things import PixelNumbers, compare_masks, most_shared, things
-from synth3dlanes.json_arrays import Row3, Row4
-from synth3dlanes.schema import MAX_PX, Excerpt, PathBelow, parse
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import Row3, Row4
+from synth3dlanes.system.schema import MAX_PX, Excerpt, PathBelow, parse
 
 
 class _Image(Excerpt):

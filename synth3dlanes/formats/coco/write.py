@@ -12,9 +12,9 @@ from synth3dlanes.formats.coco.convention import CATEGORIES, CLASSES_AT_MOST, ST
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.segments import file_name, image_path, png
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
-from synth3dlanes.instance_ids import thing_of
-from synth3dlanes.labels import Lane
-from synth3dlanes.object_labels import ObjectLabel, object_document
+from synth3dlanes.labels.labels import Lane
+from synth3dlanes.labels.object_labels import ObjectLabel, object_document
+from synth3dlanes.scene.instance_ids import thing_of
 
 README = """COCO layout.
 

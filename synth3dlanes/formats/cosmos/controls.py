@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import label, sobel
 
-from synth3dlanes.arrays import Passes, RgbImage
 from synth3dlanes.formats.cosmos.convention import CLASS_COLORS, EDGE_HIGH, EDGE_LOW, Rgb
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Passes, RgbImage
 
 GOLDEN = 0.618034
 # A fisheye also sees what is beside the plane of its camera, at depth 0, and behind it.

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from synth3dlanes.assets.catalogue import VehicleClass
-from synth3dlanes.labels import Marking, PaintColor, Pair
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.labels.labels import Marking, PaintColor, Pair
+from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 
 FRONT_VIEW = "camera_front_wide_120fov"
 """The view of a camera that is alone, and the one whose times the readers take."""

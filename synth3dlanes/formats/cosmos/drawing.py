@@ -11,8 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw
 
-from synth3dlanes.arrays import Passes, Points3, RgbImage
-from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos.convention import (
     BOUNDARY,
@@ -30,11 +28,13 @@ from synth3dlanes.formats.cosmos.convention import (
     Rgb,
 )
 from synth3dlanes.formats.cosmos.scenario import PaintedLine, Scenario
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.object_labels import CORNERS
-from synth3dlanes.polylines import lengths_along
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.labels.object_labels import CORNERS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Passes, Points3, RgbImage
 
 FINER = 2
 """Pictures are drawn this much larger, and made smaller."""

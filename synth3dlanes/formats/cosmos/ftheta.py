@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.writing import CV_FROM_CAM
-from synth3dlanes.labels import CameraLabel
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.system.errors import InputError
 
 DEGREE = 5
 LIMIT_PX = 1.0

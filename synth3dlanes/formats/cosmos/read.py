@@ -11,15 +11,15 @@ from jaxtyping import Float
 from pydantic import RootModel
 from scipy.spatial.transform import Rotation
 
-from synth3dlanes import schema
-from synth3dlanes.arrays import Matrix4, Points3, RgbImage
-from synth3dlanes.columnar import DAMAGED, TableBounds, read_parquet
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.cosmos.convention import TABLES, ClipFiles
 from synth3dlanes.formats.reading import json_object, read_file
-from synth3dlanes.frames import rotation
-from synth3dlanes.schema import Excerpt, Number
-from synth3dlanes.video import open_video
+from synth3dlanes.geometry.frames import rotation
+from synth3dlanes.imaging.video import open_video
+from synth3dlanes.system import schema
+from synth3dlanes.system.arrays import Matrix4, Points3, RgbImage
+from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_parquet
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.schema import Excerpt, Number
 
 # Rows are few, and may have long lines.
 BOUNDS = TableBounds(most_rows=1 << 20, row_bytes=256, base_bytes=256 << 20)

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4, Points3, Scalars
-from synth3dlanes.element_labels import ElementLabel
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
-from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.motion import host_driven
-from synth3dlanes.geometry.network import LINES_STEP_M
-from synth3dlanes.geometry.paint import is_double, paint_color, pair_of
-from synth3dlanes.labels import Labels, Marking, PaintColor, Pair
-from synth3dlanes.schema import SymbolKind
-from synth3dlanes.world import World
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import Labels, Marking, PaintColor, Pair
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.network import LINES_STEP_M
+from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
+from synth3dlanes.system.schema import SymbolKind
+from synth3dlanes.world.motion import host_driven
+from synth3dlanes.world.paint import is_double, paint_color, pair_of
+from synth3dlanes.world.world import World
 
 REACH_M = 150.0
 """How far lanes reach beyond all places of the host in the clip, and as far the other way."""

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.arrays import Matrix4
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances, stations
 from synth3dlanes.formats.cosmos.convention import CATEGORIES, FRONT_VIEW, ClipFiles, line_style
 from synth3dlanes.formats.cosmos.read import Box, CosmosClip, CosmosView
 from synth3dlanes.formats.cosmos.verify_videos import video_problems
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.writing import PARTS
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import SymbolLabel
-from synth3dlanes.object_labels import CORNERS
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import SymbolLabel
+from synth3dlanes.labels.object_labels import CORNERS
+from synth3dlanes.system.arrays import Matrix4
 
 # Lanes are within this of the labels from above, heights within the slack; painted lines in space.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)

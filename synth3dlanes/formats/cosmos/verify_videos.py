@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_gradient_magnitude, maximum_filter
 
-from synth3dlanes.arrays import RgbImage
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos.controls import car_color
 from synth3dlanes.formats.cosmos.convention import CLASS_COLORS, FOLDERS
 from synth3dlanes.formats.cosmos.read import CosmosClip
-from synth3dlanes.labels import Labels
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import RgbImage
 
 # How much of a frame may be off by more than so many of 255 grey levels.
 SHARE_OFF = 0.2

@@ -13,8 +13,6 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from synth3dlanes.arrays import Matrix4, Points3
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos.controls import depth_picture, edge_picture, nearness_span, seg_picture
 from synth3dlanes.formats.cosmos.convention import (
@@ -34,12 +32,14 @@ from synth3dlanes.formats.cosmos.scenario import Scenario, scenario
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.lane_map import Boundary
 from synth3dlanes.formats.writing import FrameAnnotation, world_from_host
-from synth3dlanes.frames import invert, quaternion, transform
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.scene import Scene
-from synth3dlanes.traffic_elements import SignKind
-from synth3dlanes.video import mp4
-from synth3dlanes.world import resolve
+from synth3dlanes.geometry.frames import invert, quaternion, transform
+from synth3dlanes.imaging.video import mp4
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.traffic_elements import SignKind
+from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.world.world import resolve
 
 README = """Cosmos: control videos of clips, and their world scenarios as ClipGT tables. A scene is a clip.
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from synth3dlanes.arrays import Polyline2
 from synth3dlanes.formats.band_score import score as score_bands
 from synth3dlanes.formats.culane.convention import EVALUATED
 from synth3dlanes.formats.culane.read import lines_path, parse_lines
@@ -11,6 +10,7 @@ from synth3dlanes.formats.culane.verify import read
 from synth3dlanes.formats.format import Rates, ReadFrame
 from synth3dlanes.formats.reading import drawable, read_text
 from synth3dlanes.formats.scoring import EVERY, predicted, rates
+from synth3dlanes.system.arrays import Polyline2
 
 
 def score(out: Path, predictions: Path) -> Iterator[Rates]:

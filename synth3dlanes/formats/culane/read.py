@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from synth3dlanes.arrays import Polyline2
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.reading import file_below, numbers
+from synth3dlanes.system.arrays import Polyline2
+from synth3dlanes.system.errors import FormatError
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from synth3dlanes.arrays import Polyline2
 from synth3dlanes.formats.band_score import score as score_bands
 from synth3dlanes.formats.curvelanes.convention import EVALUATED
 from synth3dlanes.formats.curvelanes.read import labels_path, parse
@@ -13,6 +12,7 @@ from synth3dlanes.formats.curvelanes.verify import read
 from synth3dlanes.formats.format import Rates, ReadFrame
 from synth3dlanes.formats.reading import drawable, image_size, read_text
 from synth3dlanes.formats.scoring import EVERY, predicted, rates
+from synth3dlanes.system.arrays import Polyline2
 
 
 def score(out: Path, predictions: Path) -> Iterator[Rates]:

@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes import schema
 from synth3dlanes.formats.reading import numbers
-from synth3dlanes.schema import Excerpt
+from synth3dlanes.system import schema
+from synth3dlanes.system.schema import Excerpt
 
 
 class _Point(Excerpt):

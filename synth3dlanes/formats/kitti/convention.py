@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.assets.catalogue import VehicleClass
-from synth3dlanes.errors import FormatError
+from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.system.errors import FormatError
 
 TRAINING, LISTS = "training", "ImageSets"
 """All frames are in one folder, as KITTI's own training and validation frames are."""

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.kitti.convention import (
@@ -22,8 +21,9 @@ from synth3dlanes.formats.kitti.convention import (
     path_of,
 )
 from synth3dlanes.formats.reading import first_lines, numbers, read_file, read_text
-from synth3dlanes.frames import transform
-from synth3dlanes.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.system.errors import FormatError
 
 # Places and sizes have four decimals, pixels two; labels are rounded as much.
 LIMIT_M, LIMIT_PX = 0.001, 0.02

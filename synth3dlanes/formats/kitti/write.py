@@ -5,7 +5,6 @@ from collections import Counter
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.kitti.convention import (
     HALF_PX,
@@ -22,9 +21,10 @@ from synth3dlanes.formats.kitti.convention import (
 )
 from synth3dlanes.formats.one_frame import FRAMES_PER_SPLIT
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
-from synth3dlanes.frames import invert
-from synth3dlanes.labels import CameraLabel, Labels
-from synth3dlanes.object_labels import ObjectLabel
+from synth3dlanes.geometry.frames import invert
+from synth3dlanes.labels.labels import CameraLabel, Labels
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.system.errors import InputError
 
 NOT_SEEN, OUT = "hidden", "out of the image"
 # Names of six digits, as KITTI's tools take them, in data sets of up to ten splits of 100,000 samples.

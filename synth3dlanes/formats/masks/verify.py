@@ -7,16 +7,16 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, RootModel
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, Gap, OurLine, Rule, SourceSample, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.masks.write import LEAST_POINTS
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
 from synth3dlanes.formats.things import compare_masks
-from synth3dlanes.instance_ids import END, numbers_of
-from synth3dlanes.labels import CameraLabel, Lane
-from synth3dlanes.polylines import lengths_along
-from synth3dlanes.schema import Excerpt, parse
+from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.labels.labels import CameraLabel, Lane
+from synth3dlanes.scene.instance_ids import END, numbers_of
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.schema import Excerpt, parse
 
 # Points have two decimals and lie on straight pieces of a decimetre, which a lens bends.
 RULE = Rule("px", 0.05, spacing=12.0)

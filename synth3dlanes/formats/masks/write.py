@@ -7,7 +7,7 @@ from pathlib import Path
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.segments import delimiter_numbers, file_name, image_path, line_pixels, png
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 
 LEAST_POINTS = 2
 CLASSES_FILE = "classes.json"

@@ -3,15 +3,15 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.format import Rates, ReadFrame
 from synth3dlanes.formats.once.convention import ROOT
 from synth3dlanes.formats.once.score import score as score_lines
 from synth3dlanes.formats.once.verify import read
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.scoring import EVERY, predicted, rates
-from synth3dlanes.json_arrays import JsonPoints
-from synth3dlanes.schema import Excerpt, Unit, parse
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import JsonPoints
+from synth3dlanes.system.schema import Excerpt, Unit, parse
 
 CONFIDENT = 0.5
 

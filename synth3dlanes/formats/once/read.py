@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes import schema
-from synth3dlanes.json_arrays import JsonPoints, Row4
-from synth3dlanes.schema import Excerpt, Number
+from synth3dlanes.system import schema
+from synth3dlanes.system.json_arrays import JsonPoints, Row4
+from synth3dlanes.system.schema import Excerpt, Number
 
 
 @dataclass(frozen=True, eq=False)

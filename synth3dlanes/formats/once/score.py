@@ -7,8 +7,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.optimize import linear_sum_assignment
 
-from synth3dlanes.arrays import Polyline3
-from synth3dlanes.polylines import resampled
+from synth3dlanes.geometry.polylines import resampled
+from synth3dlanes.system.arrays import Polyline3
 
 RASTER_M = 10.0
 RASTER_PX_PER_M = 10

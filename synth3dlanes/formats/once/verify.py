@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, ExportView, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.once.convention import ROOT
 from synth3dlanes.formats.once.read import OnceFrame, parse
 from synth3dlanes.formats.reading import listed_files, read_text
+from synth3dlanes.system.errors import FormatError
 
 RULE = Rule("m", 0.001, direction=-1, most=8)
 RASTER_M = 10.0

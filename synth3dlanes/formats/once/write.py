@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.formats.lines import LaneAhead, keep_lines, lines_ahead
 from synth3dlanes.formats.once.convention import ROOT
 from synth3dlanes.formats.writing import DECIMALS, PARTS, FrameAnnotation, Pinhole, PinholeFrame
-from synth3dlanes.labels import Labels
+from synth3dlanes.labels.labels import Labels
 
 MAX_LINES = 8
 RASTER_DEPTH_M = 10.0

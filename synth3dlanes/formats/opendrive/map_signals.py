@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Points2
 from synth3dlanes.formats.opendrive.xml import Element, add
-from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.roads import NetworkLane, Road
-from synth3dlanes.maps.elements import ARROW_LIGHT, LIGHT
-from synth3dlanes.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
-from synth3dlanes.world import World
+from synth3dlanes.roads.maps.elements import ARROW_LIGHT, LIGHT
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.roads import NetworkLane, Road
+from synth3dlanes.scene.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
+from synth3dlanes.system.arrays import Points2
+from synth3dlanes.world.world import World
 
 # Types and subtypes by ASAM's catalogue of signals and the German signs; the value of a speed limit is its own.
 NONE = "-1"

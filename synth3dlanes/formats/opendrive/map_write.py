@@ -8,17 +8,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from synth3dlanes.arrays import Scalars
 from synth3dlanes.formats.opendrive.convention import MAJOR, MINOR, NO_NUMBER, USER_DATA
 from synth3dlanes.formats.opendrive.map_signals import RoadPlace, add_signals, line_of, places_beside
 from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.xml import Element, add, add_crosswalk, numbered
-from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.roads import Road
-from synth3dlanes.maps.cubics import steepened, times, value
-from synth3dlanes.maps.furniture import edges_at
-from synth3dlanes.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
-from synth3dlanes.world import World
+from synth3dlanes.roads.maps.cubics import steepened, times, value
+from synth3dlanes.roads.maps.furniture import edges_at
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.roads import Road
+from synth3dlanes.scene.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.world.world import World
 
 # How far the written heights (metres) and rolls (radians) may be from the scene's, and steps between their places.
 HEIGHT_M, ROLL_RAD, STEP_M = 1e-3, 1e-4, 1.0

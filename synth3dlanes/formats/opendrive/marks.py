@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Scalars
 from synth3dlanes.formats.opendrive.roads import OdrRoad
-from synth3dlanes.geometry.lane_curves import LaneCurve
-from synth3dlanes.geometry.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
-from synth3dlanes.world import World
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.world.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
+from synth3dlanes.world.world import World
 
 # A delimiter runs along an edge where it is this close to it. Lanes that leave a road turn aside at once, which moves
 # the lines of two such lanes against those before.

@@ -8,13 +8,13 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.roads import OdrRoad
 from synth3dlanes.formats.opendrive.xml import Element, add, add_crosswalk
-from synth3dlanes.geometry.beside import beside, on_ground
-from synth3dlanes.geometry.buildings import building_frame
-from synth3dlanes.geometry.posts import post_frames
-from synth3dlanes.geometry.symbols import shape
-from synth3dlanes.roadside import Rail
-from synth3dlanes.scene import Symbol
-from synth3dlanes.world import World
+from synth3dlanes.scene.roadside import Rail
+from synth3dlanes.scene.scene import Symbol
+from synth3dlanes.world.beside import beside, on_ground
+from synth3dlanes.world.buildings import building_frame
+from synth3dlanes.world.posts import post_frames
+from synth3dlanes.world.symbols import shape
+from synth3dlanes.world.world import World
 
 # The types and subtypes of our things; what is not listed is left out.
 SYMBOLS = {

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Scalars
+from synth3dlanes.system.arrays import Scalars
 
 
 class CubicPiece(NamedTuple):

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Points2, Points3, Scalars
-from synth3dlanes.geometry.network import Network
-from synth3dlanes.geometry.roads import NetworkLane, Offset, Road
-from synth3dlanes.geometry.terrain import height_at
-from synth3dlanes.polylines import lengths_along
+from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.roads import NetworkLane, Offset, Road
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.system.arrays import Points2, Points3, Scalars
 
 # Stations that a file reaches, at least, and the distance of the places that are fitted.
 REACH_M = 250.0

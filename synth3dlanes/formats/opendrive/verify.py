@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.arrays import Points3, Scalars
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.opendrive.convention import USER_DATA
 from synth3dlanes.formats.opendrive.xml import Element
 from synth3dlanes.formats.reading import read_text
-from synth3dlanes.geometry.section_road import CrossSection
-from synth3dlanes.maps.document import parse_xml
-from synth3dlanes.maps.given_map import GivenMap, LanePlace, read_opendrive
-from synth3dlanes.maps.plan import places, plan_points
-from synth3dlanes.road_map import MapRoad, Polynomial
+from synth3dlanes.roads.maps.document import parse_xml
+from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
+from synth3dlanes.roads.maps.plan import places, plan_points
+from synth3dlanes.roads.section_road import CrossSection
+from synth3dlanes.scene.road_map import MapRoad, Polynomial
+from synth3dlanes.system.arrays import Points3, Scalars
 
 # Shapes are heights square to the banked plane, so where the ground bends they move points aside.
 RULE = Rule("m", 0.15, name="lane", slack=0.3)

@@ -15,7 +15,7 @@ from synth3dlanes.formats.opendrive.profiles import knots, pieces
 from synth3dlanes.formats.opendrive.roads import JUNCTION, OdrLane, OdrRoad, roads
 from synth3dlanes.formats.opendrive.xml import Element, add
 from synth3dlanes.formats.writing import FrameAnnotation
-from synth3dlanes.world import World, resolve
+from synth3dlanes.world.world import World, resolve
 
 # How far the written reference line, heights and widths (metres) and rolls (radians) may be from the world's.
 LINE_M, HEIGHT_M, WIDTH_M, ROLL_RAD = 1e-3, 1e-3, 1e-3, 1e-4

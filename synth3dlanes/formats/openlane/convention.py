@@ -7,9 +7,9 @@ these axes.
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.arrays import Matrix4
 from synth3dlanes.formats.writing import Pinhole
-from synth3dlanes.labels import Marking, PaintColor, Pair
+from synth3dlanes.labels.labels import Marking, PaintColor, Pair
+from synth3dlanes.system.arrays import Matrix4
 
 CAMERA = Pinhole(1920, 1280, 2015.0)
 PAINTS: dict[int, tuple[Marking, PaintColor, bool, Pair | None]] = {

@@ -5,7 +5,6 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.format import Rates, ReadFrame
 from synth3dlanes.formats.line_score import Line3d
 from synth3dlanes.formats.openlane.convention import ground_from_waymo
@@ -13,8 +12,9 @@ from synth3dlanes.formats.openlane.score import score as score_lines
 from synth3dlanes.formats.openlane.verify import read
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.scoring import EVERY, predicted, rates
-from synth3dlanes.json_arrays import JsonPoints
-from synth3dlanes.schema import Excerpt, parse
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import JsonPoints
+from synth3dlanes.system.schema import Excerpt, parse
 
 
 class _Line(Excerpt):

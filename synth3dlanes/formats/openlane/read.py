@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import model_validator
 
-from synth3dlanes import schema
 from synth3dlanes.formats.openlane.convention import PAINTS, WAYMO_FROM_CAM
 from synth3dlanes.formats.reading import (
     UNKNOWN,
@@ -21,9 +20,10 @@ from synth3dlanes.formats.reading import (
     read_image,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM
-from synth3dlanes.json_arrays import JsonMatrix3, JsonMatrix4
-from synth3dlanes.labels import Labels
-from synth3dlanes.schema import Excerpt, Number, PathBelow
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system import schema
+from synth3dlanes.system.json_arrays import JsonMatrix3, JsonMatrix4
+from synth3dlanes.system.schema import Excerpt, Number, PathBelow
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,6 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from synth3dlanes.arrays import Polyline3
 from synth3dlanes.formats.comparing import (
     NEAR_START_M,
     Comparison,
@@ -28,7 +27,8 @@ from synth3dlanes.formats.kerbs import kerb_lanes
 from synth3dlanes.formats.openlane.convention import CASES, PAINTS
 from synth3dlanes.formats.openlane.read import OpenLaneFrame, OpenLaneLine, parse
 from synth3dlanes.formats.reading import listed_files, read_text
-from synth3dlanes.labels import Lane
+from synth3dlanes.labels.labels import Lane
+from synth3dlanes.system.arrays import Polyline3
 
 # Points between those of the labels lie on a spline.
 RULE = Rule("m", 0.001, most=20, slack=0.2)

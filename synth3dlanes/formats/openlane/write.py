@@ -19,7 +19,7 @@ from synth3dlanes.formats.openlane.convention import (
     vehicle_from_cam_waymo,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, PinholeFrame
-from synth3dlanes.labels import Lane
+from synth3dlanes.labels.labels import Lane
 
 MAX_LINES = 20
 MIN_LENGTH_M = 5.0

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from synth3dlanes.element_labels import ElementLabel
-from synth3dlanes.labels import Marking
-from synth3dlanes.traffic_elements import ElementKind, ElementState
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import Marking
+from synth3dlanes.scene.traffic_elements import ElementKind, ElementState
 
 ROOT = "OpenLane-V2"
 COLLECTIONS = ("data_dict_subset_A", "data_dict_subset_B")

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, RootModel
 
-from synth3dlanes import schema
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.openlane_v2.convention import COLLECTIONS, ROOT
 from synth3dlanes.formats.reading import MOST_BYTES, read_file
-from synth3dlanes.json_arrays import JsonMatrix3, JsonPoints, Row3
-from synth3dlanes.schema import Excerpt, Number, PathBelow
+from synth3dlanes.system import schema
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import JsonMatrix3, JsonPoints, Row3
+from synth3dlanes.system.schema import Excerpt, Number, PathBelow
 
 LEAST_POINTS = 11  # what the benchmark compares
 

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.element_labels import ElementLabel
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.lane_map import half_widths, link_gaps
@@ -21,9 +19,11 @@ from synth3dlanes.formats.openlane_v2.convention import (
 )
 from synth3dlanes.formats.openlane_v2.read import TopologyFrame, frames, parse
 from synth3dlanes.formats.reading import image_size, read_text
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.scene import Scene
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.errors import FormatError
 
 # A curve that is sampled every metre and one that is sampled every half are some millimetres apart.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)

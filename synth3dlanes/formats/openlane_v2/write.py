@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.arrays import Matrix4
-from synth3dlanes.element_labels import ElementLabel
-from synth3dlanes.errors import InputError
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, lane_segments
 from synth3dlanes.formats.openlane_v2.convention import (
@@ -34,10 +31,13 @@ from synth3dlanes.formats.openlane_v2.convention import (
     collection,
 )
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
-from synth3dlanes.frames import invert, transform
-from synth3dlanes.labels import CameraLabel
-from synth3dlanes.polylines import resampled, stretches
-from synth3dlanes.world import World, resolve
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.polylines import resampled, stretches
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.world.world import World, resolve
 
 DECIMALS = 4
 LEAST_LENGTH_M = 2.0

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.arrays import Numbers
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.format import Rates, ReadFrame
 from synth3dlanes.formats.scoring import EVERY, lines_by, predicted, rates
 from synth3dlanes.formats.tusimple.convention import ROWS_PX
 from synth3dlanes.formats.tusimple.score import TusimpleScore, mean_score, score_frame
 from synth3dlanes.formats.tusimple.verify import read
-from synth3dlanes.schema import Excerpt, Number
+from synth3dlanes.system.arrays import Numbers
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.schema import Excerpt, Number
 
 MOST_MS = 200.0
 

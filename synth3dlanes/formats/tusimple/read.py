@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from pydantic import Field, model_validator
 
-from synth3dlanes import schema
-from synth3dlanes.errors import FormatError, InputError
-from synth3dlanes.files import open_regular
 from synth3dlanes.formats.reading import json_lines, read_image
-from synth3dlanes.schema import MAX_BYTES, Excerpt, Number, PathBelow
+from synth3dlanes.system import schema
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import open_regular
+from synth3dlanes.system.schema import MAX_BYTES, Excerpt, Number, PathBelow
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, ExportView, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import first_lines
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars
 from synth3dlanes.formats.tusimple.convention import ROWS_PX
 from synth3dlanes.formats.tusimple.read import parse
-from synth3dlanes.schema import shown
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.schema import shown
 
 # Columns are whole pixels.
 RULE = Rule("px", 0.51, most=5)

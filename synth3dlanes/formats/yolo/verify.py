@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_fill_holes, find_objects, label
 
-from synth3dlanes.errors import FormatError
 from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_text
 from synth3dlanes.formats.segments import STUFF
 from synth3dlanes.formats.things import PixelNumbers, Thing, compare_masks, most_shared, things
 from synth3dlanes.formats.writing import PARTS
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.errors import FormatError
 
 LEAST_PX = 10
 NAMES = tuple(name for name in SEMANTIC_IDS if name not in STUFF)

@@ -12,7 +12,7 @@ from scipy.ndimage import find_objects, label
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.segments import STUFF, file_name, image_path
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
-from synth3dlanes.settings import SEMANTIC_IDS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 
 NAMES = tuple(name for name in SEMANTIC_IDS if name not in STUFF)
 SETTINGS_FILE = "data.yaml"

@@ -1,0 +1,210 @@
+"""What is drawn on a given map: the host's place and speed, and the cars around it. World frame, metres."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from synth3dlanes.draw.cars import CAR_GAP_M, car_look
+from synth3dlanes.draw.draws import DECIMALS, Draw
+from synth3dlanes.draw.traffic import CHECK_EVERY_S, SPEED_TRIES
+from synth3dlanes.params.distributions import Choice, Uniform
+from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
+from synth3dlanes.roads.map_lines import plan_line
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.maps.given_map import GivenMap, read_map
+from synth3dlanes.roads.maps.part import MapPart, part_around
+from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
+from synth3dlanes.roads.roads import NetworkLane
+from synth3dlanes.roads.section_road import CrossSection
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.road_map import LaneName, MapRoad
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.system.streams import stream
+from synth3dlanes.world import placement
+from synth3dlanes.world.world import World
+
+# Draws of a place for each car; lanes of the host's roads are so many times as likely as others.
+TRIES, LIKELIER = 60, 3.0
+# The most acceleration to the side (m/s^2), and the length over which a bend is measured.
+SIDEWAYS, BEND_M = 3.0, 4.0
+# What is left of a way at the end of a clip, and the narrowest lane with cars.
+LEFT_M, NARROW_M = 6.0, 2.2
+
+
+class MapPlace(NamedTuple):
+    """A map file, and a place on it for all scenes; None where each scene has one of its own."""
+
+    map: GivenMap
+    at: MapStation | None = None
+
+    def draw(self, rng: np.random.Generator) -> MapPart:
+        """The part of the map around the place, or around one that is drawn."""
+        return part_around(self.map, self.at or draw_place(self.map, rng), rng)
+
+    def description(self) -> dict[str, object]:
+        """The part of `dataset.json` that says which map."""
+        at = {} if self.at is None else {"at": {"lane": self.at.lane, "s_m": self.at.s_m}}
+        return {"file": self.map.source, "digest": self.map.digest, **at}
+
+
+def place_on_map(path: Path, at: str = "") -> MapPlace:
+    """The map in a file, with the place that `at` (ROAD:s:lane) says, if any. Raises InputError or FormatError in one
+    line for another file, a place that is not there, and a map on which no host has a place."""
+    given = read_map(path)
+    place = MapPlace(given, read_place(given, at) if at else None)
+    # Refused here, not once for each scene.
+    place.draw(stream(0, "map", 0, "map"))
+    return place
+
+
+def host_length(part: MapPart) -> float:
+    """How far the host is along the middle of the lanes of its route, seen from above."""
+    by_id = {road.id: road for road in part.map.roads}
+    lengths_m = [
+        _middle_length(by_id[name.rsplit(".", 2)[0]], name, part.s_m if i == part.lane else None)
+        for i, name in enumerate(part.map.route[: part.lane + 1])
+    ]
+    return round(sum(lengths_m), DECIMALS)
+
+
+def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
+    """The length of a lane's middle as its traffic drives, to its end or to a station."""
+    _, section, number = lane.rsplit(".", 2)
+    of = CrossSection.of(road, int(section))
+    low, high = of.start_m, of.end_m
+    at = next(i for i, here in enumerate(of.lanes) if here.number == int(number))
+    ascends = (int(number) < 0) ^ road.keeps_left ^ of.lanes[at].against
+    if to_m is not None:
+        low, high = (low, to_m) if ascends else (to_m, high)
+    s = np.linspace(low, high, 2 + int((high - low) / KNOT_M))
+    line = plan_line(road.plan).within(of.start_m, of.end_m)
+    steps = np.diff(line.xy(s, of.middle_line(at)(s)), axis=0)
+    return float(np.hypot(*steps.T).sum())
+
+
+def slowed(network: MapNetwork, at_m: float, shot: Shot) -> Shot:
+    """The shot of a host that drives no faster than the bends and the end of its way allow."""
+    speed_m_s = shot.speed_m_s
+    if speed_m_s:
+        speed_m_s = _allowed(network.way, at_m, speed_m_s, shot.duration_s)
+    return shot.model_copy(update={"speed_m_s": speed_m_s})
+
+
+def red_lines(world: World, network: MapNetwork) -> dict[LaneName, float]:
+    """Where traffic may not go on, by lanes, as stations of their roads: at the stop lines of signals that are neither
+    green nor off, or where the junction begins."""
+    roads = world.scene.map
+    assert roads is not None, "asked only of maps"
+    lines = {at.lane: at.s_m for at in roads.paint if at.kind == "stop_line" and at.lane is not None}
+    inside = {road.id for road in roads.roads if road.junction is not None}
+    found: dict[LaneName, float] = {}
+    for signal in world.scene.roadside.signals:
+        if signal.state_at(0.0) not in ("green", "off"):
+            for name in signal.lanes:
+                if name in network.lanes:
+                    lane = network.lanes[name]
+                    found[name] = lines.get(name, lane.driven[0] if lane.road in inside else lane.driven[1])
+    return found
+
+
+def _line_ahead(way: LaneCurve, lines: Mapping[LaneName, float], front_m: float) -> float:
+    """The length along a way at which the first of some lines before a place of it is; infinite without one."""
+    at = (piece.station(lines[lane.id]) for lane, piece in zip(way.lanes, way.pieces, strict=True) if lane.id in lines)
+    return min((m for m in at if m >= front_m), default=math.inf)
+
+
+def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, line_m: float = math.inf) -> float:
+    """The speed with which a car can drive along a way for so long, if its middle must not pass a place."""
+    if at_m + speed_m_s * duration_s > line_m:
+        speed_m_s = max(line_m - at_m, 0.0) / max(duration_s, 1e-9)
+    end_m = min(at_m + speed_m_s * duration_s, way.end_m)
+    s = np.arange(at_m, end_m + 2 * BEND_M, BEND_M / 2)
+    xy = way.xy_world(np.clip(s, 0, way.end_m))
+    heading = np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))
+    turn = np.abs(heading[2:] - heading[:-2]) / BEND_M
+    turn = turn[(s[1:-2] < end_m) & (s[3:] <= way.end_m)]
+    sharpest = max(float(turn.max()) if turn.size else 0.0, 1e-4)
+    fastest = min(speed_m_s, (SIDEWAYS / sharpest) ** 0.5, max(way.end_m - LEFT_M - at_m, 0.0) / max(duration_s, 1e-9))
+    return round(float(fastest), 3)
+
+
+def draw_map_cars(world: World, network: MapNetwork, looks: Draw, speeds: Draw, reach_m: float) -> tuple[Car, ...]:
+    """Cars in the lanes within a distance of the host, which in a clip keep a speed through lanes that follow each
+    other and touch nobody; those without room are left out."""
+    shot, rng = world.scene.shot, looks.rng
+    times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
+    host_m = world.scene.camera.y_m + shot.speed_m_s * times_s
+    host = _footprints(network.way, host_m, world.scene.camera.offset_m, placement.HOST_SIZE_M)
+    taken, cars = [host], list[Car]()
+    near, chances = _near(world, network, reach_m)
+    lines = red_lines(world, network)
+    if not near:
+        return ()
+    for _ in range(looks("n")):
+        model, scale = looks("model"), looks("scale")
+        look = car_look(looks, world.scene.assets, model, scale)
+        body = world.scene.assets.car_models[model - 1]
+        size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
+        for _ in range(TRIES):
+            lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
+            s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), DECIMALS)
+            route = _onward(network, lane, rng) if shot.n_frames > 1 else ()
+            way = network.way_through([lane, *(network.lanes[name] for name in route)])
+            at_m = way.pieces[0].station(s_m)
+            line_m = _line_ahead(way, lines, at_m + size[0] / 2) - size[0] / 2
+            found = None
+            for wish_m_s in [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if shot.n_frames > 1 else [0.0]:
+                speed_m_s = _allowed(way, at_m, wish_m_s, shot.duration_s, line_m) if wish_m_s else 0.0
+                path = _footprints(way, at_m + speed_m_s * times_s, 0.0, size)
+                if not any(placement.overlaps_any(path, other) for other in taken):
+                    found = speed_m_s
+                    break
+            if found is not None:
+                taken.append(path)
+                cars.append(Car(**look, lane=lane.id, s_m=s_m, speed_m_s=found, route=route))
+                break
+    return tuple(cars)
+
+
+def farthest(s_m: Uniform | Choice[float]) -> float:
+    """The greatest distance from the host that stations of cars have."""
+    return max(map(abs, s_m.values if isinstance(s_m, Choice) else (s_m.low, s_m.high)))
+
+
+def _near(world: World, network: MapNetwork, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:
+    """Lanes of traffic near the host, and the sums of their chances."""
+    foot = network.host_points(world.scene.camera, np.zeros(1))[0, :2]
+    own = {lane.road for lane in network.way.lanes}
+    found, chances = [], []
+    for lane in network.lanes.values():
+        s = np.linspace(lane.start_m, lane.end_m, 2 + int((lane.end_m - lane.start_m) / 10))
+        away = np.hypot(*(network.road(lane.road).xy(s, lane.middle(s)) - foot).T)
+        if (away < reach_m).any() and lane.width_m > NARROW_M and lane.end_m - lane.start_m > 1.0:
+            found.append(lane)
+            chances.append((lane.end_m - lane.start_m) * (LIKELIER if lane.road in own else 1.0))
+    return found, np.cumsum(chances)
+
+
+def _onward(network: MapNetwork, lane: NetworkLane, rng: np.random.Generator) -> tuple[LaneName, ...]:
+    """Lanes that follow a lane, each of those that follow one as likely."""
+    route, length_m, at = list[LaneName](), 0.0, lane
+    while length_m < 400.0 and len(route) < 60:
+        after = [name for name in (each.id for each in network.successors(at.id)) if name in network.lanes]
+        if not after:
+            break
+        at = network.lanes[after[int(rng.random() * len(after))]]
+        route.append(at.id)
+        length_m += at.end_m - at.start_m
+    return tuple(route)
+
+
+def _footprints(way: LaneCurve, lengths_m: np.ndarray, offset_m: float, size: tuple[float, float]) -> np.ndarray:
+    """The rectangles of a car at lengths along its way."""
+    inside = np.clip(lengths_m, 0.6, max(way.end_m - 0.6, 0.6))
+    behind, ahead = way.xy_world(inside - 0.5), way.xy_world(inside + 0.5)
+    heading = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
+    middle = way.xy_world(lengths_m) + offset_m * np.stack([heading[:, 1], -heading[:, 0]], axis=-1)
+    return placement.footprint(middle, heading, *size)

@@ -1,0 +1,193 @@
+"""How a town is drawn: its values, its map with the host's way, and the cars on it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.draw.cars import car_look
+from synth3dlanes.draw.draws import DECIMALS, Draw
+from synth3dlanes.draw.town.lanes import LaneLine, LaneLines, Route
+from synth3dlanes.draw.town.layout import TownMap, lay_out
+from synth3dlanes.draw.town.plan import poses
+from synth3dlanes.draw.town.streets import LANES, PARKING_M
+from synth3dlanes.draw.town.traffic import CarBody, HostPlan, MovingCar, TownDrive, body_places, plan_host, simulate
+from synth3dlanes.scene.assets.catalogue import Assets
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Car, Markings, Terrain
+from synth3dlanes.scene.town import ROUNDABOUTS, Town
+from synth3dlanes.world.placement import footprint, overlaps_any
+
+# A parked car takes so much of the kerb; it stands so far from the end of the parking lane.
+BAY_M, BAY_END_M, SHORT_M = 6.6, 4.0, 5.4
+N_BENDS = 4
+# Cars that are farther from the host's place are left out: parked ones, and those that drive.
+PARKED_M, MOVING_M = 90.0, 160.0
+# Draws of a model until one is short enough.
+TRIES = 30
+# Bodies whose middles are farther apart do not touch.
+NEAR_M = 16.0
+LONG_M = 6.5
+
+
+class DrawnTown(NamedTuple):
+    """A town with the host's way and its place on it."""
+
+    map: TownMap
+    host: HostPlan
+
+
+def town_of(draw: Draw) -> Town:
+    """The values of a town. Roundabouts have their own number of lanes and no turn lanes; side streets are no wider
+    than the main one; only streets of one lane are equal."""
+    keys = [key for key in Town.model_fields if key != "bends_rad"]
+    drawn = {key: draw(key.replace("_rad", "_deg")) for key in keys}
+    drawn["bends_rad"] = tuple(draw("bend_deg") for _ in range(N_BENDS))
+    return Town(**ruled(drawn))
+
+
+def ruled(drawn: dict[str, object]) -> dict[str, object]:
+    """The values of a town by its rules."""
+    kind, n_lanes, n_side = drawn["junction"], drawn["n_lanes"], drawn["n_side"]
+    assert isinstance(n_lanes, int), "a count of lanes"
+    assert isinstance(n_side, int), "a count of lanes"
+    if kind in ROUNDABOUTS:
+        n_lanes = ROUNDABOUTS[str(kind)]
+        drawn = drawn | {"turn_lanes": "none", "control": "priority"}
+    if drawn["control"] == "equal":
+        drawn = drawn | ({"turn_lanes": "none"} if n_lanes == 1 else {"control": "priority"})
+    return drawn | {"n_lanes": n_lanes, "n_side": min(n_side, n_lanes)}
+
+
+def draw_map(draw: Draw, layout: np.random.Generator, markings: Markings) -> DrawnTown:
+    """A town, laid out, and the host's way."""
+    town_map = lay_out(town_of(draw), markings, layout)
+    return DrawnTown(town_map, plan_host(town_map, LaneLines(town_map), layout))
+
+
+def drive(drawn: DrawnTown, looks: Draw, assets: Assets, flow: float, duration_s: float) -> TownDrive:
+    """The traffic of a town; `flow` is the share of the densest."""
+
+    def body(may_be_long: bool) -> CarBody:
+        found: CarBody | None = None
+        for _ in range(TRIES):
+            model, scale = looks("model"), looks("scale")
+            own = assets.car_models[model - 1]
+            found = CarBody(model, scale, own.length_m * scale, own.width_m * scale)
+            if may_be_long or found.length_m <= LONG_M:
+                break
+        assert found is not None, "some draws were made"
+        return found
+
+    return simulate(drawn.map, drawn.host, body, flow, duration_s, looks.rng)
+
+
+def shot_of(drawn: DrawnTown, found: TownDrive, shot: Shot, terrain: Terrain) -> Shot:
+    """The host's shot, with its track in a clip."""
+    if shot.n_frames == 1:
+        return shot
+    track = _driven(Route(found.host.lanes, LaneLines(drawn.map)), found.host, terrain)
+    return shot.model_copy(update={"speed_m_s": _speed(track), "track": track})
+
+
+def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+    """The cars of the traffic."""
+    lines = LaneLines(drawn.map)
+    cars = []
+    host = Route(drawn.host.lanes, lines).at(np.array([drawn.host.at_m]))[0]
+    for moving in found.cars:
+        route = Route(moving.lanes, lines)
+        ends = route.at(np.array([moving.track[0][1], moving.track[-1][1]]))[0]
+        if np.linalg.norm(ends - host, axis=1).min() > MOVING_M:
+            continue
+        k, s_m = route.place_at(moving.track[0][1])
+        values = car_look(looks, assets, moving.body.model, moving.body.scale)
+        values |= {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS), "speed_m_s": round(moving.speed_m_s, DECIMALS)}
+        if len(moving.track) > 1:
+            track = _driven(route, moving, terrain)
+            values |= {"speed_m_s": _speed(track), "track": track, "route": route.lanes[k + 1 :]}
+        cars.append(Car(**values))
+    return tuple(cars)
+
+
+def parked_cars(drawn: DrawnTown, found: TownDrive, share: float, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+    """Cars in the parking lanes near the host, which stand beside the outermost lanes, where nobody who drives would
+    touch them: in bends the ends of long vehicles swing out of their lanes."""
+    cars, rng = list[Car](), looks.rng
+    host = Route(drawn.host.lanes, LaneLines(drawn.map)).at(np.array([drawn.host.at_m]))[0]
+    lines, driven = LaneLines(drawn.map), driven_places(drawn, found)
+    for street in drawn.map.streets:
+        for i, piece in enumerate(street.pieces):
+            for side in ("left", "right"):
+                names = street.names(i)[side]
+                if piece.near or "parking" not in piece.start.left or "parking" not in piece.end.left:
+                    continue
+                lane = [key for key in LANES if key in names][-1]
+                start_m = street.stations[i]
+                places = np.arange(start_m + BAY_END_M, start_m + piece.length_m - BAY_END_M, BAY_M)
+                away_m = np.linalg.norm(poses(street.plan, places)[0] - host, axis=1)
+                for s_m, its_away_m in zip(places.tolist(), away_m.tolist(), strict=True):
+                    if rng.random() >= share or its_away_m > PARKED_M:
+                        continue
+                    body = _short(looks, assets)
+                    if body is not None:
+                        moved_m = float(rng.uniform(-0.4, 0.4))
+                        offset_m = (street.profile.lane_m + PARKING_M) / 2 + float(rng.uniform(-0.05, 0.12))
+                        place = {"lane": names[lane], "s_m": round(s_m + moved_m, DECIMALS)}
+                        look = car_look(looks, assets, body.model, body.scale)
+                        car = Car(**look, **place, offset_m=round(offset_m, DECIMALS))
+                        if not _is_touched(_standing(lines[car.lane], car, body), driven):
+                            cars.append(car)
+    return tuple(cars)
+
+
+def driven_places(drawn: DrawnTown, found: TownDrive) -> list[Float[np.ndarray, "n 4 2"]]:
+    """The corners of the host and of every car that drives at the instants of its track, with the room it needs."""
+    lines = LaneLines(drawn.map)
+    places = []
+    for car in (found.host, *found.cars):
+        offset_m = drawn.host.offset_m if car is found.host else 0.0
+        lengths_m = np.array([length_m for _, length_m in car.track])
+        places.append(body_places(Route(car.lanes, lines), lengths_m, car.body, offset_m))
+    return places
+
+
+def _standing(line: LaneLine, car: Car, body: CarBody) -> Float[np.ndarray, "4 2"]:
+    """The corners of a parked car."""
+    order = np.argsort(line.stations)
+    at = [
+        np.interp(car.s_m, line.stations[order], values[order]) for values in (*line.points.T, np.unwrap(line.headings))
+    ]
+    heading = np.array([np.cos(at[2]), np.sin(at[2])])
+    middle = np.array(at[:2]) + car.offset_m * np.array([heading[1], -heading[0]])
+    return footprint(middle, heading, body.length_m, body.width_m)
+
+
+def _is_touched(place: Float[np.ndarray, "4 2"], driven: Sequence[Float[np.ndarray, "n 4 2"]]) -> bool:
+    """Whether any of those who drive touches a body."""
+    middle = place.mean(axis=0)
+    near = (at[np.linalg.norm(at.mean(axis=1) - middle, axis=1) < NEAR_M] for at in driven)
+    return any(len(at) and overlaps_any(place, at) for at in near)
+
+
+def _short(looks: Draw, assets: Assets) -> CarBody | None:
+    for _ in range(TRIES):
+        model, scale = looks("model"), looks("scale")
+        own = assets.car_models[model - 1]
+        if own.length_m < SHORT_M and own.width_m < PARKING_M:
+            return CarBody(model, scale, own.length_m * scale, own.width_m * scale)
+    return None
+
+
+def _driven(route: Route, moving: MovingCar, terrain: Terrain) -> tuple[tuple[float, float], ...]:
+    """How far a car has driven along the ground at instants."""
+    times, lengths = np.array(moving.track).T
+    driven = route.climbed(terrain, lengths)
+    driven = np.maximum.accumulate(np.round(driven - driven[0], 4))
+    return tuple(zip(times.tolist(), driven.tolist(), strict=True))
+
+
+def _speed(track: Sequence[tuple[float, float]]) -> float:
+    (start_s, start_m), (end_s, end_m) = track[:2]
+    return round((end_m - start_m) / (end_s - start_s), DECIMALS)

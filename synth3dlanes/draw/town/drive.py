@@ -1,0 +1,304 @@
+"""A small simulation of traffic: cars follow each other, keep to speeds that bends allow, obey signals and priority,
+and enter a junction only where their way is free. World frame, metres and seconds; lengths are of cars' middles."""
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from synth3dlanes.draw.town.lanes import LaneLines, Route
+from synth3dlanes.draw.town.lights import Lights
+from synth3dlanes.draw.town.paint import line_m
+from synth3dlanes.draw.town.rules import Conflict, JunctionRules, LightGroup
+
+STEP_S = 0.2
+# Of following (the intelligent driver model): acceleration, comfortable deceleration, time gap, standing gap.
+ACCELERATION, DECELERATION, HEADWAY_S, GAP_M, HARDEST = 1.8, 2.2, 1.2, 2.2, 7.0
+# Sideways acceleration in bends; cars look so far ahead.
+SIDEWAYS, LOOK_M = 2.6, 70.0
+# Bodies stop so far before a line or a zone that is not free; zones must be free for so long before and behind a car.
+BEFORE_LINE_M, BEFORE_ZONE_M, APART_S = 0.6, 1.0, 1.0
+# A car that has stood for so long goes before others that stand.
+PATIENCE_S, STANDING = 3.0, 0.3
+# A car that stands farther before the line waits for those in front of it.
+NEXT_M = 6.0
+# A car that cannot stop within this deceleration goes on at amber.
+AMBER_STOP = 3.0
+
+
+class Zone(NamedTuple):
+    """Where a car's way is too close to another lane: lengths along its route, and along that lane."""
+
+    from_m: float
+    to_m: float
+    conflict: Conflict
+
+
+class Gate(NamedTuple):
+    """The line before a junction on a route: where bodies stop, where its lanes end, the zones in it, the signal."""
+
+    line_m: float
+    end_m: float
+    zones: tuple[Zone, ...]
+    group: LightGroup
+    rules: JunctionRules
+    lanes: tuple[str, ...]
+
+
+@dataclass(eq=False)
+class Driver:
+    """A car in the simulation: its route, size, and state."""
+
+    route: Route
+    gates: tuple[Gate, ...]
+    length_m: float
+    wish: float
+    at_m: float
+    speed: float
+    is_host: bool = False
+    gate: int = 0
+    entered: bool = False
+    stood_s: float = 0.0
+    lane: int = 0
+    limits: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.limits = [min(self.wish, math.sqrt(SIDEWAYS / max(bend, 1e-4))) for bend in self.route.sharpest]
+        self.place()
+        while self.gate < len(self.gates) and self.at_m > self.gates[self.gate].line_m - self.length_m / 2:
+            if self.at_m < self.gates[self.gate].end_m + self.length_m / 2:
+                self.entered = True
+                break
+            self.gate += 1
+
+    def place(self) -> None:
+        """Note on which of its lanes it is."""
+        starts = self.route.starts
+        while self.lane + 2 < len(starts) and starts[self.lane + 1] <= self.at_m:
+            self.lane += 1
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it is at the end of its route."""
+        return self.at_m > self.route.length_m - self.length_m / 2 - 1
+
+
+def gates_of(route: Route, rules: tuple[JunctionRules, ...], has_crosswalks: bool) -> tuple[Gate, ...]:
+    """The lines on a route, in order."""
+    owners = {at.lane: each for each in rules for at in each.junction.connectors}
+    found: list[Gate] = []
+    k = 0
+    while k < len(route.lanes):
+        each = owners.get(route.lanes[k])
+        if each is None:
+            k += 1
+            continue
+        first = k
+        while k < len(route.lanes) and owners.get(route.lanes[k]) is each:
+            k += 1
+        inside = route.lanes[first:k]
+        zones = tuple(
+            Zone(route.starts[first + n] + at.from_m, route.starts[first + n] + at.to_m, at)
+            for n, lane in enumerate(inside)
+            for at in each.conflicts
+            if at.lane == lane and at.other not in inside
+        )
+        start = next(at for at in each.junction.connectors if at.lane == inside[0])
+        assert start.from_arm is not None, "routes enter junctions from arms"
+        keys = {lane.name: lane.key for lane in each.junction.arms[start.from_arm].lanes(incoming=True)}
+        group = each.group(start.from_arm, keys[start.before[0]])
+        # The line is on the lane before: it is part of the route, or the car begins in the junction.
+        line = route.starts[first] - line_m(has_crosswalks) - BEFORE_LINE_M
+        found.append(Gate(line, route.starts[k], zones, group, each, inside))
+    return tuple(found)
+
+
+class TownTraffic:
+    """All cars on the streets of a town."""
+
+    def __init__(self, lines: LaneLines, lights: dict[str, Lights]) -> None:
+        self.lines, self.lights = lines, lights
+        self.drivers: list[Driver] = []
+        self.time_s = 0.0
+        self._on: dict[str, list[tuple[Driver, float]]] = {}
+
+    def step(self) -> None:
+        """Move all cars by STEP_S."""
+        self._on = self._occupied()
+        wanted = [self._acceleration(driver) for driver in self.drivers]
+        for driver, acceleration in zip(self.drivers, wanted, strict=True):
+            speed = max(0.0, driver.speed + acceleration * STEP_S)
+            driver.at_m += (driver.speed + speed) / 2 * STEP_S
+            driver.speed = speed
+            driver.stood_s = driver.stood_s + STEP_S if speed < STANDING else 0.0
+            driver.place()
+            self._pass(driver)
+        self.time_s += STEP_S
+
+    def _pass(self, driver: Driver) -> None:
+        if driver.gate >= len(driver.gates):
+            return
+        gate = driver.gates[driver.gate]
+        if not driver.entered and driver.at_m + driver.length_m / 2 > gate.line_m + BEFORE_LINE_M:
+            driver.entered = True
+        if driver.at_m - driver.length_m / 2 > gate.end_m:
+            driver.gate, driver.entered = driver.gate + 1, False
+
+    def _occupied(self) -> dict[str, list[tuple[Driver, float]]]:
+        """For each lane, the cars whose bodies are on it, and where their middles are along it."""
+        found: dict[str, list[tuple[Driver, float]]] = {}
+        for driver in self.drivers:
+            starts, half = driver.route.starts, driver.length_m / 2
+            k = driver.lane
+            while k > 0 and starts[k] > driver.at_m - half:
+                k -= 1
+            while k < len(driver.route.lanes) and starts[k] < driver.at_m + half:
+                found.setdefault(driver.route.lanes[k], []).append((driver, driver.at_m - starts[k]))
+                k += 1
+        return found
+
+    def _acceleration(self, driver: Driver) -> float:
+        starts, limit = driver.route.starts, driver.limits[driver.lane]
+        k = driver.lane + 1
+        while k < len(driver.limits) and starts[k] - driver.at_m < LOOK_M:
+            before_m = max(starts[k] - driver.at_m - driver.length_m / 4, 0.0)
+            limit = min(limit, math.sqrt(driver.limits[k] ** 2 + 2 * 1.8 * before_m))
+            k += 1
+        wanted = _following(driver.speed, limit, *self._leader(driver))
+        stop_m = self._stop(driver)
+        if stop_m is not None:
+            wanted = min(wanted, _following(driver.speed, limit, stop_m + GAP_M, 0.0))
+        if driver.speed > limit:
+            wanted = min(wanted, (limit - driver.speed) / STEP_S)
+        return max(wanted, -HARDEST)
+
+    def _leader(self, driver: Driver) -> tuple[float, float]:
+        """The gap to the next car on the same way, and its speed."""
+        gap_m, speed = LOOK_M, driver.speed + 5.0
+        starts = driver.route.starts
+        k = driver.lane
+        while k < len(driver.route.lanes) and starts[k] - driver.at_m < LOOK_M:
+            for other, at_m in self._on.get(driver.route.lanes[k], ()):
+                ahead_m = starts[k] + at_m - driver.at_m
+                if other is driver or ahead_m <= 0 or (ahead_m == 0 and id(other) > id(driver)):
+                    continue
+                free_m = ahead_m - (driver.length_m + other.length_m) / 2
+                if free_m < gap_m:
+                    gap_m, speed = free_m, other.speed
+            k += 1
+        return gap_m, speed
+
+    def _stop(self, driver: Driver) -> float | None:
+        """How far ahead it has to stop, for a line or for a zone that is not free; None where it need not."""
+        if driver.gate >= len(driver.gates):
+            return None
+        gate = driver.gates[driver.gate]
+        front_m = driver.at_m + driver.length_m / 2
+        if driver.entered:
+            return self._occupied_zone(driver, gate, front_m)
+        before_m = gate.line_m - front_m
+        braking_m = driver.speed**2 / (2 * DECELERATION)
+        if before_m > braking_m + 12:
+            return None
+        if self._may_enter(driver, gate, before_m):
+            return None
+        return max(before_m, 0.0)
+
+    def _may_enter(self, driver: Driver, gate: Gate, before_m: float) -> bool:
+        if gate.rules.control == "signals" and not gate.rules.junction.is_roundabout:
+            state = self.lights[gate.rules.junction.id].state(gate.group, self.time_s)
+            hard = driver.speed**2 / (2 * max(before_m, 0.1))
+            if state in ("red", "red_amber", "off") or (state == "amber" and hard < AMBER_STOP):
+                return False
+        elif self._must_stop(driver, gate, before_m):
+            return False
+        return self._has_room_behind(driver, gate) and all(self._is_free(driver, gate, zone) for zone in gate.zones)
+
+    def _must_stop(self, driver: Driver, gate: Gate, before_m: float) -> bool:
+        """Whether it is at a stop sign and has not stood yet."""
+        return gate.rules.control == "stop" and gate.group == "minor" and not (driver.stood_s > 0.5 and before_m < 3)
+
+    def _has_room_behind(self, driver: Driver, gate: Gate) -> bool:
+        """Whether the lane behind the junction has room for it, unless traffic moves there."""
+        place = driver.route.place[gate.lanes[-1]] + 1
+        if place >= len(driver.route.lanes):
+            return True
+        room_m = driver.length_m + GAP_M
+        for lane in (*gate.lanes, driver.route.lanes[place]):
+            for other, at_m in self._on.get(lane, ()):
+                its_m = driver.route.starts[driver.route.place[lane]] + at_m
+                is_ahead = other is not driver and its_m > driver.at_m and at_m > -other.length_m
+                if is_ahead and other.speed < 2.0 and its_m - other.length_m / 2 - gate.end_m < room_m:
+                    return False
+        return True
+
+    def _is_free(self, driver: Driver, gate: Gate, zone: Zone) -> bool:
+        """Whether it may drive through a zone: no car is there then that is in the junction or goes first."""
+        lane, half = zone.conflict.other, driver.length_m / 2
+        if zone.to_m < driver.at_m - half:
+            return True
+        mine = _time(zone.from_m - half - driver.at_m, driver), _time(zone.to_m + half - driver.at_m, driver)
+        yields = (zone.conflict.lane, lane) in gate.rules.yields
+        for other in self.drivers:
+            place = other.route.place.get(lane)
+            if other is driver or place is None or other.gate >= len(other.gates):
+                continue
+            its = other.gates[other.gate]
+            if its.rules is not gate.rules:
+                continue
+            start, reach = other.route.starts[place], other.length_m / 2
+            from_m, to_m = start + zone.conflict.other_from_m - reach, start + zone.conflict.other_to_m + reach
+            if other.at_m > to_m:
+                continue
+            theirs = _time(from_m - other.at_m, other), _time(to_m - other.at_m, other)
+            if not other.entered and (not yields or not self._goes_first(driver, other, its)):
+                continue
+            if theirs[0] - APART_S < mine[1] and mine[0] - APART_S < theirs[1]:
+                return False
+        return True
+
+    def _goes_first(self, driver: Driver, other: Driver, gate: Gate) -> bool:
+        """Whether a car that has priority and has not entered takes it."""
+        if gate.rules.control == "signals" and not gate.rules.junction.is_roundabout:
+            state = self.lights[gate.rules.junction.id].state(gate.group, self.time_s)
+            if state not in ("green", "amber"):
+                return False
+        if other.stood_s == 0:
+            return True
+        if gate.line_m - other.at_m - other.length_m / 2 > NEXT_M:
+            return False
+        mine = (driver.stood_s - PATIENCE_S, -self.drivers.index(driver))
+        return driver.stood_s < PATIENCE_S or mine < (other.stood_s - PATIENCE_S, -self.drivers.index(other))
+
+    def _occupied_zone(self, driver: Driver, gate: Gate, front_m: float) -> float | None:
+        """How far ahead the next zone is in which another car's body is."""
+        nearest = None
+        for zone in gate.zones:
+            if zone.to_m < front_m or (zone.from_m < front_m - 1.0):
+                continue
+            for other, at_m in self._on.get(zone.conflict.other, ()):
+                reach = other.length_m / 2
+                is_in = zone.conflict.other_from_m < at_m + reach and at_m - reach < zone.conflict.other_to_m
+                if other is not driver and is_in:
+                    before_m = max(zone.from_m - BEFORE_ZONE_M - front_m, 0.0)
+                    nearest = before_m if nearest is None else min(nearest, before_m)
+        return nearest
+
+
+def _following(speed: float, limit: float, gap_m: float, leader: float) -> float:
+    """The acceleration of the intelligent driver model."""
+    free = 1 - (speed / max(limit, 0.5)) ** 4
+    wanted_m = GAP_M + max(
+        0.0, speed * HEADWAY_S + speed * (speed - leader) / (2 * math.sqrt(ACCELERATION * DECELERATION))
+    )
+    return ACCELERATION * (free - (wanted_m / max(gap_m, 0.1)) ** 2)
+
+
+def _time(way_m: float, driver: Driver) -> float:
+    """Seconds until a car has driven so far, if it speeds up to a town's speed of turning; less than 0 if it has."""
+    if way_m <= 0:
+        return -1.0
+    speed, top = driver.speed, max(driver.speed, min(driver.wish, 7.0))
+    reach_m = (top**2 - speed**2) / (2 * ACCELERATION)
+    if way_m < reach_m:
+        return (math.sqrt(speed**2 + 2 * ACCELERATION * way_m) - speed) / ACCELERATION
+    return (top - speed) / ACCELERATION + (way_m - reach_m) / top

@@ -1,0 +1,191 @@
+"""The rules of a junction: its ways from lane to lane, where these cross or merge, and which yields to which."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from synth3dlanes.draw.town.junctions import Connector, TownJunction, Turn, turn_of
+from synth3dlanes.draw.town.plan import sampled
+from synth3dlanes.scene.town import Control
+
+# Lanes before a junction whose signals change together.
+LightGroup = Literal["major", "major_left", "minor"]
+# Ways closer than this cannot be driven at the same time: the width of a truck and some air.
+TOUCH_M, STEP_M = 2.75, 0.5
+# An arm is on the right of another between these angles.
+RIGHT_RAD = np.radians(30.0), np.radians(150.0)
+
+
+class Conflict(NamedTuple):
+    """Where a lane of a junction is too close to another one: lengths along the first and along the second."""
+
+    lane: str
+    other: str
+    from_m: float
+    to_m: float
+    other_from_m: float
+    other_to_m: float
+
+
+class JunctionWay(NamedTuple):
+    """A way through a junction: the arms, the lane before it, its lanes, the lane behind it, and its turn."""
+
+    from_arm: int
+    to_arm: int
+    lanes: tuple[str, ...]
+    turn: Turn
+
+    @property
+    def inside(self) -> tuple[str, ...]:
+        """Its lanes in the junction."""
+        return self.lanes[1:-1]
+
+
+@dataclass(frozen=True)
+class JunctionRules:
+    """A junction with its control. `major` are the arms of the priority road."""
+
+    junction: TownJunction
+    control: Control
+    major: tuple[int, ...]
+
+    def has_arrow(self, arm: int) -> bool:
+        """Whether the left turn lane of an arm has a signal of its own, an arrow."""
+        if self.control != "signals" or arm not in self.major:
+            return False
+        return "turn_left" in self.junction.arms[arm].cross.left
+
+    @cached_property
+    def conflicts(self) -> tuple[Conflict, ...]:
+        """All pairs of lanes that cross or merge, each both ways."""
+        found = []
+        connectors = self.junction.connectors
+        points = [sampled(at.plan, STEP_M) for at in connectors]
+        boxes = [(each.min(axis=0), each.max(axis=0)) for each in points]
+        for i, one in enumerate(connectors):
+            for j in range(i):
+                other = connectors[j]
+                apart = np.maximum(boxes[i][0] - boxes[j][1], boxes[j][0] - boxes[i][1]).max()
+                if apart > TOUCH_M or set(one.before) & set(other.before) or _follow(one, other):
+                    continue
+                distance = np.linalg.norm(points[i][:, None] - points[j], axis=-1)
+                at_one, at_other = (np.flatnonzero((distance < TOUCH_M).any(axis=axis)) for axis in (1, 0))
+                if len(at_one):
+                    spans = _span(one, at_one, len(points[i])), _span(other, at_other, len(points[j]))
+                    found.append(Conflict(one.lane, other.lane, *spans[0], *spans[1]))
+                    found.append(Conflict(other.lane, one.lane, *spans[1], *spans[0]))
+        return tuple(found)
+
+    @cached_property
+    def yields(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of lanes that cross or merge, of which the first yields to the second: one order for every pair whose
+        traffic a signal does not keep apart."""
+        places = {at.lane: i for i, at in enumerate(self.junction.connectors)}
+        found = set()
+        for at in self.conflicts:
+            one, other = (self.junction.connectors[places[lane]] for lane in (at.lane, at.other))
+            if self._are_kept_apart(one, other) or self._gives_way(other, one):
+                continue
+            # Without a rule, as for opposite left turns that cross, the later one in the list yields.
+            if self._gives_way(one, other) or places[at.lane] > places[at.other]:
+                found.add((at.lane, at.other))
+        return tuple(sorted(found))
+
+    def group(self, arm: int, key: str) -> LightGroup:
+        """Which lights the lane `key` before the junction has."""
+        if arm not in self.major:
+            return "minor"
+        return "major_left" if key == "turn_left" and self.has_arrow(arm) else "major"
+
+    def _are_kept_apart(self, one: Connector, other: Connector) -> bool:
+        """Whether the lights of two connectors are green at different times."""
+        if self.control != "signals" or self.junction.is_roundabout:
+            return False
+        return self._group_before(one) != self._group_before(other)
+
+    def _group_before(self, connector: Connector) -> LightGroup:
+        assert connector.from_arm is not None, "lanes of crossings come from arms"
+        lanes = self.junction.arms[connector.from_arm].lanes(incoming=True)
+        return self.group(connector.from_arm, next(lane.key for lane in lanes if lane.name == connector.before[0]))
+
+    def _gives_way(self, one: Connector, other: Connector) -> bool:
+        """Whether a rule of the road says that one yields to the other."""
+        if self.junction.is_roundabout:
+            # To the ring: those who enter it, and those who leave it across its outer lane.
+            is_ring = other.from_arm is None and other.to_arm is None
+            return is_ring and (one.from_arm is not None or one.to_arm is not None)
+        assert one.from_arm is not None, "lanes of crossings come from arms"
+        assert other.from_arm is not None, "lanes of crossings come from arms"
+        ranks = one.from_arm in self.major, other.from_arm in self.major
+        if self.control in ("priority", "stop") and ranks[0] != ranks[1]:
+            return ranks[1]
+        arms = self.junction.arms
+        angle = (arms[other.from_arm].pose.heading - arms[one.from_arm].pose.heading) % (2 * np.pi)
+        if self.control == "equal" and RIGHT_RAD[0] < angle < RIGHT_RAD[1]:
+            return True
+        is_opposite = RIGHT_RAD[1] <= angle <= 2 * np.pi - RIGHT_RAD[1]
+        return bool(is_opposite and one.turn == "left" and other.turn != "left")
+
+    @cached_property
+    def ways(self) -> tuple[JunctionWay, ...]:
+        """All ways from an arm to another one."""
+        connectors = self.junction.connectors
+        by_lane = {at.lane: at for at in connectors}
+        found = []
+        for start in connectors:
+            if start.from_arm is None:
+                continue
+            for chain in self._onward([start], by_lane):
+                arms = self.junction.arms
+                last = chain[-1]
+                assert last.to_arm is not None, "a way leads to an arm"
+                turn = turn_of(arms[start.from_arm].pose.heading + np.pi, arms[last.to_arm].pose.heading)
+                if start.from_arm != last.to_arm and self._is_usual(start, turn):
+                    lanes = (*start.before, *(at.lane for at in chain), *last.after)
+                    found.append(JunctionWay(start.from_arm, last.to_arm, lanes, turn))
+        return tuple(found)
+
+    def _onward(self, chain: list[Connector], by_lane: dict[str, Connector]) -> list[list[Connector]]:
+        if chain[-1].to_arm is not None:
+            return [chain]
+        found = []
+        for name in chain[-1].after:
+            # Once round at most.
+            if by_lane[name] not in chain:
+                found += self._onward([*chain, by_lane[name]], by_lane)
+        return found
+
+    def _is_usual(self, start: Connector, turn: Turn) -> bool:
+        """Whether drivers take a turn from this lane: in roundabouts the right one of two lanes is not for left turns,
+        the left one not for right turns."""
+        if not self.junction.is_roundabout:
+            return True
+        assert start.from_arm is not None, "ways start at arms"
+        lanes = [lane.name for lane in self.junction.arms[start.from_arm].lanes(incoming=True)]
+        place = lanes.index(start.before[0])
+        return len(lanes) == 1 or turn == "straight" or (turn == "left") == (place == 0)
+
+
+def turns_of_lane(ways: Sequence[JunctionWay], lane: str) -> set[Turn]:
+    """What the traffic of a lane before a junction may do."""
+    return {way.turn for way in ways if way.lanes[0] == lane}
+
+
+def _follow(one: Connector, other: Connector) -> bool:
+    return other.lane in one.after or one.lane in other.after
+
+
+def _span(connector: Connector, at: np.ndarray, n: int) -> tuple[float, float]:
+    step_m = connector.length_m / (n - 1)
+    return max(0.0, (int(at[0]) - 1) * step_m), min(connector.length_m, (int(at[-1]) + 1) * step_m)
+
+
+def links_of(junction: TownJunction) -> list[tuple[str, str]]:
+    """The links of a junction's lanes."""
+    found: set[tuple[str, str]] = set()
+    for at in junction.connectors:
+        found |= {(name, at.lane) for name in at.before} | {(at.lane, name) for name in at.after}
+    return sorted(found)

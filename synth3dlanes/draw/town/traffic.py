@@ -1,0 +1,325 @@
+"""The traffic of a town: cars at the start, the host's drive to its place, and the ways of all through a clip."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.draw.town.drive import STANDING, STEP_S, Driver, Gate, TownTraffic, gates_of
+from synth3dlanes.draw.town.lanes import LaneLines, Route, lanes_along, street_lanes
+from synth3dlanes.draw.town.layout import TownMap
+from synth3dlanes.draw.town.lights import Lights
+from synth3dlanes.draw.town.paint import line_m
+from synth3dlanes.draw.town.rules import JunctionWay
+from synth3dlanes.draw.town.streets import Street
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
+
+Rng = np.random.Generator
+# Before its place the host drives so far, for so long at most.
+RUN_UP_M, PATIENCE_S = 80.0, 150.0
+# Least free length between cars at the start, mean waiting time of those that come later, and the most cars.
+FREE_M, COMES_S, MOST = 7.0, 9.0, 60
+# Bodies are apart by this in every direction.
+APART_M = 0.12
+# Vehicles longer than this go straight on only.
+LONG_M = 6.5
+WEIGHTS = {"left": 1.0, "straight": 2.5, "right": 1.2}
+# Routes end after so many junctions.
+MOST_JUNCTIONS = 4
+
+
+class CarBody(NamedTuple):
+    """A car's model and size."""
+
+    model: int
+    scale: float
+    length_m: float
+    width_m: float
+
+
+@dataclass(frozen=True)
+class MovingCar:
+    """A car of a scene: its body, its route, its speed at the scene's instant, and its length along the route at times
+    from then on."""
+
+    body: CarBody
+    lanes: tuple[str, ...]
+    speed_m_s: float
+    track: tuple[tuple[float, float], ...]
+
+
+class TownDrive(NamedTuple):
+    """What a simulation leaves: the host's route and track, all other cars, and the lights of the junctions, whose
+    shifts are those at the scene's instant."""
+
+    host: MovingCar
+    cars: tuple[MovingCar, ...]
+    lights: dict[str, Lights]
+
+
+class HostPlan(NamedTuple):
+    """The host's route, where on it the scene begins, and how far it keeps to the right of the middle of its lane."""
+
+    lanes: tuple[str, ...]
+    at_m: float
+    offset_m: float = 0.0
+
+
+def plan_host(town_map: TownMap, lines: LaneLines, rng: Rng) -> HostPlan:
+    """A way of the host through the first junction with the turn that was drawn, and its place before, in or behind."""
+    town, rules = town_map.town, town_map.junctions[0]
+    ways = [way for way in rules.ways if way.turn == town.host_turn]
+    ways = ways or list(rules.ways)
+    order = [ways[i] for i in rng.permutation(len(ways)).tolist()]
+    found: HostPlan | None = None
+    for way in order:
+        lanes = _before(town_map, way.lanes[0]) + list(way.lanes[1:])
+        lanes = _onward(town_map, lanes, rng)
+        route = Route(lanes, lines)
+        first, last = route.place[way.lanes[1]], route.place[way.lanes[-1]]
+        enters_m, leaves_m = route.starts[first], route.starts[last]
+        if town.host_place == "before":
+            at_m = enters_m - town.host_m - 2.0
+        elif town.host_place == "in":
+            at_m = enters_m + town.host_m / 60.0 * (leaves_m - enters_m)
+        else:
+            at_m = leaves_m + town.host_m + 2.0
+        if at_m >= 12.0:
+            return HostPlan(tuple(lanes), at_m)
+        found = found or HostPlan(tuple(lanes), 12.0)
+    assert found is not None, "a junction has ways"
+    return found
+
+
+def simulate(
+    town_map: TownMap, host: HostPlan, draw_body: Callable[[bool], CarBody], flow: float, duration_s: float, rng: Rng
+) -> TownDrive:
+    """Traffic until the host is at its place, and from then on for a clip. Where the host does not get there, with
+    fewer cars. `draw_body` draws a car that is long only if it may be; `flow` is the share of the most traffic."""
+    lines = LaneLines(town_map)
+    seed = int(rng.integers(2**62))
+    for share in (1.0, 0.4, 0.0):
+        found = _Simulation(town_map, lines, host, draw_body, flow * share, np.random.default_rng(seed)).run(duration_s)
+        if found is not None:
+            return found
+    raise AssertionError("a host alone gets to its place")
+
+
+class _Simulation:
+    def __init__(
+        self,
+        town_map: TownMap,
+        lines: LaneLines,
+        host: HostPlan,
+        draw_body: Callable[[bool], CarBody],
+        flow: float,
+        rng: Rng,
+    ) -> None:
+        self.town_map, self.lines, self.flow, self.rng = town_map, lines, flow, rng
+        self.draw_body = draw_body
+        self.has_crosswalks = town_map.town.has_crosswalks
+        self.lights = {
+            each.junction.id: Lights.draw(each, rng) for each in town_map.junctions if each.control == "signals"
+        }
+        self.wish = float(rng.choice([8.3, 11.0, 13.9]))
+        self.traffic = TownTraffic(lines, self.lights)
+        self.bodies: dict[int, CarBody] = {}
+        self._gates: dict[tuple[str, ...], tuple[Route, tuple[Gate, ...]]] = {}
+        start_m = max(host.at_m - RUN_UP_M, 6.0)
+        self.host = self._driver(host.lanes, start_m, HOST_SIZE_M[0], 0.0)
+        self.host.is_host = True
+        self.host.speed = 0.7 * self.host.limits[self.host.lane]
+        self.traffic.drivers.append(self.host)
+        self.at_m, self.host_offset_m = host.at_m, host.offset_m
+        self._fill()
+
+    def run(self, duration_s: float) -> TownDrive | None:
+        """Drive; None if the host does not get to its place."""
+        entries = self._entries()
+        waits = {entry: float(self.rng.exponential(COMES_S / max(self.flow, 0.05))) for entry in entries}
+        traffic = self.traffic
+        while self.host.at_m < self.at_m:
+            if traffic.time_s > PATIENCE_S:
+                return None
+            traffic.step()
+            for entry in entries:
+                waits[entry] -= STEP_S
+                if waits[entry] < 0 and self.flow > 0:
+                    waits[entry] = float(self.rng.exponential(COMES_S / self.flow))
+                    self._come(entry)
+            traffic.drivers = [driver for driver in traffic.drivers if driver.is_host or not driver.is_done]
+        self.host.at_m = self.at_m
+        self._remove_touching([driver.at_m for driver in traffic.drivers])
+        tracks = {id(driver): [(0.0, driver.at_m)] for driver in traffic.drivers}
+        speeds = {id(driver): driver.speed if driver.speed > STANDING else 0.0 for driver in traffic.drivers}
+        shift_s = traffic.time_s
+        for n in range(int(np.ceil(duration_s / STEP_S - 1e-9))):
+            traffic.step()
+            for driver in traffic.drivers:
+                tracks[id(driver)].append((round((n + 1) * STEP_S, 3), driver.at_m))
+        keep = self._apart(tracks)
+        lights = {
+            name: at._replace(shift_s=round((at.shift_s + shift_s) % at.cycle_s, 3)) for name, at in self.lights.items()
+        }
+        moving = [self._moving(driver, speeds[id(driver)], tracks[id(driver)]) for driver in keep]
+        return TownDrive(moving[0], tuple(moving[1:]), lights)
+
+    def _moving(self, driver: Driver, speed_m_s: float, track: Sequence[tuple[float, float]]) -> MovingCar:
+        rounded = tuple((time_s, round(at_m, 4)) for time_s, at_m in track)
+        body = self.bodies.get(id(driver), CarBody(0, 1.0, *HOST_SIZE_M))
+        return MovingCar(body, driver.route.lanes, speed_m_s, rounded)
+
+    def _driver(self, lanes: tuple[str, ...], at_m: float, length_m: float, speed: float) -> Driver:
+        if lanes not in self._gates:
+            route = Route(lanes, self.lines)
+            self._gates[lanes] = route, gates_of(route, self.town_map.junctions, self.has_crosswalks)
+        route, gates = self._gates[lanes]
+        wish = self.wish * float(self.rng.uniform(0.85, 1.08))
+        return Driver(route, gates, length_m, wish, at_m, speed)
+
+    def _add(self, lanes: Sequence[str], at_m: float, speed: float) -> bool:
+        """Add a car on its way from these lanes on, if there is room for it."""
+        route = _onward(self.town_map, list(lanes), self.rng)
+        is_straight = all(self._is_straight(lane) for lane in route)
+        body = self.draw_body(is_straight)
+        driver = self._driver(tuple(route), at_m, body.length_m, speed)
+        here = {driver.route.lanes[k] for k in (driver.lane, max(driver.lane - 1, 0))}
+        xy, _ = driver.route.at(np.array([at_m]))
+        for other in self.traffic.drivers:
+            away_m = float(np.linalg.norm(other.route.at(np.array([other.at_m]))[0] - xy))
+            near = other.route.lanes[other.lane] in here or set(other.route.lanes[other.lane :]) & here
+            if away_m < (driver.length_m + other.length_m) / 2 + (FREE_M if near else 0.0) and (near or away_m < 2.5):
+                return False
+        driver.speed = min(driver.speed, driver.limits[driver.lane])
+        self.bodies[id(driver)] = body
+        self.traffic.drivers.append(driver)
+        return True
+
+    def _is_straight(self, lane: str) -> bool:
+        connector = self.lines.connectors.get(lane)
+        return connector is None or (connector.turn == "straight" and connector.from_arm is not None)
+
+    def _fill(self) -> None:
+        """Cars along all streets, and in turn lanes."""
+        for street in self.town_map.streets:
+            for side, key in lanes_along(street):
+                names = street_lanes(street, side, key, range(len(street.pieces)))
+                names = names if side == "right" else names[::-1]
+                route = Route(names, self.lines)
+                at_m = float(self.rng.uniform(4, 40))
+                while at_m < route.length_m - 5 and len(self.traffic.drivers) < MOST:
+                    if self.flow > 0 and self.rng.random() < 0.8:
+                        k = next(k for k, start in enumerate(route.starts[1:]) if at_m < start)
+                        self._add(names[k:], at_m - route.starts[k], float(self.rng.uniform(3, 10)))
+                    at_m += FREE_M + 5 + float(self.rng.exponential(55 * (1.1 - self.flow)))
+            for names in self._pockets(street):
+                length_m = self.lines[names[0]].length_m
+                at_m = length_m - line_m(self.has_crosswalks) - 4
+                while at_m > 4 and self.rng.random() < 0.7 * self.flow + 0.1 and self.flow > 0:
+                    self._add(names, at_m, 0.0)
+                    at_m -= 8.0
+
+    def _pockets(self, street: Street) -> list[list[str]]:
+        """The turn lanes of a street, where they have their width."""
+        found = []
+        for section, side, pocket in ((0, "left", street.start), (len(street.pieces) - 1, "right", street.end)):
+            names = street.names(section)[side]
+            if pocket is not None:
+                found += [[names[key]] for key in ("turn_left", "turn_right") if key in names]
+        return found
+
+    def _entries(self) -> list[tuple[str, ...]]:
+        """The lanes by which cars come: from the far ends of streets, and into turn lanes."""
+        found = []
+        for street in self.town_map.streets:
+            found += [tuple(names) for names in self._pockets(street)]
+            if street.end is None:
+                for side, key in lanes_along(street):
+                    if side == "left":
+                        names = street_lanes(street, side, key, range(len(street.pieces)))
+                        found.append(tuple(names[::-1]))
+        return found
+
+    def _come(self, entry: tuple[str, ...]) -> None:
+        if len(self.traffic.drivers) < MOST:
+            self._add(entry, 5.0, 7.0)
+
+    def _remove_touching(self, at: Sequence[float]) -> None:
+        drivers = self.traffic.drivers
+        touching = _touching([self._bodies_at(driver, np.array([m])) for driver, m in zip(drivers, at, strict=True)])
+        self.traffic.drivers = [driver for driver, bad in zip(drivers, touching, strict=True) if not bad]
+
+    def _apart(self, tracks: dict[int, list[tuple[float, float]]]) -> list[Driver]:
+        """The cars that touch no other one at any time and are on their routes to the end; the host first."""
+        drivers = self.traffic.drivers
+        on = [
+            driver
+            for driver in drivers
+            if driver.is_host or tracks[id(driver)][-1][1] < driver.route.length_m - driver.length_m / 2
+        ]
+        places = []
+        for driver in on:
+            times, lengths = np.array(tracks[id(driver)]).T
+            fine = np.linspace(0, times[-1], 4 * (len(times) - 1) + 1)
+            places.append(self._bodies_at(driver, np.interp(fine, times, lengths)))
+        return [driver for driver, bad in zip(on, _touching(places), strict=True) if not bad]
+
+    def _bodies_at(self, driver: Driver, lengths_m: np.ndarray) -> np.ndarray:
+        body = self.bodies.get(id(driver), CarBody(0, 1.0, *HOST_SIZE_M))
+        return body_places(driver.route, lengths_m, body, self.host_offset_m if driver.is_host else 0.0)
+
+
+def body_places(route: Route, lengths_m: Scalars, body: CarBody, offset_m: float = 0.0) -> Float[np.ndarray, "n 4 2"]:
+    """The corners of a car at lengths along its route, `offset_m` to the right of it, with the room that it needs."""
+    xy, heading = route.at(lengths_m)
+    right = np.stack([heading[:, 1], -heading[:, 0]], -1)
+    return footprint(xy + offset_m * right, heading, body.length_m + 2 * APART_M, body.width_m + 2 * APART_M)
+
+
+def _touching(places: Sequence[np.ndarray]) -> list[bool]:
+    """Which cars touch an earlier one that stays, each by its footprints at all times. The first one always stays."""
+    found: list[bool] = []
+    for i, mine in enumerate(places):
+        stays = [places[j] for j in range(i) if not found[j]]
+        if not stays:
+            found.append(False)
+            continue
+        others = np.stack(stays)
+        near = np.linalg.norm(mine.mean(axis=-2) - others.mean(axis=-2), axis=-1).min(axis=-1) < 20
+        found.append(bool(near.any()) and overlaps_any(mine, others[near]))
+    return found
+
+
+def _before(town_map: TownMap, lane: str) -> list[str]:
+    """The lanes that lead to a lane before a junction, from the beginning of its street, and itself."""
+    before = {b: a for street in town_map.streets for a, b in street.links}
+    found = [lane]
+    while found[0] in before:
+        found.insert(0, before[found[0]])
+    return found
+
+
+def _onward(town_map: TownMap, lanes: list[str], rng: Rng) -> list[str]:
+    """A route from its lanes on: along streets, and at junctions by ways drawn by their turns."""
+    after = {a: b for street in town_map.streets for a, b in street.links}
+    ways: dict[str, list[JunctionWay]] = {}
+    for rules in town_map.junctions:
+        for way in rules.ways:
+            ways.setdefault(way.lanes[0], []).append(way)
+    found, passed = list(lanes), 0
+    while True:
+        last = found[-1]
+        if last in after:
+            found.append(after[last])
+        elif last in ways and passed < MOST_JUNCTIONS:
+            weights = np.array([WEIGHTS[way.turn] for way in ways[last]])
+            way = ways[last][int(rng.choice(len(weights), p=weights / weights.sum()))]
+            if set(way.lanes[1:]) & set(found):
+                return found
+            found += way.lanes[1:]
+            passed += 1
+        else:
+            return found

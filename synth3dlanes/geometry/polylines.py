@@ -1,0 +1,24 @@
+"""Polylines of points in any frame: lengths along them, points at equal distances, and stretches of them."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.system.arrays import Scalars
+
+
+def lengths_along(points: Float[np.ndarray, "n d"]) -> Scalars:
+    """The length of a polyline from its beginning to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def resampled(points: Float[np.ndarray, "n d"], n: int) -> Float[np.ndarray, "m d"]:
+    """`n` points at equal distances along a polyline."""
+    lengths = lengths_along(points)
+    at = np.linspace(0.0, lengths[-1], n)
+    return np.column_stack([np.interp(at, lengths, column) for column in points.T])
+
+
+def stretches(kept: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
+    """The first and the last (exclusive) number of each unbroken run of what is kept."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(int)))
+    return [(first, end) for first, end in ends.reshape(-1, 2).tolist()]

@@ -1,0 +1,1 @@
+"""Labels as data: what a network must predict from an image."""

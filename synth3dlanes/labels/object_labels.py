@@ -1,0 +1,166 @@
+"""Objects in labels: the 3D box of every car, and its rectangles in the image. Pure data.
+
+The frame of an object has its origin in the middle of the box and the axes of the model: x right, y forward, z up.
+Rectangles are (left, top, right, bottom) in pixels.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+from jaxtyping import Float, Int, Integer
+from pydantic import Field, with_config
+
+from synth3dlanes.geometry.frames import from_axes, rotation, transform
+from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.json_arrays import (
+    JsonPixelRectangle,
+    JsonQuaternion,
+    JsonRectangle,
+    JsonSize3,
+    JsonVector3,
+    rounded,
+)
+from synth3dlanes.system.schema import STRICT, Unit
+
+# Corners of a box of size 2 in the frame of its object: those of its front, then of its rear, each from the top left
+# one on, clockwise as seen from behind.
+CORNERS = np.array([[x, y, z] for y in (1.0, -1.0) for x, z in ((-1, 1), (1, 1), (1, -1), (-1, -1))])
+
+NonNegative = Annotated[int, Field(ge=0)]
+
+
+@with_config(STRICT)
+@dataclass(frozen=True, eq=False)
+class ObjectLabel:
+    """The box of one object.
+
+    `id` is its number in the pass `instance`; it is the same in all pictures of a scene. `size_m` is width, length and
+    height, along x, y and z of its frame. `center_cam` is the middle of the box, `rotation_wxyz` the unit quaternion
+    that turns vectors of its frame into the camera's. `velocity_cam` is the velocity over the ground along the
+    camera's axes, metres per second; None in single pictures, which have no time.
+    `box_px` is the rectangle of what of the 3D box is inside the image, None where nothing is; `unclipped_box_px` that
+    of the whole 3D box, None where it reaches behind the camera, out of its lens's field or a million pixels away;
+    `truncation` the share of the 3D box that is outside the image. `seen_box_px` is the rectangle of the pixels that
+    show the object, None without any and until rendered. `visible_fraction` is the share of its pixels in the image in
+    which it is seen, 0 without any, None until rendered. `lidar_points` counts the points of the sweep on it, None
+    without a lidar."""
+
+    id: Annotated[int, Field(ge=1)]
+    category: VehicleClass
+    size_m: JsonSize3
+    center_cam: JsonVector3
+    rotation_wxyz: JsonQuaternion
+    velocity_cam: JsonVector3 | None
+    box_px: JsonRectangle | None
+    unclipped_box_px: JsonRectangle | None
+    truncation: Unit
+    seen_box_px: JsonPixelRectangle | None = None
+    visible_fraction: Unit | None = None
+    lidar_points: NonNegative | None = None
+
+    @property
+    def cam_from_object(self) -> Matrix4:
+        """The pose of the frame of the object."""
+        x, y, z = rotation(self.rotation_wxyz).T
+        return from_axes(x, y, z, self.center_cam)
+
+    @property
+    def corners_cam(self) -> Float[np.ndarray, "8 3"]:
+        """The corners of the box in the order of CORNERS."""
+        return transform(self.cam_from_object, CORNERS * self.size_m / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """The objects of a sample as arrays, one row for each, with the fields of `ObjectLabel`. NaN where these are None;
+    `lidar_points` is -1 there. `corners_cam` are in the order of CORNERS."""
+
+    id: Int[np.ndarray, " n"]
+    category: tuple[VehicleClass, ...]
+    size_m: Float[np.ndarray, "n 3"]
+    cam_from_object: Float[np.ndarray, "n 4 4"]
+    corners_cam: Float[np.ndarray, "n 8 3"]
+    velocity_cam: Float[np.ndarray, "n 3"]
+    box_px: Float[np.ndarray, "n 4"]
+    unclipped_box_px: Float[np.ndarray, "n 4"]
+    seen_box_px: Float[np.ndarray, "n 4"]
+    visible_fraction: Float[np.ndarray, " n"]
+    truncation: Float[np.ndarray, " n"]
+    lidar_points: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+def rows(items: Sequence[object], name: str, *shape: int) -> Float[np.ndarray, "..."]:
+    """A field of a shape of each item; NaN where it is None."""
+    values = (getattr(item, name) for item in items)
+    filled = [np.full(shape, np.nan) if value is None else np.asarray(value, float) for value in values]
+    return np.array(filled).reshape(len(items), *shape)
+
+
+def stacked(items: Sequence[ObjectLabel]) -> Objects:
+    """Objects as arrays."""
+    counts = [-1 if item.lidar_points is None else item.lidar_points for item in items]
+    return Objects(
+        id=np.array([item.id for item in items], int),
+        category=tuple(item.category for item in items),
+        size_m=rows(items, "size_m", 3),
+        cam_from_object=rows(items, "cam_from_object", 4, 4),
+        corners_cam=rows(items, "corners_cam", 8, 3),
+        velocity_cam=rows(items, "velocity_cam", 3),
+        box_px=rows(items, "box_px", 4),
+        unclipped_box_px=rows(items, "unclipped_box_px", 4),
+        seen_box_px=rows(items, "seen_box_px", 4),
+        visible_fraction=rows(items, "visible_fraction"),
+        truncation=rows(items, "truncation"),
+        lidar_points=np.array(counts, int),
+    )
+
+
+def as_seen(
+    items: Sequence[ObjectLabel],
+    instance: Integer[np.ndarray, "h w"],
+    lidar_instance: Integer[np.ndarray, " n"] | None = None,
+) -> tuple[ObjectLabel, ...]:
+    """The objects with what the ids of an image's pixels and of a lidar's points tell of them."""
+    most = max((item.id for item in items), default=0)
+    rows, columns = np.nonzero((instance > 0) & (instance <= most))
+    own = instance[rows, columns]
+    counts = None if lidar_instance is None else np.bincount(lidar_instance, minlength=most + 1)
+    return tuple(
+        replace(
+            item,
+            seen_box_px=rectangle_around(rows[own == item.id], columns[own == item.id]),
+            lidar_points=None if counts is None else int(counts[item.id]),
+        )
+        for item in items
+    )
+
+
+def rectangle_around(rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Int[np.ndarray, "4"] | None:
+    """The rectangle around whole pixels; None without any."""
+    if not rows.size:
+        return None
+    return np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+
+
+# Decimals in the JSON form: corners are off by less than 0.1 mm.
+DECIMALS = {
+    "size_m": 4, "center_cam": 4, "rotation_wxyz": 6, "velocity_cam": 3, "box_px": 1, "unclipped_box_px": 1
+}  # fmt: skip
+
+
+def object_document(item: ObjectLabel) -> dict[str, Any]:
+    """The JSON form of an object."""
+    return document_of(vars(item), DECIMALS)
+
+
+def document_of(fields: Mapping[str, Any], decimals: Mapping[str, int]) -> dict[str, Any]:
+    """The JSON form of the fields of a label, some of them rounded."""
+    seen = fields["seen_box_px"]
+    numbers = {name: None if fields[name] is None else rounded(fields[name], n) for name, n in decimals.items()}
+    return {**fields, **numbers, "seen_box_px": None if seen is None else seen.tolist()}

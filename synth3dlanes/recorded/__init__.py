@@ -1,0 +1,1 @@
+"""Drives of real cars, and lanes lifted from them."""

@@ -1,0 +1,89 @@
+"""Lines of sight on the ground: where pixels see it, and which places it hides. World frame, metres."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.recorded.lift.ground import GroundMap
+from synth3dlanes.system.arrays import Points3, Scalars
+from synth3dlanes.world.visibility import along_sights
+
+# Lines of sight are followed so far, in steps of this length; ground without support is bridged for one step at most.
+RANGE_M, STEP_M = 110.0, 2.0
+BISECTIONS = 10
+# A line of sight that falls to the ground by less than this, as a slope, meets it nowhere in particular.
+LEAST_FALL = 1e-3
+# Steps of lines of sight that may be hidden.
+FINE_M = 1.0
+# Ground above a line of sight by less than this, and by less than twice its standard deviation, hides nothing.
+TOLERANCE_M = 0.03
+
+
+class CastPoints(NamedTuple):
+    """Where lines of sight meet the ground, in the world, NaN where they do not; the standard deviation of the ground's
+    height there; and the sine of the angle at which they meet it."""
+
+    xyz_world: Points3
+    height_std_m: Scalars
+    grazing: Scalars
+
+
+def cast(ground: GroundMap, eye_world: Float[np.ndarray, "3"], rays_world: Points3) -> CastPoints:
+    """Follow lines of sight (unit vectors) from an eye to the ground.
+
+    A line meets the ground where it is above it at one step and below it at the next, with support at both.
+    """
+    n = len(rays_world)
+    level = np.linalg.norm(rays_world[:, :2], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ahead = rays_world / np.where(level > 0, level, np.nan)[:, None]
+    away_m = np.arange(1.0, RANGE_M + STEP_M, STEP_M)
+    places = eye_world + ahead[:, None] * away_m[None, :, None]
+    flat = places.reshape(-1, 3)
+    usable = np.isfinite(flat).all(axis=1)
+    height = np.full(len(flat), np.nan)
+    height[usable] = ground.near(flat[usable, :2])
+    above = (flat[:, 2] - height).reshape(n, -1)
+    with np.errstate(invalid="ignore"):
+        crosses = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
+    first = np.argmax(crosses, axis=1)
+    meets = crosses.any(axis=1)
+    near, far = away_m[first], away_m[first + 1]
+    ahead_met = ahead[meets]
+    low, high = near[meets], far[meets]
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        place = eye_world + ahead_met * middle[:, None]
+        with np.errstate(invalid="ignore"):
+            is_above = place[:, 2] > ground.near(place[:, :2])
+        low, high = np.where(is_above, middle, low), np.where(is_above, high, middle)
+    xyz, std, grazing = np.full((n, 3), np.nan), np.full(n, np.nan), np.full(n, np.nan)
+    found = eye_world + ahead_met * ((low + high) / 2)[:, None]
+    slopes = ground.slopes(found[:, :2])
+    # From the planes of single cells to the blended ground, along the line of sight.
+    for _ in range(2):
+        height, height_std = ground.at(found[:, :2])
+        fall = ahead_met[:, 2] - (slopes * ahead_met[:, :2]).sum(axis=1)
+        step = np.nan_to_num((found[:, 2] - height) / np.maximum(-fall, LEAST_FALL))
+        found = found + ahead_met * np.clip(step, -STEP_M / 2, STEP_M / 2)[:, None]
+    height, height_std = ground.at(found[:, :2])
+    found[:, 2] = height
+    normal = np.column_stack([-slopes, np.ones(len(found))])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    known = np.isfinite(height)
+    rows = np.flatnonzero(meets)[known]
+    xyz[rows], std[rows] = found[known], height_std[known]
+    grazing[rows] = -(normal * rays_world[meets]).sum(axis=1)[known]
+    return CastPoints(xyz, std, grazing)
+
+
+def seen_over(ground: GroundMap, eye_world: Float[np.ndarray, "3"], points_world: Points3) -> Bool[np.ndarray, " n"]:
+    """Which points on the ground an eye sees over it. Ground without support hides nothing."""
+    ray, sight = along_sights(eye_world, points_world - eye_world, FINE_M)
+    height, std = ground.at(sight[:, :2])
+    with np.errstate(invalid="ignore"):
+        hidden = height > sight[:, 2] + TOLERANCE_M + 2 * std
+    seen = np.ones(len(points_world), dtype=bool)
+    seen[ray[hidden]] = False
+    return seen

@@ -1,0 +1,47 @@
+"""How exact a drive is said to be: what its calibration, its poses and its 2D lanes are off by."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.system.errors import InputError
+
+MOST = 1000.0
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Standard deviations: of lines in pixels, of poses in metres and degrees, of the places of lidar and camera on the
+    host (the same in all frames), of marks in the top view in metres. Where the lines of many frames agree better or
+    worse, up to three times, that counts instead."""
+
+    lanes_px: float = 2.0
+    pose_m: float = 0.02
+    pose_deg: float = 0.05
+    calibration_m: float = 0.01
+    calibration_deg: float = 0.05
+    marked_m: float = 0.05
+
+    @staticmethod
+    def of(values: Mapping[str, float]) -> "Precision":
+        """The usual precision but for these values. Raises InputError for a name or a number that cannot be."""
+        names = [item.name for item in fields(Precision)]
+        for name, value in values.items():
+            if name not in names or not 0 <= value <= MOST:
+                expected = f"numbers from 0 to {MOST:g} for {', '.join(names)}"
+                raise InputError(f"precision: expected {expected}, got {name}={value}")
+        return Precision(**values)
+
+    def pose_at(self, far_m: Scalars) -> Scalars:
+        """What an error of the pose moves a point by that is so far from the host."""
+        return np.hypot(self.pose_m, far_m * np.radians(self.pose_deg))
+
+    def calibration_at(self, far_m: Scalars) -> Scalars:
+        """What an error of the calibration moves a point by that is so far from the sensor."""
+        return np.hypot(self.calibration_m, far_m * np.radians(self.calibration_deg))
+
+
+# Of a drive without any error: what rounding leaves.
+NO_ERROR = Precision(0.1, 0.001, 0.001, 0.0, 0.0, 0.005)

@@ -1,0 +1,1 @@
+"""Roads: the paper's numbers or a map -> Network; OpenDRIVE read."""

@@ -1,0 +1,198 @@
+"""The curves of lanes along roads: centre lines of paths, and painted lines. World frame, metres."""
+
+from collections.abc import Container, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.labels.labels import Direction, LaneKind, Marking, Pair
+from synth3dlanes.roads.roads import NetworkLane, Offset, Road, lift
+from synth3dlanes.system.arrays import AnyScalars
+
+# Lengths along a curve of a map are measured in steps of this length.
+KNOT_M = 0.5
+# A neighbour that ends within this of a station is not beside it.
+ENDED_M = 0.01
+
+
+class LinePaint(NamedTuple):
+    """The paint of a line that has its own, as those of maps: other ones are as the scene's `Markings` say."""
+
+    yellow: bool
+    width_m: float
+    is_double: bool = False
+    pair: Pair | None = None
+    is_dotted: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A line along a road from one station of its curve to another. They are the road's own or, with `knots`, lengths:
+    some of these, and the road's stations there, which fall where `along` is -1."""
+
+    road: Road
+    offset: Offset
+    start_m: float
+    end_m: float
+    knots: tuple[AnyScalars, AnyScalars] | None = None
+    along: float = 1.0
+
+    def on(self, s: AnyScalars) -> AnyScalars:
+        """Stations of the road."""
+        return s if self.knots is None else np.interp(s, *self.knots)
+
+    def station(self, road_s: float) -> float:
+        """The curve's station at one of the road's."""
+        if self.knots is None:
+            return road_s
+        lengths_m, stations = self.knots
+        return float(np.interp(road_s * self.along, stations * self.along, lengths_m))
+
+
+class Neighbour(NamedTuple):
+    """A line beside a stretch of a curve, from one of its stations to another."""
+
+    id: str
+    is_right: bool
+    start_m: float = -np.inf
+    end_m: float = np.inf
+
+
+def neighbours(left: str | None, right: str | None) -> tuple[Neighbour, ...]:
+    """The lines beside a curve that has the same ones along all of it."""
+    return tuple(Neighbour(name, is_right) for name, is_right in ((left, False), (right, True)) if name is not None)
+
+
+@dataclass(frozen=True)
+class LaneCurve:
+    """The centre line of a path through the lanes, or a painted line, from `start_m` to `end_m`; its pieces follow each
+    other. `direction` is as in the labels; `is_inner` says whether a delimiter faces the oncoming traffic, or is the
+    left edge of a road without any. `lanes` are those of a path, as s grows. In a map, stations are lengths along the
+    curve; `connector` and `junction` are as in the labels, and lines have their own `paint`."""
+
+    id: str
+    kind: LaneKind
+    road: str
+    marking: Marking
+    neighbours: tuple[Neighbour, ...]
+    pieces: tuple[Piece, ...]
+    start_m: float = -np.inf
+    end_m: float = np.inf
+    direction: Direction = "same"
+    is_inner: bool = False
+    lanes: tuple[NetworkLane, ...] = ()
+    connector: bool | None = None
+    junction: str | None = None
+    paint: LinePaint | None = None
+
+    def beside(self, is_right: bool, from_m: float, known: Container[str]) -> str | None:
+        """The line on a side at a station, or the first that follows; of those that are known."""
+        ahead = [
+            at for at in self.neighbours if at.is_right == is_right and at.end_m > from_m + ENDED_M and at.id in known
+        ]
+        return min(ahead, key=lambda at: at.start_m).id if ahead else None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether its stations are lengths along it, as those of maps are."""
+        return self.pieces[0].knots is not None
+
+    def xy_world(self, s: AnyScalars) -> Float[np.ndarray, "n 2"]:
+        """World (x, y) at stations."""
+        if len(self.pieces) == 1:
+            piece = self.pieces[0]
+            on = piece.on(s)
+            return piece.road.xy(on, piece.offset(on))
+        xy = np.zeros((*s.shape, 2))
+        for at, piece in self._parts(s):
+            on = piece.on(np.minimum(s[at], piece.end_m))
+            xy[at] = piece.road.xy(on, piece.offset(on))
+        return xy
+
+    def points_world(self, s: AnyScalars) -> Float[np.ndarray, "n 3"]:
+        """Points on the road surface at stations."""
+        if self.is_measured:
+            return self.points_beside(s, np.zeros(s.shape))
+        return lift(self.pieces[0].road.terrain, self.xy_world(s), self.raised(s))
+
+    def points_beside(self, s: AnyScalars, right_m: AnyScalars) -> Float[np.ndarray, "n 3"]:
+        """Points on the road surface beside a measured curve, to the right of its own direction."""
+        found = np.zeros((*s.shape, 3))
+        for at, piece in self._parts(s):
+            on = piece.on(s[at])
+            found[at] = piece.road.points(on, piece.offset(on) + right_m[at] * piece.along)
+        return found
+
+    def raised(self, s: AnyScalars) -> AnyScalars:
+        """Height of the road surface above the terrain at stations."""
+        height_m = np.zeros(s.shape)
+        for at, piece in self._parts(s):
+            on = piece.on(s[at])
+            height_m[at] = piece.road.raised(on, piece.offset(on))
+        return height_m
+
+    def shifted(self, t_m: float) -> "LaneCurve":
+        """The curve `t_m` beside it; of a map, to the right of its own direction, at the same stations."""
+        if not self.is_measured:
+            parts = ((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces)
+            return replace(self, pieces=joined(parts))
+        aside = (replace(piece, offset=piece.offset.shifted(t_m * piece.along)) for piece in self.pieces)
+        return replace(self, pieces=tuple(aside))
+
+    def has(self, s: AnyScalars) -> Bool[np.ndarray, "*n"]:
+        """At which stations it is: within its ends, and not between two of its pieces."""
+        inside = (s > self.start_m) & (s < self.end_m)
+        for a, b in pairwise(self.pieces):
+            inside &= (s >= b.start_m) | (s <= a.end_m)
+        return np.asarray(inside)
+
+    def lane_at(self, s: float) -> NetworkLane:
+        """The lane of a path at a station."""
+        if not self.is_measured:
+            return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
+        return self.lanes[self.piece_at(s)]
+
+    def piece_at(self, s: float) -> int:
+        """The number of the piece at a station; before the first one it, too."""
+        return max(sum(s >= piece.start_m for piece in self.pieces) - 1, 0)
+
+    def _parts(self, s: AnyScalars) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
+        """Which stations lie on each piece; the first and the last one have no outer ends."""
+        ends = [-np.inf, *(piece.start_m for piece in self.pieces[1:]), np.inf]
+        for piece, (low, high) in zip(self.pieces, pairwise(ends), strict=True):
+            yield (s >= low) & (s < high), piece
+
+
+def joined(parts: Iterable[tuple[Road, Offset, float]]) -> tuple[Piece, ...]:
+    """The pieces of a curve from where each begins. One ends where the next begins or, on another road, beside that
+    place."""
+    merged: list[tuple[Road, Offset, float]] = []
+    for road, offset, start_m in parts:
+        if not merged or (road, offset) != merged[-1][:2]:
+            merged.append((road, offset, start_m))
+    pieces = []
+    for (road, offset, start_m), (after, beyond, next_m) in pairwise(merged):
+        end_m = next_m
+        if after is not road:
+            at = np.array([next_m])
+            end_m = min(next_m, float(road.line.project(after.xy(at, beyond(at)))[0][0]))
+        pieces.append(Piece(road, offset, start_m, end_m))
+    road, offset, start_m = merged[-1]
+    return (*pieces, Piece(road, offset, start_m, np.inf))
+
+
+def measured(parts: Iterable[tuple[Road, Offset, float, float]]) -> tuple[Piece, ...]:
+    """The pieces of a curve whose stations are lengths from above, of a road, an offset, and its road's stations where
+    it begins and ends there."""
+    pieces, length_m = [], 0.0
+    for road, offset, first, last in parts:
+        stations = np.linspace(first, last, 2 + int(abs(last - first) / KNOT_M))
+        steps = np.diff(road.xy(stations, offset(stations)), axis=0)
+        lengths_m = length_m + np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+        along = 1.0 if last > first else -1.0
+        pieces.append(Piece(road, offset, length_m, float(lengths_m[-1]), (lengths_m, stations), along))
+        length_m = float(lengths_m[-1])
+    return tuple(pieces)

@@ -1,0 +1,221 @@
+"""Reference lines of maps: spirals, with straight lines and arcs among them, cubics, polylines, and chains of these.
+World frame, metres; stations are lengths, of a cubic its parameter."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from synth3dlanes.roads.maps.cubics import SAME_M
+from synth3dlanes.roads.reference_line import LineFrames, ReferenceLine, paired
+from synth3dlanes.scene.road_map import PlanPiece
+from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Polyline2
+
+# A point's station is looked for among places this far apart.
+GUESS_STEP_M = 4.0
+# Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns.
+NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
+NODES = NODES + 0.5
+# An arc of less curvature (1/m) is a parabola here, to a tenth of a millimetre in a kilometre.
+STRAIGHT = 1e-9
+# Lengths along a cubic are measured in so many steps.
+CUBIC_STEPS = 2000
+# Metres per parameter; what is slower stands still.
+LEAST_SPEED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteLine(ReferenceLine):
+    """A line over `length_m` of stations from `start_m` on; before and behind them it goes on by its own formula."""
+
+    length_m: float
+    start_m: float = field(default=0.0, kw_only=True)
+
+    @cached_property
+    def _samples(self) -> tuple[Float[np.ndarray, " k"], Polyline2]:
+        s = self.start_m + np.linspace(0, self.length_m, 2 + int(self.length_m / GUESS_STEP_M))
+        return s, self.frames(s).points_world
+
+    def guess(self, xy_world: AnyPoints2) -> AnyScalars:
+        """The station of the nearest of some places."""
+        s, _ = self._samples
+        return np.asarray(s[self.tree.query(xy_world)[1]])
+
+    @property
+    def stations(self) -> Float[np.ndarray, " k"]:
+        """The stations of its places."""
+        return self._samples[0]
+
+    @cached_property
+    def tree(self) -> "scipy.spatial.cKDTree":
+        """Its places GUESS_STEP_M apart or closer, to look for near ones."""
+        return scipy.spatial.cKDTree(self._samples[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Spiral(FiniteLine):
+    """A line whose curvature (to the left, 1/m) changes evenly by `bends` per metre: a straight line if both are 0, an
+    arc if `bends` is. `heading_rad` is counter-clockwise from world x."""
+
+    start_world: tuple[float, float]
+    heading_rad: float
+    curvature: float = 0.0
+    bends: float = 0.0
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Place, heading, curvature and its change, as `spiral_frames` takes them."""
+        return (*self.start_world, self.heading_rad, self.curvature, self.bends)
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        return spiral_frames(np.broadcast_to(self.numbers, (*s.shape, 5)), s)
+
+
+def spiral_frames(numbers: Float[np.ndarray, "*n 5"], s: AnyScalars) -> LineFrames:
+    """Spirals, each by its `numbers`, at one station each."""
+    x, y, first_rad, curvature, bends = (numbers[..., i] for i in range(5))
+    heading = first_rad + s * (curvature + bends * s / 2)
+    normals = paired(np.sin(heading), -np.cos(heading))
+    first = paired(np.sin(first_rad), -np.cos(first_rad))
+    bent, straight = bends != 0, np.abs(curvature) <= STRAIGHT
+    way = (normals - first) / np.where(straight, 1.0, curvature)[..., None]
+    at = straight & ~bent
+    if at.any():
+        # To the second order, below which an arc so wide does not differ.
+        along = paired(-first[at][:, 1], first[at][:, 0])
+        way[at] = s[at][:, None] * along - (curvature[at] * s[at] ** 2 / 2)[:, None] * first[at]
+    if bent.any():
+        nodes = s[bent][:, None] * NODES
+        u = first_rad[bent][:, None] + nodes * (curvature[bent][:, None] + bends[bent][:, None] * nodes / 2)
+        way[bent] = s[bent][:, None] * (WEIGHTS[:, None] * paired(np.cos(u), np.sin(u))).sum(axis=-2)
+    return LineFrames(paired(x, y) + way, normals, np.ones(s.shape), -(curvature + bends * s))
+
+
+@dataclass(frozen=True, eq=False)
+class Cubic(FiniteLine):
+    """A line of two cubics of its parameter, each by its coefficients from the constant on."""
+
+    x: tuple[float, float, float, float]
+    y: tuple[float, float, float, float]
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        values = [
+            (a + s * (b + s * (c + s * d)), b + s * (2 * c + s * 3 * d), 2 * c + s * 6 * d)
+            for a, b, c, d in (self.x, self.y)
+        ]
+        (px, py), (dx, dy), (ddx, ddy) = zip(*values, strict=True)
+        # In a cusp the curve stands still and has no normal.
+        speed = np.maximum(np.hypot(dx, dy), LEAST_SPEED)
+        normals = paired(dy, -dx) / speed[..., None]
+        return LineFrames(paired(px, py), normals, speed, (dy * ddx - dx * ddy) / speed**2)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCubic(FiniteLine):
+    """A cubic by the length along it, scaled to `length_m`."""
+
+    cubic: Cubic
+
+    @cached_property
+    def _knots(self) -> tuple[AnyScalars, AnyScalars]:
+        """Parameters, and the stations there."""
+        parameter = np.linspace(0, self.cubic.length_m, CUBIC_STEPS + 1)
+        speed = self.cubic.frames((parameter[1:] + parameter[:-1]) / 2).speed
+        lengths_m = np.concatenate([[0.0], np.cumsum(speed)])
+        return parameter, lengths_m * (self.length_m / lengths_m[-1])
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        parameter, stations = self._knots
+        ends = np.array([0, -1])
+        per_m = np.diff(parameter)[ends] / np.diff(stations)[ends]
+        at = np.interp(s, stations, parameter)
+        at = at + np.minimum(s, 0) * per_m[0] + np.maximum(s - self.length_m, 0) * per_m[1]
+        points, normals, speed, turn = self.cubic.frames(at)
+        # The cubic's own length per metre of station, which is 1 where the given length is right.
+        scale = self._scale
+        return LineFrames(points, normals, np.full(s.shape, scale), turn / speed * scale)
+
+    @cached_property
+    def _scale(self) -> float:
+        parameter = np.linspace(0, self.cubic.length_m, CUBIC_STEPS + 1)
+        speed = self.cubic.frames((parameter[1:] + parameter[:-1]) / 2).speed
+        return float(speed.mean() * self.cubic.length_m / self.length_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain(FiniteLine):
+    """Lines one after the other, each from where the previous one ends; the outer ones go on."""
+
+    lines: Sequence[FiniteLine]
+
+    @classmethod
+    def of(cls, lines: Sequence[FiniteLine]) -> "Chain":
+        """The chain of these lines."""
+        return cls(sum(line.length_m for line in lines), lines)
+
+    @classmethod
+    def through(cls, points_world: Polyline2) -> "Chain":
+        """A polyline."""
+        steps = np.diff(points_world, axis=0)
+        ways = zip(points_world.tolist(), steps.tolist(), strict=False)
+        return cls.of([Spiral(float(np.hypot(dx, dy)), (x, y), float(np.arctan2(dy, dx))) for (x, y), (dx, dy) in ways])
+
+    @cached_property
+    def _starts(self) -> Float[np.ndarray, " k"]:
+        return np.cumsum([self.start_m, *(line.length_m for line in self.lines[:-1])])
+
+    @cached_property
+    def _numbers(self) -> Float[np.ndarray, "k 5"] | None:
+        """Those of all lines, if each is a spiral."""
+        lines = [line for line in self.lines if isinstance(line, Spiral)]
+        return np.array([line.numbers for line in lines]) if len(lines) == len(self.lines) else None
+
+    def within(self, start_m: float, end_m: float) -> "Chain":
+        """The lines between two stations, the outer ones with all their length: at the end, the one before it."""
+        first = max(int(np.searchsorted(self._starts, start_m + SAME_M, side="right")) - 1, 0)
+        last = max(int(np.searchsorted(self._starts, end_m - SAME_M)), first + 1)
+        lines = self.lines[first:last]
+        return Chain(sum(line.length_m for line in lines), lines, start_m=float(self._starts[first]))
+
+    def frames(self, s: AnyScalars) -> LineFrames:
+        """The line at stations."""
+        if len(self.lines) == 1:
+            return self.lines[0].frames(s - self.start_m)
+        starts = self._starts
+        which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
+        first = int(which.min(initial=len(starts) - 1))
+        if first == which.max(initial=first):
+            return self.lines[first].frames(s - starts[first])
+        if self._numbers is not None:
+            return spiral_frames(self._numbers[which], s - starts[which])
+        found = LineFrames(np.zeros((*s.shape, 2)), np.zeros((*s.shape, 2)), np.ones(s.shape), np.zeros(s.shape))
+        for i in np.unique(which):
+            at = which == i
+            for whole, part in zip(found, self.lines[i].frames(s[at] - starts[i]), strict=True):
+                whole[at] = part
+        return found
+
+
+def plan_line(plan: Sequence[PlanPiece]) -> Chain:
+    """The reference line of a road's plan."""
+    lines = ((piece.length_m, line_of(piece)) for piece in plan)
+    return Chain.of([MeasuredCubic(m, line) if isinstance(line, Cubic) else line for m, line in lines])
+
+
+def line_of(piece: PlanPiece) -> Spiral | Cubic:
+    """The line of a piece of a plan; the stations of a cubic are its parameter."""
+    start, length_m = (piece.x_m, piece.y_m), piece.length_m
+    if piece.u is None or piece.v is None:
+        bends = (piece.curvature_end - piece.curvature) / length_m
+        return Spiral(length_m, start, piece.heading_rad, piece.curvature, bends)
+    cos, sin = float(np.cos(piece.heading_rad)), float(np.sin(piece.heading_rad))
+    (x0, *x), (y0, *y) = (
+        [a * u + b * v for u, v in zip(piece.u, piece.v, strict=True)] for a, b in ((cos, -sin), (sin, cos))
+    )
+    return Cubic(piece.parameter_end, (x0 + start[0], x[0], x[1], x[2]), (y0 + start[1], y[0], y[1], y[2]))

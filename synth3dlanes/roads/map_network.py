@@ -1,0 +1,337 @@
+"""The network of a map: its roads have stations of their own, and the host drives along a route. World frame, metres;
+the rules are in docs/network.md."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from synth3dlanes.geometry.frames import cross
+from synth3dlanes.labels.labels import LaneGraph, Segment
+from synth3dlanes.roads.lane_curves import LaneCurve, measured
+from synth3dlanes.roads.maps.cubics import SAME_M
+from synth3dlanes.roads.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
+from synth3dlanes.roads.roads import NetworkLane, Road
+from synth3dlanes.roads.section_road import SectionRoad
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.system.arrays import AnyPoints3, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.system.errors import InputError
+
+# Points of the labels are this far apart, measured along each line from its beginning.
+STEP_M = 1.0
+# The surface's normal is measured over this length to both sides.
+ACROSS_M = 0.5
+# The host's direction is measured over this length to both sides.
+TANGENT_M = 0.01
+# Roads of maps turn: what lies so many times as far from a place, from above, is near it.
+AS_FAR = 2.0
+
+
+class Junction(NamedTuple):
+    """A junction: its connecting roads, the outline of its pavement where the map has one, and pairs of lanes, the
+    first of which yields to the second."""
+
+    id: str
+    roads: tuple[SectionRoad, ...]
+    outline: Points2
+    yields: tuple[tuple[str, str], ...]
+
+
+class _Samples(NamedTuple):
+    """Points of lines one after the other: their lengths along them, their places, and where each line starts."""
+
+    s: Scalars
+    xy_world: Float[np.ndarray, "n 2"]
+    starts: Int[np.ndarray, " _"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MapNetwork(Network):
+    """Roads with stations of their own. `given_paths` are its centre lines: on through links where there is only one
+    way, up to a junction, and every connector through one. `way` is the host's."""
+
+    roads: tuple[SectionRoad, ...]
+    given_paths: tuple[LaneCurve, ...]
+    junctions: tuple[Junction, ...]
+    way: LaneCurve
+
+    @property
+    def paths(self) -> tuple[LaneCurve, ...]:
+        """The centre lines."""
+        return self.given_paths
+
+    @property
+    def lane_width_m(self) -> float:
+        """Width of the host's lane where its way begins."""
+        return self.way.lanes[0].width_m
+
+    @property
+    def across(self) -> LanePattern:
+        """Lanes lie one beside the other across the texture of every road."""
+        return LanePattern(self.lane_width_m, 0)
+
+    @property
+    def main(self) -> SectionRoad:
+        """The road where the host's way begins."""
+        return self.road(self.way.lanes[0].road)
+
+    @cached_property
+    def lanes(self) -> dict[str, NetworkLane]:
+        """All lanes by id."""
+        return {lane.id: lane for road in self.roads for lane in road.lanes}
+
+    @cached_property
+    def _path_of(self) -> dict[str, LaneCurve]:
+        return {lane.id: path for path in self.paths for lane in path.lanes}
+
+    @cached_property
+    def _road_of(self) -> dict[str, SectionRoad]:
+        return {road.id: road for road in self.roads}
+
+    def road(self, name: str) -> SectionRoad:
+        """A road by its id. Raises InputError for one that is too far from the host."""
+        if name not in self._road_of:
+            raise InputError(f"map: expected roads near the host, got {name}")
+        return self._road_of[name]
+
+    def path(self, lane: str) -> LaneCurve:
+        """The centre line along a lane. Raises InputError for one that is too far from the host, or has no width."""
+        if lane not in self._path_of:
+            raise InputError(f"map: expected lanes of traffic near the host, with a width, got {lane}")
+        return self._path_of[lane]
+
+    # -- the host and the cars
+
+    def host_points(self, camera: Camera, ahead_m: AnyScalars) -> AnyPoints3:
+        """Points on the host's way, its offset from its lane included, at lengths ahead of its place."""
+        way = self.way.shifted(camera.offset_m) if camera.offset_m else self.way
+        return way.points_world(camera.y_m + ahead_m)
+
+    def up(self, camera: Camera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """The unit normal of the surface at the host's place."""
+        s = np.array([camera.y_m])
+        left, right = (self.way.shifted(camera.offset_m + t_m).points_world(s)[0] for t_m in (-ACROSS_M, ACROSS_M))
+        behind, ahead = self.host_points(camera, np.array([-ACROSS_M, ACROSS_M]))
+        normal = cross(right - left, ahead - behind)
+        return np.asarray(normal / np.linalg.norm(normal))
+
+    def host_way(self, camera: Camera) -> LaneCurve:
+        """The host's way."""
+        return self.way
+
+    def host_lines(self, camera: Camera) -> list[str]:
+        """The centre lines that the host drives along, from its place on."""
+        lanes = self.way.lanes[self.way.piece_at(camera.y_m) :]
+        return list(dict.fromkeys(self.path(lane.id).id for lane in lanes))
+
+    def host_lane(self, number: int, driven_m: float) -> NetworkLane:
+        """The lane of the host's way at a length along it."""
+        return self.way.lanes[self.way.piece_at(driven_m)]
+
+    def host_on(self, camera: Camera, driven_m: float) -> Camera:
+        """The host at another length of its way."""
+        return camera.model_copy(update={"y_m": driven_m})
+
+    def car_way(self, car: Car) -> tuple[LaneCurve, float]:
+        """The way of a car through its lanes, as it drives, and the length along it of its place. Raises InputError as
+        `path` does for its lane."""
+        self.path(car.lane)
+        lanes = [self.lanes[name] for name in (car.lane, *car.route) if name in self.lanes]
+        way = self.way_through(lanes)
+        return way, way.pieces[0].station(car.s_m)
+
+    def car_on(self, car: Car, driven_m: float) -> Car:
+        """A car at another length of its way."""
+        way, _ = self.car_way(car)
+        at = way.piece_at(driven_m)
+        piece = way.pieces[at]
+        s_m = float(piece.on(np.array([min(driven_m, piece.end_m)]))[0])
+        return car.model_copy(update={"s_m": s_m, "lane": way.lanes[at].id, "route": car.route[at:]})
+
+    def way_through(self, lanes: Sequence[NetworkLane]) -> LaneCurve:
+        """The centre line along lanes that follow each other, as their traffic drives."""
+        pieces = measured((self.road(lane.road).stretch_of(lane), lane.middle, *lane.driven) for lane in lanes)
+        first = lanes[0]
+        ends = 0.0, pieces[-1].end_m
+        return LaneCurve(first.id, "centerline", first.road, "none", (), pieces, *ends, lanes=tuple(lanes))
+
+    def in_lane(self, lane: str, driven_m: AnyScalars) -> tuple[LaneCurve, AnyScalars]:
+        """The centre line along a lane, and the lengths along it at stations of the lane's road."""
+        path = self.path(lane)
+        piece = next(piece for at, piece in zip(path.lanes, path.pieces, strict=True) if at.id == lane)
+        return path, np.vectorize(piece.station, otypes=[float])(driven_m)
+
+    # -- labels
+
+    @cached_property
+    def _samples(self) -> "_Samples":
+        """Points of all lines STEP_M apart, and their ends."""
+        parts = []
+        for curve in self.curves:
+            s = np.append(np.arange(0.0, curve.end_m - APART_M, STEP_M), curve.end_m)
+            parts.append((s, curve.xy_world(s)))
+        starts = np.cumsum([0, *(len(s) for s, _ in parts)])
+        nothing = np.zeros(0), np.zeros((0, 2))
+        lengths, points = zip(nothing, *parts, strict=True)
+        return _Samples(np.concatenate(lengths), np.concatenate(points), starts)
+
+    def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+        """The lengths of the points of every line that are within the greatest of these lengths of the host, and not
+        farther behind it than the least, with those between them, in the line's order."""
+        (near,), found = self._near(camera, np.array([camera.y_m]), lengths_m), {}
+        for curve, (first, end) in zip(self.curves, pairwise(self._samples.starts), strict=True):
+            inside = np.flatnonzero(near[first:end])
+            if inside.size:
+                found[curve] = self._samples.s[first + inside[0] : first + inside[-1] + 1]
+        return found
+
+    def known(self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
+        """The ids of the lines that are in range of the host at any of some lengths of its way."""
+        seen, starts = np.zeros(len(self.curves), dtype=bool), self._samples.starts[:-1]
+        for near in self._near(camera, places_m, lengths_m):
+            seen |= np.add.reduceat(near.astype(int), starts) > 1
+        return {curve.id for curve, is_seen in zip(self.curves, seen, strict=True) if is_seen}
+
+    def _near(
+        self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]
+    ) -> Iterator[Bool[np.ndarray, " _"]]:
+        """For each length of the host's way: which samples are in range."""
+        xy = self._samples.xy_world
+        steps = np.array([-TANGENT_M, TANGENT_M])
+        feet = self.host_points(camera, places_m - camera.y_m)[:, :2]
+        for foot, y_m in zip(feet, places_m.tolist(), strict=True):
+            behind, ahead = self.host_points(camera, y_m - camera.y_m + steps)[:, :2]
+            forward, to = (ahead - behind) / np.linalg.norm(ahead - behind), xy - foot
+            yield (to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= lengths_m[-1])
+
+    def known_at(self, n_frames: int) -> int:
+        """The number of instants of a clip that have between them all lines of any frame: all."""
+        return n_frames
+
+    def graph(self, centerlines: Sequence[str]) -> LaneGraph:
+        """The lane graph of the labels: the lanes of the given centre lines."""
+        given = set(centerlines)
+        kept = {lane.id: path.id for path in self.paths if path.id in given for lane in path.lanes}
+        numbered = {(lane.section, lane.number): lane.id for lane in self.lanes.values()}
+        segments = []
+        for lane in self.lanes.values():
+            if lane.id in kept:
+                left, right = (numbered.get((lane.section, lane.number + step)) for step in (-1, 1))
+                segments.append(
+                    Segment(
+                        lane.id,
+                        lane.road,
+                        lane.number,
+                        *lane.driven,
+                        left if left in kept else None,
+                        right if right in kept else None,
+                        (kept[lane.id],),
+                        lane.junction,
+                    )
+                )
+        successors: dict[str, tuple[str, ...]] = {}
+        for before, after in sorted(self.links):
+            if before in kept and after in kept:
+                successors[before] = (*successors.get(before, ()), after)
+        yields = tuple(pair for at in self.junctions for pair in at.yields if pair[0] in kept and pair[1] in kept)
+        return LaneGraph(tuple(segments), successors, None, yields)
+
+    def neighbours(self, segment: Segment) -> tuple[str | None, str | None]:
+        """The lanes to the left and the right of one of the lane graph, as its own traffic drives."""
+        return segment.left, segment.right
+
+    # -- places
+
+    def lane_lines(
+        self, lane: NetworkLane, xy_world: Float[np.ndarray, "2"], reach_m: float
+    ) -> tuple[Points3, Points3, Points3] | None:
+        """A lane's middle, its left and its right edge, as its traffic drives: points i are beside each other. None
+        where it is farther from a place than about `reach_m`."""
+        road, (first_m, last_m) = self.road(lane.road), lane.driven
+        s = np.linspace(first_m, last_m, max(2 + int(abs(last_m - first_m) / LINES_STEP_M), 3))
+        middle, low, high = (road.stretch_of(lane).points(s, offset(s)) for offset in road.lines_of(lane))
+        if not _is_near(middle, xy_world, reach_m):
+            return None
+        return (middle, low, high) if lane.ascends else (middle, high, low)
+
+    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Points2]:
+        """Places along the painted lines within about `reach_m` of a place."""
+        points = ((line, np.linspace(0.0, line.end_m, 2 + int(line.end_m / LINES_STEP_M))) for line in self.delimiters)
+        found = {line: line.xy_world(s) for line, s in points}
+        return {line: xy for line, xy in found.items() if _is_near(xy, xy_world, reach_m)}
+
+    def along_host(self, driven_m: Scalars) -> Points3:
+        """Points on the host's way at lengths along it; those beyond its ends are left out."""
+        return self.way.points_world(np.unique(np.clip(driven_m, 0.0, self.way.end_m)))
+
+    def road_stations(self, road: Road, camera: Camera, behind_m: float, ahead_m: float) -> Scalars:
+        """Stations along a road, on both sides of where a section begins; none where it is farther than `ahead_m` from
+        the host, from above."""
+        own = self.road(road.id)
+        begins = np.array([section.start_m for section in own.sections[1:]])
+        s = np.union1d(own.plan.stations, [begins - SAME_M, begins])
+        away_m = np.hypot(*(road.xy(s, 0.0) - self.host_points(camera, np.zeros(1))[0, :2]).T)
+        return s if (away_m < ahead_m).any() else s[:0]
+
+    def nearby(
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars | Mapping[str, float]
+    ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
+        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
+        near. A mapping gives the reach of each road by its id; without one there, a road is left out."""
+        found, near = [], np.zeros(len(xy_world), dtype=bool)
+        order = np.argsort(xy_world[:, 0])
+        x = xy_world[order, 0]
+        for road, low, high, half_m in self._boxes:
+            own_m = reach_m.get(road.id) if isinstance(reach_m, Mapping) else reach_m
+            if own_m is None:
+                continue
+            reach = np.broadcast_to(own_m, near.shape)
+            farthest_m = float(reach.max(initial=0.0))
+            first, end = np.searchsorted(x, [low[0] - farthest_m, high[0] + farthest_m])
+            at = order[first:end]
+            y = xy_world[at, 1]
+            at = np.sort(at[(y > low[1] - farthest_m) & (y < high[1] + farthest_m)])
+            if not at.size:
+                continue
+            apart_m, place = road.plan.tree.query(xy_world[at])
+            close = apart_m < half_m + reach[at]
+            at = at[close]
+            if at.size:
+                guess = road.plan.stations[np.asarray(place)[close]]
+                found.append((road, at, *road.line.project(xy_world[at], guess)))
+                near[at] = True
+        rows = np.cumsum(near) - 1
+        listed = []
+        for road, at, s, t in found:
+            which = np.zeros(int(near.sum()), dtype=bool)
+            which[rows[at]] = True
+            listed.append(Nearby(road, which, s, t))
+        return near, listed
+
+    @cached_property
+    def _boxes(self) -> list[tuple[SectionRoad, Float[np.ndarray, "2"], Float[np.ndarray, "2"], float]]:
+        """Of every road: the corners of a box around its pavement, and the farthest that this is from a place of its
+        line."""
+        found = []
+        for road in self._road_of.values():
+            s = road.plan.stations
+            left, right = road.left(s), road.right(s)
+            xy = np.concatenate([road.xy(s, left), road.xy(s, right)])
+            step_m = float(s[1] - s[0])
+            half_m = float(max(np.abs(left).max(), np.abs(right).max())) + step_m
+            found.append((road, xy.min(axis=0) - step_m, xy.max(axis=0) + step_m, half_m))
+        return found
+
+    def around(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> "MapNetwork":
+        """Itself: it has been read around its host."""
+        return self
+
+
+def _is_near(points: Float[np.ndarray, "n _"], xy_world: Float[np.ndarray, "2"], reach_m: float) -> bool:
+    """Whether any of some points is within about `reach_m` of a place."""
+    return bool((np.linalg.norm(points[:, :2] - xy_world, axis=1) < AS_FAR * reach_m).any())

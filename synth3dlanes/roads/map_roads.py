@@ -1,0 +1,238 @@
+"""A scene's map -> Network: its roads near a place with their sections, lanes, paths and painted lines, and junctions.
+The rules are in docs/network.md; World frame, metres."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from synth3dlanes.labels.labels import Direction
+from synth3dlanes.roads.lane_curves import LaneCurve, measured
+from synth3dlanes.roads.map_lines import plan_line
+from synth3dlanes.roads.map_network import Junction, MapNetwork
+from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
+from synth3dlanes.roads.roads import NetworkLane, Offset
+from synth3dlanes.roads.section_road import CrossSection, SectionRoad
+from synth3dlanes.scene.road_map import JUMP_M, MapRoad, RoadMap
+from synth3dlanes.scene.scene import Terrain
+
+# Roads farther from the host than this are left out.
+AROUND_M = 450.0
+# A path goes on over a gap along it of less than this; its direction is measured over this length.
+GAP_M, TANGENT_M = 1.0, 0.01
+# Lanes that are nowhere wider are none.
+LEAST_WIDTH_M = 0.1
+
+
+def map_network(roads: RoadMap, terrain: Terrain, at_m: float) -> MapNetwork:
+    """The roads of a map within AROUND_M of the place at a length along its route, and those of the route."""
+    return _Reading(roads, terrain).network(at_m)
+
+
+class _Reading:
+    """A map and what is made of it step by step."""
+
+    def __init__(self, roads: RoadMap, terrain: Terrain) -> None:
+        self.map, self.terrain, self.route = roads, terrain, frozenset(roads.route)
+
+    def network(self, at_m: float) -> MapNetwork:
+        near = self._near(at_m)
+        lanes = {lane.id: lane for road in near for lane in road.lanes}
+        links = [link for link in self.map.links if link[0] in lanes and link[1] in lanes]
+        stretches = {lane.id: road.stretch_of(lane) for road in near for lane in road.lanes}
+        chains = list(_chains(list(lanes.values()), links, lambda a, b: _meets(lanes[a], lanes[b], stretches)))
+        directions = self._directions(lanes, links, chains)
+        lanes = {name: replace(lane, direction=directions[name]) for name, lane in lanes.items()}
+        roads = {road.id: replace(road, lanes=tuple(lanes[lane.id] for lane in road.lanes)) for road in near}
+        paths = [self._path([lanes[name] for name in chain], roads) for chain in chains]
+        path_of = {lane.id: path.id for path in paths for lane in path.lanes}
+        given = {road.id: road for road in self.map.roads}
+        drawn = list(
+            lines([edge for road in roads.values() for edge in edges_of(given[road.id], road)], lanes, path_of)
+        )
+        beside = beside_lanes(drawn)
+        junctions = tuple(
+            Junction(
+                at.id,
+                tuple(road for road in roads.values() if road.junction == at.id),
+                np.array(at.outline, float).reshape(-1, 2),
+                tuple(pair for pair in at.yields if pair[0] in lanes and pair[1] in lanes),
+            )
+            for at in self.map.junctions
+        )
+        return MapNetwork(
+            self.terrain,
+            roads=tuple(roads.values()),
+            delimiters=tuple(line for line, _ in drawn),
+            links=tuple(links),
+            given_paths=tuple(bounded(path, beside) for path in paths),
+            junctions=tuple(at for at in junctions if at.roads),
+            way=self._route(roads, lanes),
+        )
+
+    # -- roads
+
+    def _near(self, at_m: float) -> list[SectionRoad]:
+        """The roads within AROUND_M of a place along the route, and those of the route."""
+        wanted = {name.rsplit(".", 2)[0] for name in self.map.route}
+        by_id = {road.id: self._road(road) for road in self.map.roads if road.id in wanted}
+        lanes = {lane.id: lane for road in by_id.values() for lane in road.lanes}
+        host = self._route(by_id, lanes).xy_world(np.array([at_m]))[0]
+        found = []
+        for road in self.map.roads:
+            if road.id in by_id:
+                found.append(by_id[road.id])
+            elif any(np.hypot(p.x_m - host[0], p.y_m - host[1]) - p.length_m < AROUND_M for p in road.plan):
+                found.append(self._road(road))
+        return found
+
+    def _road(self, road: MapRoad) -> SectionRoad:
+        line = plan_line(road.plan)
+        sections = tuple(CrossSection.of(road, i) for i in range(len(road.sections)))
+        lanes = [
+            lane for i, section in enumerate(sections) if section.end_m > section.start_m
+            for lane in _lanes(road, i, section, self.route)
+        ]  # fmt: skip
+        return SectionRoad(
+            road.id,
+            line,
+            self.terrain,
+            Offset(0.0),
+            Offset(0.0),
+            0.0,
+            tuple(lanes),
+            start_m=0.0,
+            end_m=line.length_m,
+            sections=sections,
+            plan=line,
+            bridges=road.bridges,
+            tunnels=road.tunnels,
+            junction=road.junction,
+        ).with_edges()
+
+    # -- lanes and paths
+
+    def _route(self, roads: dict[str, SectionRoad], lanes: dict[str, NetworkLane]) -> LaneCurve:
+        """The way of the host."""
+        return self._path([lanes[name] for name in self.map.route], roads)
+
+    def _path(self, lanes: list[NetworkLane], roads: dict[str, SectionRoad]) -> LaneCurve:
+        """The centre line along lanes that follow each other, against the traffic where that is oncoming."""
+        first = lanes[0]
+        if first.direction == "oncoming":
+            lanes = lanes[::-1]
+        parts = [(roads[lane.road].stretch_of(lane), lane.middle, *lane.driven) for lane in lanes]
+        if first.direction == "oncoming":
+            parts = [(road, middle, end_m, start_m) for road, middle, start_m, end_m in parts]
+        pieces = measured(parts)
+        return LaneCurve(
+            first.id,
+            "centerline",
+            first.road,
+            "none",
+            (),
+            pieces,
+            0.0,
+            pieces[-1].end_m,
+            first.direction,
+            lanes=tuple(lanes),
+            connector=first.junction is not None,
+            junction=first.junction,
+        )
+
+    def _directions(
+        self, lanes: dict[str, NetworkLane], links: Sequence[tuple[str, str]], chains: Sequence[list[str]]
+    ) -> dict[str, Direction]:
+        """The direction of every lane: on the roads that the host drives along, and on what goes on from these, it is
+        that of its traffic relative to the host. A connector has that of the lanes that it connects, if it is one."""
+        on_route = {lanes[name].road: lanes[name].ascends for name in self.map.route}
+        route = self.route
+        found: dict[str, Direction] = {}
+        connectors = []
+        for chain in chains:
+            own = {lanes[name].ascends == on_route[lanes[name].road] for name in chain if lanes[name].road in on_route}
+            is_connector = lanes[chain[0]].junction is not None
+            if is_connector:
+                connectors.append(chain)
+            along: Direction = "crossing" if is_connector or not own else "same" if True in own else "oncoming"
+            found.update(dict.fromkeys(chain, "same" if route & set(chain) else along))
+        for chain in connectors:
+            ends = [found[a] for a, b in links if b == chain[0]] + [found[b] for a, b in links if a == chain[-1]]
+            if not route & set(chain) and len(ends) > 1 and len(set(ends)) == 1:
+                found.update(dict.fromkeys(chain, ends[0]))
+        return found
+
+    # -- painted lines
+
+
+def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[str]) -> Iterator[NetworkLane]:
+    """The lanes of traffic of a section, from the left; numbers count from the left as their traffic drives. Those of
+    the host's route may have any width."""
+    s = np.linspace(section.start_m, section.end_m, 5)
+    edges = section.edges(s)
+    driving = [
+        i for i, lane in enumerate(section.lanes)
+        if lane.kind == "driving"
+        and ((edges[i + 1] - edges[i]).max() > LEAST_WIDTH_M or f"{road.id}.{number}.{lane.number}" in route)
+    ]  # fmt: skip
+    up = {i: (section.lanes[i].number < 0) ^ road.keeps_left ^ section.lanes[i].against for i in driving}
+    for i in driving:
+        same = [k for k in driving if up[k] == up[i]]
+        yield NetworkLane(
+            f"{road.id}.{number}.{section.lanes[i].number}",
+            road.id,
+            f"{road.id}.{number}.{'up' if up[i] else 'down'}",
+            1 + (same if up[i] else same[::-1]).index(i),
+            section.middle_line(i),
+            float((edges[i + 1] - edges[i]).mean()),
+            section.start_m,
+            section.end_m,
+            ascends=up[i],
+            junction=road.junction,
+        )
+
+
+def _meets(lane: NetworkLane, after: NetworkLane, stretches: dict[str, SectionRoad]) -> bool:
+    """Whether the middle of a lane begins where that of another ends: neither aside nor in height, and about along."""
+    (s_end, s_begin), step = (lane.driven[1], after.driven[0]), TANGENT_M if after.ascends else -TANGENT_M
+    (end,), begin = (
+        stretches[at.id].points(s, at.middle(s))
+        for at, s in ((lane, np.array([s_end])), (after, np.array([s_begin, s_begin + step])))
+    )
+    gap_m, ahead = begin[0] - end, (begin[1] - begin[0]) / max(np.linalg.norm(begin[1] - begin[0]), TANGENT_M / 2)
+    along_m = gap_m @ ahead
+    return bool(abs(along_m) < GAP_M and np.linalg.norm(gap_m - along_m * ahead) < JUMP_M)
+
+
+def _chains(
+    lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]], meets: Callable[[str, str], bool]
+) -> Iterator[list[str]]:
+    """The lanes of every path, as traffic drives: on through links where a lane has one successor which has one
+    predecessor and which it meets, up to a junction; through it every connector has a path of its own."""
+    after: dict[str, list[str]] = {lane.id: [] for lane in lanes}
+    before: dict[str, list[str]] = {lane.id: [] for lane in lanes}
+    where = {lane.id: lane.junction for lane in lanes}
+    for a, b in links:
+        after[a].append(b)
+        before[b].append(a)
+    goes_on = {
+        a: beyond[0]
+        for a, beyond in after.items()
+        if len(beyond) == 1
+        and len(before[beyond[0]]) == 1
+        and where[a] == where[beyond[0]]
+        and beyond[0] != a
+        and meets(a, beyond[0])
+    }
+    reached, seen = set(goes_on.values()), set[str]()
+    for is_ring in (False, True):
+        for lane in lanes:
+            name: str | None = lane.id
+            if lane.id in seen or (lane.id in reached and not is_ring):
+                continue
+            chain: list[str] = []
+            while name is not None and name not in seen:
+                chain.append(name)
+                seen.add(name)
+                name = goes_on.get(name)
+            yield chain

@@ -1,0 +1,281 @@
+"""The part of a given map around the host, as a scene keeps it: roads near its route, in the scene's world frame."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import ValidationError
+
+from synth3dlanes.roads.maps.cubics import SAME_M, part, rounded, value
+from synth3dlanes.roads.maps.elements import LEAST_RAIL_M, GivenBody, GivenElement, GivenRail
+from synth3dlanes.roads.maps.given_map import GivenMap
+from synth3dlanes.roads.maps.lanes import lane_between
+from synth3dlanes.roads.maps.places import MapStation, draw_route
+from synth3dlanes.roads.maps.plan import plan_points
+from synth3dlanes.scene.road_map import (
+    MAX_ROADS,
+    GroundPoint,
+    LaneName,
+    MapPaint,
+    MapRoad,
+    MapSection,
+    MapShape,
+    MapSpan,
+    PlanPiece,
+    RoadMap,
+)
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.schema import validation_problems
+
+# Roads are kept that come this close to the host; longer roads are cut to their pieces that do.
+KEPT_M, LONG_M = 500.0, 1000.0
+# Of metres and of radians.
+DECIMALS, ANGLE_DECIMALS = 6, 9
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """What is kept of a road: stations of the file, and how many sections there are before it."""
+
+    from_m: float
+    to_m: float
+    sections_before: int
+    n_sections: int
+
+
+class MapPart(NamedTuple):
+    """A part of a map, and where the host is on it: the number of its lane on the route, and a station of its road; and
+    what stands there."""
+
+    map: RoadMap
+    lane: int
+    s_m: float
+    elements: tuple[GivenElement, ...] = ()
+    bodies: tuple[GivenBody, ...] = ()
+    rails: tuple[GivenRail, ...] = ()
+
+
+def part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
+    """The map around a place. The world's origin is at the host's place on its reference line, and world y is the
+    direction of its lane there. Raises InputError for a place or numbers that no scene can have."""
+    try:
+        return _part_around(given, at, rng)
+    except ValidationError as error:
+        raise InputError(validation_problems(error, f"map {given.source}")[0]) from None
+
+
+def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> MapPart:
+    route, number = draw_route(given, at, rng)
+    lane = given.lanes[at.lane]
+    x, y, heading = plan_points(lane.road.plan, np.array([at.s_m]))[0].tolist()
+    z = round(value(lane.road.heights, at.s_m), 3)
+    frame = _Frame(round(x, 3), round(y, 3), z, heading if lane.ascends else heading + math.pi)
+    cuts = {road.id: _cut(given, road, (x, y)) for road in given.roads_near((x, y), KEPT_M)}
+    if len(cuts) > MAX_ROADS:
+        raise InputError(f"map {given.source}: expected at most {MAX_ROADS} roads within {KEPT_M:g} m, got {len(cuts)}")
+    names = {
+        f"{name}.{cut.sections_before + i}.{lane_at.number}": f"{name}.{i}.{lane_at.number}"
+        for name, cut in cuts.items()
+        for i, section in enumerate(given.roads[name].sections[cut.sections_before :][: cut.n_sections])
+        for lane_at in section.lanes
+    }
+    roads = tuple(frame.road(_shortened(given.roads[name], cut)) for name, cut in cuts.items())
+    junctions = {road.junction for road in roads}
+    paint = (_painted(item, frame, names, cuts) for item in given.paint)
+    islands = (item.model_copy(update={"outline": frame.corners(item.outline)}) for item in given.islands)
+    first, last = number, number + 1
+    while first > 0 and route[first - 1] in names:
+        first -= 1
+    while last < len(route) and route[last] in names:
+        last += 1
+    found = {
+        "roads": roads,
+        "links": _renamed(given.links, names),
+        "junctions": tuple(
+            item.model_copy(update={"yields": _renamed(item.yields, names)})
+            for item in given.junctions
+            if item.id in junctions
+        ),
+        "paint": tuple(item for item in paint if item is not None),
+        "islands": tuple(item for item in islands if _is_near(item.outline)),
+        # Without lanes that are not kept, to which only links over gaps lead.
+        "route": tuple(names[name] for name in route[first:last]),
+        "source": given.source,
+        "digest": given.digest,
+        "given_frame": (frame.x + given.origin[0], frame.y + given.origin[1], frame.z, frame.turn),
+    }
+    standing = tuple(filter(None, (frame.element(item, names) for item in given.elements)))
+    bodies = tuple(body for body in map(frame.body, given.bodies) if _is_near([(body.x_m, body.y_m)]))
+    s_m = round(at.s_m - cuts[lane.road.id].from_m, DECIMALS)
+    rails = tuple(filter(None, (_rail(item, cuts) for item in given.rails)))
+    return MapPart(RoadMap.model_validate(found), number - first, s_m, standing, bodies, rails)
+
+
+def _renamed(
+    pairs: Iterable[tuple[LaneName, LaneName]], names: Mapping[LaneName, LaneName]
+) -> tuple[tuple[LaneName, LaneName], ...]:
+    """The pairs of lanes that are both kept."""
+    return tuple((names[a], names[b]) for a, b in pairs if a in names and b in names)
+
+
+def _painted(
+    item: MapPaint, frame: "_Frame", names: Mapping[LaneName, LaneName], cuts: Mapping[str, _Cut]
+) -> MapPaint | None:
+    """Paint in the world; None for that of a place that is not kept."""
+    if item.lane is None:
+        corners = frame.corners(item.outline)
+        return item.model_copy(update={"outline": corners}) if _is_near(corners) else None
+    if item.lane not in names:
+        return None
+    s_m = round(item.s_m - cuts[item.lane.rsplit(".", 2)[0]].from_m, DECIMALS)
+    return item.model_copy(update={"lane": names[item.lane], "s_m": s_m})
+
+
+def _rail(item: GivenRail, cuts: Mapping[str, _Cut]) -> GivenRail | None:
+    """A barrier by the stations of what is kept of its road."""
+    cut = cuts.get(item.road)
+    if cut is None:
+        return None
+    from_m, to_m = max(item.from_m, cut.from_m) - cut.from_m, min(item.to_m, cut.to_m) - cut.from_m
+    return item._replace(from_m=from_m, to_m=to_m) if to_m - from_m >= LEAST_RAIL_M else None
+
+
+def _cut(given: GivenMap, road: MapRoad, host: tuple[float, float]) -> _Cut:
+    """What is kept of a road that is near."""
+    if road.length_m <= LONG_M:
+        return _Cut(0.0, road.length_m, 0, len(road.sections))
+    line = given.outlines[road.id]
+    near = np.flatnonzero(np.hypot(*(line - host).T) <= KEPT_M)
+    s = np.linspace(0, road.length_m, len(line))
+    starts = np.cumsum([0.0, *(piece.length_m for piece in road.plan)])
+    first = min(int(np.searchsorted(starts, s[near[0]], side="right")), len(road.plan)) - 1
+    last = max(int(np.searchsorted(starts, s[near[-1]], side="left")), first + 1)
+    from_m, to_m = float(starts[first]), float(starts[min(last, len(road.plan))])
+    ends = pairwise([*(section.s_m for section in road.sections), road.length_m])
+    kept = [i for i, (begin, end) in enumerate(ends) if end > from_m + SAME_M and begin < to_m - SAME_M]
+    return _Cut(from_m, to_m, kept[0], len(kept))
+
+
+def _shortened(road: MapRoad, cut: _Cut) -> MapRoad:
+    """The part of a road."""
+    if cut.from_m == 0 and cut.to_m >= road.length_m - SAME_M:
+        return road
+    starts = np.cumsum([0.0, *(piece.length_m for piece in road.plan)])
+    plan = tuple(
+        piece
+        for piece, start in zip(road.plan, starts, strict=False)
+        if cut.from_m - SAME_M <= start < cut.to_m - SAME_M
+    )
+    kept = road.sections[cut.sections_before :][: cut.n_sections]
+    return road.model_copy(
+        update={
+            "plan": plan,
+            "sections": tuple(_begun(section, cut.from_m) for section in kept),
+            "lane_offsets": part(road.lane_offsets, cut.from_m, cut.to_m),
+            "heights": part(road.heights, cut.from_m, cut.to_m),
+            "banks": part(road.banks, cut.from_m, cut.to_m),
+            "shapes": _shapes(road.shapes, cut),
+            "bridges": _spans(road.bridges, cut),
+            "tunnels": _spans(road.tunnels, cut),
+            "given_from_m": round(cut.from_m, DECIMALS),
+            "given_section": cut.sections_before,
+        }
+    )
+
+
+def _shapes(shapes: Sequence[MapShape], cut: _Cut) -> tuple[MapShape, ...]:
+    """The shapes at the stations of a part, with those next to its ends."""
+    stations = sorted({shape.s_m for shape in shapes})
+    low = max((s for s in stations if s <= cut.from_m), default=cut.from_m)
+    high = min((s for s in stations if s >= cut.to_m), default=cut.to_m)
+    kept = (shape for shape in shapes if low <= shape.s_m <= high)
+    return tuple(shape.model_copy(update={"s_m": shape.s_m - cut.from_m}) for shape in kept)
+
+
+def _spans(spans: Sequence[MapSpan], cut: _Cut) -> tuple[MapSpan, ...]:
+    """The bridges or tunnels on a part, by its stations."""
+    ends = [(max(at.from_m, cut.from_m), min(at.to_m, cut.to_m)) for at in spans]
+    by_m = cut.from_m
+    return tuple(MapSpan(from_m=low - by_m, to_m=high - by_m) for low, high in ends if high > low + SAME_M)
+
+
+def _begun(section: MapSection, from_m: float) -> MapSection:
+    """A section with stations from `from_m` on."""
+    if section.s_m >= from_m:
+        return section.model_copy(update={"s_m": section.s_m - from_m})
+    lanes = (lane_between(lane, from_m - section.s_m, math.inf) for lane in section.lanes)
+    return MapSection(s_m=0.0, lanes=tuple(lanes))
+
+
+def _rounded(section: MapSection) -> MapSection:
+    lanes = (lane.model_copy(update={"widths": rounded(lane.widths)}) for lane in section.lanes)
+    return MapSection(s_m=round(section.s_m, DECIMALS), lanes=tuple(lanes))
+
+
+def _is_near(corners: Sequence[GroundPoint]) -> bool:
+    return any(math.hypot(*corner) < KEPT_M for corner in corners)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The world frame in that of the map: its origin, and the heading of its y axis."""
+
+    x: float
+    y: float
+    z: float
+    heading: float
+
+    @property
+    def turn(self) -> float:
+        """The heading of world x in the map."""
+        return round(_wrapped(self.heading - math.pi / 2), ANGLE_DECIMALS)
+
+    def point(self, at: GroundPoint) -> GroundPoint:
+        """A place of the map in the world."""
+        dx, dy = at[0] - self.x, at[1] - self.y
+        cos, sin = math.cos(self.turn), math.sin(self.turn)
+        return round(cos * dx + sin * dy, DECIMALS), round(cos * dy - sin * dx, DECIMALS)
+
+    def corners(self, outline: Iterable[GroundPoint]) -> tuple[GroundPoint, ...]:
+        """An outline of the map in the world."""
+        return tuple(map(self.point, outline))
+
+    def road(self, road: MapRoad) -> MapRoad:
+        """A road of the map in the world."""
+        heights = (piece.model_copy(update={"a": piece.a - self.z}) for piece in road.heights)
+        return road.model_copy(
+            update={
+                "plan": tuple(map(self._piece, road.plan)),
+                "sections": tuple(map(_rounded, road.sections)),
+                "heights": rounded(heights),
+                "banks": rounded(road.banks),
+                "lane_offsets": rounded(road.lane_offsets),
+            }
+        )
+
+    def element(self, item: GivenElement, names: Mapping[LaneName, LaneName]) -> GivenElement | None:
+        """A signal or sign of the map in the world, with those of its lanes that are kept; None of one far away."""
+        of = item.element
+        x, y = self.point((of.x_m, of.y_m))
+        if not _is_near([(x, y)]):
+            return None
+        lanes = tuple(names[name] for name in of.lanes if name in names)
+        yaw_rad = round(_wrapped(of.yaw_rad - self.turn), DECIMALS)
+        return item._replace(element=of.model_copy(update={"x_m": x, "y_m": y, "yaw_rad": yaw_rad, "lanes": lanes}))
+
+    def body(self, item: GivenBody) -> GivenBody:
+        """A building or a tree of the map in the world."""
+        x, y = self.point((item.x_m, item.y_m))
+        return item._replace(x_m=x, y_m=y, heading_rad=round(_wrapped(item.heading_rad - self.turn), DECIMALS))
+
+    def _piece(self, piece: PlanPiece) -> PlanPiece:
+        x, y = self.point((piece.x_m, piece.y_m))
+        heading = round(_wrapped(piece.heading_rad - self.turn), ANGLE_DECIMALS)
+        return piece.model_copy(update={"x_m": x, "y_m": y, "heading_rad": heading})
+
+
+def _wrapped(angle_rad: float) -> float:
+    return math.remainder(angle_rad, 2 * math.pi)

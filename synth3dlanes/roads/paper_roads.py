@@ -1,0 +1,330 @@
+"""The paper's numbers -> Network: a main road, perhaps with oncoming lanes, and perhaps an exit that leaves it.
+
+Stations and offsets are those of the plan, see paper_lines.py.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from synth3dlanes.labels.labels import Direction, Marking
+from synth3dlanes.roads.lane_curves import LaneCurve, joined, neighbours
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.paper_lines import S_END_M, Displaced, Flips, Opening, Quartic
+from synth3dlanes.roads.roads import NetworkLane, Offset, Parting, Ramp, Road
+from synth3dlanes.scene.scene import PaperRoad, Terrain
+from synth3dlanes.system.arrays import AnyScalars
+
+# Of a painted line: the lanes beside it as t grows; roads, offsets there, and stations where each of these begins.
+LanesBeside = tuple[str | None, str | None]
+Parts = list[tuple[Road, Offset, float]]
+
+# An exit continues straight from where the inside of a bend would compress its length per station below this share of
+# the main road's: beyond that the displaced curve would fold back on itself.
+MIN_STRETCH = 0.3
+# Lower limit of the ramp's length; avoids a division by zero.
+MIN_RAMP_LENGTH_M = 0.1
+# Length behind the split over which the pavement of a lane that leaves narrows to nothing (topology 4).
+TAPER_M = 20.0
+# min(q, width) has a corner at the nose. It is rounded where q is this close to the width, so that the lane is smooth;
+# this moves the lane by at most 1.5 cm.
+CORNER_M = 0.06
+
+
+def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
+    """min(q, width) with its corner rounded; equal to min(q, width) outside CORNER_M of it."""
+    h = np.clip(CORNER_M - np.abs(q - width_m), 0, None)
+    return np.minimum(q, width_m) - h * h / (4 * CORNER_M)
+
+
+def paper_network(road: PaperRoad, terrain: Terrain) -> Network:
+    """The roads of the paper's numbers over a terrain; drawing and resolving a scene ask for the same."""
+    return _Plan(road, terrain).network
+
+
+def is_wide_enough(road: PaperRoad) -> bool:
+    """Whether the bends of a road leave room for its oncoming lanes: on the inside of a sharp one they would fold."""
+    plan = _Plan(road, Terrain(gaussians=()))
+    _, _, speed, turn = plan.line.frames(np.linspace(-S_END_M, S_END_M, 401))
+    return bool((speed - turn * (plan.left_m - plan.shoulder_m) >= MIN_STRETCH * speed).all())
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """The paper's numbers, and what is made of them step by step. Lanes 1..n and lines 0..n count from the plan's
+    left."""
+
+    road: PaperRoad
+    terrain: Terrain
+
+    @cached_property
+    def flips(self) -> Flips:
+        return Flips(-1.0 if self.road.flip_longitudinal else 1.0, -1.0 if self.road.flip_lateral else 1.0)
+
+    @cached_property
+    def line(self) -> Quartic:
+        return Quartic(self.road, self.flips)
+
+    @property
+    def shoulder_m(self) -> float:
+        return self.road.shoulder_factor * self.road.lane_width_m
+
+    def boundary_m(self, j: int) -> float:
+        """Offset of lane boundary j = 0..n of the main road before the split."""
+        return (j - self.road.n_lanes / 2) * self.road.lane_width_m
+
+    def middle_m(self, lane: int) -> float:
+        """Offset of the middle of lane 1..n of the main road before the split."""
+        return self.boundary_m(lane) - self.road.lane_width_m / 2
+
+    @property
+    def left_m(self) -> float:
+        """Offset of the leftmost lane boundary."""
+        road = self.road
+        if not road.n_oncoming:
+            return self.boundary_m(0)
+        return self.boundary_m(0) - road.median_m - road.n_oncoming * road.lane_width_m
+
+    @property
+    def exit_half_m(self) -> float:
+        """Half the width of the exit's lanes."""
+        return self.road.n_exit_lanes * self.road.lane_width_m / 2
+
+    @property
+    def exit_base_m(self) -> float:
+        """Main-road offset of the exit's line at the split: the middle of the exit's lanes there."""
+        return self.boundary_m(self.road.n_lanes) - self.exit_half_m
+
+    @cached_property
+    def opening(self) -> Opening:
+        opening = Opening(float(np.tan(self.road.exit_angle_rad)), self.road.exit_offset_m)
+        s = np.linspace(0, S_END_M, 401)
+        _, _, speed, turn = self.line.frames(s)
+        displaced = self.exit_base_m + opening.polynomial(s)[0]
+        folded = np.flatnonzero(speed - turn * displaced < MIN_STRETCH * speed)
+        return replace(opening, end_m=float(s[folded[0]])) if folded.size else opening
+
+    @cached_property
+    def nose_m(self) -> float:
+        """Station of the nose, where the opening is one lane wide."""
+        return self.opening.station(self.road.lane_width_m)
+
+    # -- ids: numbers count from the host's left
+
+    def _seen(self, number: int, last: int) -> int:
+        return last - number if self.flips.x < 0 else number
+
+    def lane_id(self, section: str, lane: int) -> str:
+        """The id of lane 1..n of a section."""
+        return f"{section}_{self._seen(lane, self._count(section) + 1)}"
+
+    def line_id(self, section: str, j: int) -> str:
+        """The id of the painted line j = 0..n of a section's lanes."""
+        return f"{section}_line_{self._seen(j, self._count(section))}"
+
+    def _count(self, section: str) -> int:
+        road = self.road
+        counts = {"stem": road.n_lanes, "main": road.n_main_after, "exit": road.n_exit_lanes}
+        return counts.get(section, road.n_oncoming)
+
+    # -- lanes and links
+
+    def section(
+        self,
+        name: str,
+        road: str,
+        middles: list[Offset],
+        span_m: tuple[float, float],
+        direction: Direction = "same",
+    ) -> list[NetworkLane]:
+        """The lanes of a section, from the host's left."""
+        lanes = [
+            NetworkLane(
+                self.lane_id(name, k),
+                road,
+                name,
+                self._seen(k, len(middles) + 1),
+                at,
+                self.road.lane_width_m,
+                *span_m,
+                direction,
+                ascends=(direction == "same") == (self.flips.y > 0),
+            )
+            for k, at in enumerate(middles, 1)
+        ]
+        return sorted(lanes, key=lambda lane: lane.number)
+
+    @cached_property
+    def main_lanes(self) -> list[NetworkLane]:
+        """The lanes of the main road: of its stem before the split, beyond it, and oncoming ones."""
+        road, whole = self.road, (-np.inf, np.inf)
+        middles = [Offset(self.middle_m(lane)) for lane in range(1, road.n_lanes + 1)]
+        after = middles[: road.n_main_after]
+        if road.topology == 3:
+            after[-1] = Offset(self.middle_m(road.n_lanes - 1), self._opens)
+        oncoming = [Offset(self.left_m + (lane - 0.5) * road.lane_width_m) for lane in range(1, road.n_oncoming + 1)]
+        lanes = self.section("main", "main", after, whole if road.topology == 1 else (0.0, np.inf))
+        if road.topology > 1:
+            lanes = self.section("stem", "main", middles, (-np.inf, 0.0)) + lanes
+        return lanes + self.section("oncoming", "main", oncoming, whole, "oncoming")
+
+    def _opens(self, s: AnyScalars) -> AnyScalars:
+        """How far a lane that opens beside its neighbour has come."""
+        return smooth_min(self.opening(np.maximum(s, 0)), self.road.lane_width_m)
+
+    @cached_property
+    def exit_lanes(self) -> list[NetworkLane]:
+        road, first = self.road, self.road.n_lanes - self.road.n_exit_lanes
+        middles = [Offset(self.middle_m(first + lane) - self.exit_base_m) for lane in range(1, road.n_exit_lanes + 1)]
+        return self.section("exit", "exit", middles, (0.0, np.inf))
+
+    @property
+    def links(self) -> tuple[tuple[str, str], ...]:
+        """(lane, lane) of every way, as traffic drives; from the plan's left."""
+        road, n = self.road, self.road.n_lanes
+        if road.topology == 1:
+            return ()
+        pairs = [(lane, "main", lane) for lane in range(1, road.n_main_after + 1)]
+        if road.topology == 3:
+            pairs[-1] = (n - 1, "main", n)
+        pairs += [(n - road.n_exit_lanes + lane, "exit", lane) for lane in range(1, road.n_exit_lanes + 1)]
+        named = [(self.lane_id("stem", stem), self.lane_id(section, lane)) for stem, section, lane in pairs]
+        return tuple(named if self.flips.y > 0 else [(fork, stem) for stem, fork in named])
+
+    # -- roads
+
+    @cached_property
+    def main_road(self) -> Road:
+        road = self.road
+        edge_m, lost_m = (
+            road.n_lanes * road.lane_width_m / 2 + self.shoulder_m,
+            (road.n_lanes - road.n_main_after) * road.lane_width_m,
+        )
+
+        def tapers(s: AnyScalars) -> AnyScalars:
+            return -lost_m * np.clip(s / min(TAPER_M, self.nose_m), 0, 1)
+
+        right = Offset(edge_m, tapers if lost_m else None)
+        left = Offset(self.left_m - self.shoulder_m)
+        return Road("main", self.line, self.terrain, left, right, self.shoulder_m, tuple(self.main_lanes))
+
+    @cached_property
+    def exit_road(self) -> Road:
+        road, width_m = self.road, self.road.lane_width_m
+        edge_m, start_m = self.exit_half_m + self.shoulder_m, self.opening.station(width_m + 2 * self.shoulder_m)
+        length_m = max(road.ramp_height_m * road.ramp_slope, MIN_RAMP_LENGTH_M)
+        return Road(
+            "exit",
+            Displaced(self.line, self.exit_base_m, self.opening),
+            self.terrain,
+            Offset(-edge_m),
+            Offset(edge_m),
+            self.shoulder_m,
+            tuple(self.exit_lanes),
+            start_m=0.0,
+            ramp=Ramp(start_m, length_m, road.ramp_height_m) if start_m <= S_END_M else None,
+            parting=Parting(
+                self.main_road,
+                lambda s: self.opening(s) - width_m,
+                lambda gap_m: self.opening.station(gap_m + width_m),
+                road.ramp_height_m,
+            ),
+        )
+
+    @property
+    def network(self) -> Network:
+        roads = (self.main_road,) if self.road.topology == 1 else (self.main_road, self.exit_road)
+        lines = self._delimiters() + self._oncoming_delimiters()
+        facing = (
+            {self.line_id("main", 0), self.line_id("oncoming", self.road.n_oncoming)} if self.road.n_oncoming else set()
+        )
+        facing = facing or {line.id for line in lines if all(at.is_right for at in line.neighbours)}
+        delimiters = tuple(replace(at, is_inner=at.id in facing) for at in lines)
+        return Network(self.terrain, roads, delimiters, self.links, self.flips.y)
+
+    # -- painted lines
+
+    def _line(
+        self, section: str, j: int, marking: Marking, parts: Parts, start_m: float = -np.inf, end_m: float = np.inf
+    ) -> LaneCurve:
+        """Painted line j of a section; parts are a road, an offset and where it begins."""
+        beside = (
+            self.lane_id(section, j) if j > 0 else None,
+            self.lane_id(section, j + 1) if j < self._count(section) else None,
+        )
+        return self._painted(self.line_id(section, j), marking, beside, parts, start_m, end_m)
+
+    def _painted(
+        self,
+        name: str,
+        marking: Marking,
+        beside: LanesBeside,
+        parts: Parts,
+        start_m: float = -np.inf,
+        end_m: float = np.inf,
+    ) -> LaneCurve:
+        sides = neighbours(*beside[:: int(self.flips.x)])
+        road = "exit" if name.startswith("exit") else "main"
+        direction: Direction = "oncoming" if name.startswith("oncoming") else "same"
+        return LaneCurve(name, "delimiter", road, marking, sides, joined(parts), start_m, end_m, direction)
+
+    def _on_main(self, t_m: float) -> Parts:
+        return [(self.main_road, Offset(t_m), -np.inf)]
+
+    def _through(self, j: int) -> LaneCurve:
+        """Line j of the main road that runs along all of it."""
+        road = self.road
+        if j == 0 and self.is_divided_by_line:
+            beside = self.lane_id("oncoming", road.n_oncoming), self.lane_id("main", 1)
+            marking: Marking = "dashed" if road.divider_dashed else "solid"
+            return self._painted(
+                self.line_id("main", 0), marking, beside, self._on_main(self.boundary_m(0)), -np.inf, np.inf
+            )
+        return self._line("main", j, "dashed" if 0 < j < road.n_lanes else "solid", self._on_main(self.boundary_m(j)))
+
+    @property
+    def is_divided_by_line(self) -> bool:
+        """Whether the main road's left line divides it from oncoming lanes."""
+        return self.road.n_oncoming > 0 and self.road.median_m == 0
+
+    def _delimiters(self) -> list[LaneCurve]:
+        n, n_after, topology = self.road.n_lanes, self.road.n_main_after, self.road.topology
+        if topology == 1:
+            return [self._through(j) for j in range(n + 1)]
+        main, half_m, nose_m = self.main_road, self.exit_half_m, self.nose_m
+
+        def beyond(road: Road, t_m: float) -> Parts:
+            return [(road, Offset(t_m), nose_m)]
+
+        def leaving(stem_m: float, t_m: float) -> Parts:
+            return [(main, Offset(stem_m), -np.inf), (self.exit_road, Offset(t_m), 0.0)]
+
+        lines = [self._through(j) for j in range(n if topology == 2 else n - 1)]
+        if topology == 3:
+            # The dashed line between the last two lanes continues along the exit's left side to the nose.
+            parted = self.lane_id("main", n), self.lane_id("exit", 1)
+            lines += [
+                self._painted("stem_line", "dashed", parted, leaving(self.boundary_m(n - 1), -half_m), -np.inf, nose_m),
+                self._line("main", n - 1, "dashed", beyond(main, self.boundary_m(n - 1)), nose_m),
+            ]
+        lines += [
+            self._line("main", n_after, "solid", beyond(main, self.boundary_m(n_after)), nose_m),
+            self._line("exit", 0, "solid", beyond(self.exit_road, -half_m), nose_m),
+        ]
+        if topology == 4:
+            lines.append(self._line("exit", 1, "dashed", leaving(self.boundary_m(n - 1), 0.0)))
+        return [*lines, self._line("exit", self.road.n_exit_lanes, "solid", leaving(self.boundary_m(n), half_m))]
+
+    def _oncoming_delimiters(self) -> list[LaneCurve]:
+        """The lines of the oncoming lanes; without a median the innermost is the main road's own."""
+        n = self.road.n_oncoming
+        return [
+            self._line(
+                "oncoming",
+                j,
+                "dashed" if 0 < j < n else "solid",
+                self._on_main(self.left_m + j * self.road.lane_width_m),
+            )
+            for j in range(n if self.is_divided_by_line or n == 0 else n + 1)
+        ]

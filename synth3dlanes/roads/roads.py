@@ -1,0 +1,230 @@
+"""Roads on reference lines, and their lanes. World frame, metres; the rules are in docs/network.md.
+
+A place is (road, s, t), see reference_line.py. It lies on the terrain or, on a raised road, at a height over it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby, pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.labels.labels import Direction
+from synth3dlanes.roads import terrain as ground
+from synth3dlanes.roads.reference_line import ReferenceLine
+from synth3dlanes.scene.scene import Terrain
+from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars
+
+Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
+
+# Straight pieces between `Ramp.stations` are nowhere farther than this from the ramp: less than paint floats.
+RAMP_SAG_M = 0.001
+# Where roads part, places of the branch are looked for up to this far behind the station on the other road, this deep
+# in that one's pavement, and up to so many times its opening beside it.
+BEFORE_M, OVERLAP_M, WIDER = 20.0, 1.0, 1.5
+# An offset this close to the middle between two carriageways counts as on it, and that as of the right one.
+HAIR_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Offset:
+    """t(s) of a line beside a reference line: a constant, and what moves it along the road."""
+
+    base_m: float
+    moves: Callable[[AnyScalars], AnyScalars] | None = None
+
+    def __call__(self, s: AnyScalars) -> AnyScalars:
+        """The offsets at stations."""
+        return np.full(s.shape, self.base_m) if self.moves is None else np.asarray(self.base_m + self.moves(s))
+
+    def shifted(self, t_m: float) -> "Offset":
+        """The line `t_m` beside it."""
+        return replace(self, base_m=self.base_m + t_m)
+
+    @property
+    def order(self) -> tuple[float, bool]:
+        """Sorts lanes as t grows: one that opens lies beyond its neighbour, where it begins."""
+        return self.base_m, self.moves is not None
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A road's rise over the terrain, from a station on, to a height that it keeps."""
+
+    start_m: float
+    length_m: float
+    height_m: float
+
+    def __call__(self, s: AnyScalars) -> AnyScalars:
+        """Height over the terrain at stations."""
+        u = np.clip((s - self.start_m) / self.length_m, 0, 1)
+        return np.asarray(self.height_m * u * u * (3 - 2 * u))
+
+    @property
+    def stations(self) -> Float[np.ndarray, " _"]:
+        """Stations from its start to its end, as far apart as its curvature allows."""
+        # A piece of length d is off by d^2 / 8 times the curvature, which is 6 height / length^2 at both ends.
+        pieces = int(np.ceil(np.sqrt(6 * self.height_m / (8 * RAMP_SAG_M))))
+        return self.start_m + self.length_m * np.linspace(0, 1, max(pieces, 1) + 1)
+
+
+@dataclass(frozen=True)
+class NetworkLane:
+    """A lane between two stations of its road, a node of the lane graph: `number` of its section from the host's left.
+    Its traffic drives as the host does, or is `oncoming`; on a map it may be neither, and `ascends` says whether it
+    goes with growing s. `junction` is the one that the lane is in."""
+
+    id: str
+    road: str
+    section: str
+    number: int
+    middle: Offset
+    width_m: float
+    start_m: float
+    end_m: float
+    direction: Direction = "same"
+    ascends: bool = True
+    junction: str | None = None
+
+    @property
+    def driven(self) -> tuple[float, float]:
+        """Its first and its last station, as its traffic drives."""
+        return (self.start_m, self.end_m) if self.ascends else (self.end_m, self.start_m)
+
+
+class Carriageway(NamedTuple):
+    """Lanes of one direction beside each other: offsets of its edges, and how many they are."""
+
+    left_m: float
+    right_m: float
+    n_lanes: int
+    direction: Direction
+
+
+@dataclass(frozen=True, eq=False)
+class Parting:
+    """Where a road begins: beside another, on whose right side (as t grows) it leaves. `gap_m` is the free width
+    between the lanes of both at stations, and `station` the first one with such a gap, as opposed to `gap_m`.
+    `rise_m` is how high the road may rise there: its embankment has room for it."""
+
+    road: "Road"
+    gap_m: Callable[[AnyScalars], AnyScalars]
+    station: Callable[[float], float]
+    rise_m: float
+
+    def may_hold(self, branch: "Road", s: AnyScalars, t: AnyScalars, reach_m: AnyScalars) -> Bool[np.ndarray, " n"]:
+        """Which places of the road may be within `reach_m` of a branch's pavement, and are not deep in its own."""
+        width_m = branch.lane_width_m
+        low_m = self.road.right(s) - width_m - OVERLAP_M
+        high_m = self.road.right.base_m + reach_m + WIDER * (self.gap_m(s + BEFORE_M) + width_m)
+        return np.asarray((s > branch.start_m - BEFORE_M) & (t > low_m) & (t < high_m))
+
+
+@dataclass(frozen=True, eq=False)
+class Road:
+    """A road on its reference line over the stations [start_m, end_m]. Its cross-section, as t grows: the left edge of
+    its pavement, a shoulder, lanes and perhaps a median between them, a shoulder, and the right edge."""
+
+    id: str
+    line: ReferenceLine
+    terrain: Terrain
+    left: Offset
+    right: Offset
+    shoulder_m: float
+    lanes: tuple[NetworkLane, ...]
+    start_m: float = -np.inf
+    end_m: float = np.inf
+    ramp: Ramp | None = None
+    parting: Parting | None = None
+
+    @property
+    def is_raised(self) -> bool:
+        """Whether it leaves the terrain anywhere."""
+        return self.ramp is not None
+
+    @property
+    def lane_width_m(self) -> float:
+        """Width of its lanes."""
+        return self.lanes[0].width_m
+
+    @cached_property
+    def carriageways(self) -> tuple[Carriageway, ...]:
+        """Its carriageways where it begins, from the left."""
+        first = sorted((at for at in self.lanes if at.start_m == self.start_m), key=lambda lane: lane.middle.order)
+        found = []
+        for direction, group in groupby(first, key=lambda lane: lane.direction):
+            lanes = list(group)
+            half_m = lanes[0].width_m / 2
+            ends = lanes[0].middle.base_m - half_m, lanes[-1].middle.base_m + half_m
+            found.append(Carriageway(*ends, len(lanes), direction))
+        return tuple(found)
+
+    @property
+    def medians(self) -> list[tuple[float, float]]:
+        """Offsets between which carriageways are apart from each other, without width where one line divides them."""
+        return [(a.right_m, b.left_m) for a, b in pairwise(self.carriageways)]
+
+    def is_oncoming(self, t: float) -> bool:
+        """Whether the traffic next to an offset is oncoming."""
+        beyond = sum(t + HAIR_M > (low_m + high_m) / 2 for low_m, high_m in self.medians)
+        return self.carriageways[beyond].direction == "oncoming"
+
+    def lines_of(self, lane: NetworkLane) -> tuple[Offset, Offset, Offset]:
+        """The lines of a lane's middle and of its edges, as t grows."""
+        half_m = lane.width_m / 2
+        return lane.middle, lane.middle.shifted(-half_m), lane.middle.shifted(half_m)
+
+    def lanes_at(self, s: float) -> list[NetworkLane]:
+        """Its lanes at a station, as t grows."""
+        here = [lane for lane in self.lanes if lane.start_m <= s < lane.end_m]
+        return sorted(here, key=lambda lane: lane.middle.order)
+
+    def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
+        """World (x, y) of places."""
+        return self.line.xy(s, t)
+
+    def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
+        """Points on its surface."""
+        return lift(self.terrain, self.xy(s, t), self.raised(s, t))
+
+    def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
+        """Points on its surface without raised lanes."""
+        return self.points(s, t)
+
+    def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
+        """Height of its surface over the terrain at places."""
+        return np.zeros(np.shape(s)) if self.ramp is None else self.ramp(s)
+
+    def edge(self, side: Side, s: AnyScalars, out_m: AnyScalars | float = 0.0) -> AnyScalars:
+        """Offsets `out_m` outside an edge of its pavement."""
+        return self.left(s) - out_m if side == "left" else self.right(s) + out_m
+
+    def outside(self, s: AnyScalars, t: AnyScalars) -> AnyScalars:
+        """Distance of places from its pavement, negative on it; infinite before its start and beyond its end."""
+        beside = np.maximum(self.left(s) - t, t - self.right(s))
+        if np.isfinite(self.start_m) or np.isfinite(self.end_m):
+            beside = np.where((s >= self.start_m) & (s <= self.end_m), beside, np.inf)
+        return np.asarray(beside)
+
+    def may_reach(self, xy_world: AnyPoints2, reach_m: AnyScalars) -> Bool[np.ndarray, "*n"]:
+        """Which points may be within `reach_m` of its pavement."""
+        return self.line.near(xy_world, self.left.base_m - reach_m, self.right.base_m + reach_m)
+
+    def in_lanes(self, s: AnyScalars, t: AnyScalars) -> Bool[np.ndarray, "*n"]:
+        """Which places lie between its shoulders."""
+        return np.asarray(self.outside(s, t) < -self.shoulder_m)
+
+    def speed(self, s: AnyScalars) -> AnyScalars:
+        """Metres per station of its line and, before its start, of that of the road where it begins."""
+        speed = self.line.speed(s)
+        return speed if self.parting is None else np.where(s < self.start_m, self.parting.road.speed(s), speed)
+
+
+def lift(terrain: Terrain, xy_world: AnyPoints2, above_m: AnyScalars | float = 0.0) -> AnyPoints3:
+    """3D points on the terrain, or `above_m` over it."""
+    z = ground.height_at(terrain, xy_world) + above_m
+    return np.concatenate([xy_world, np.asarray(z)[..., None]], -1)

@@ -1,1 +1,0 @@
-"""How the parts of a scene are drawn; `sample.py` puts them together."""

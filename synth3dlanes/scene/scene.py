@@ -1,0 +1,450 @@
+"""Scene: the full description of one world, and its JSON form (`scene.json`, docs/format.md).
+
+World frame, metres and radians. Pure data: nothing here reads files or computes geometry. Fields with a default were
+added later; older scenes can still be read and render as before. New ones have every key: all are of one schema.
+"""
+
+from itertools import pairwise
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from synth3dlanes.scene.assets.catalogue import AssetKind, Assets
+from synth3dlanes.scene.host import Camera, DrivenTrack, Host, Lidar, Shot
+from synth3dlanes.scene.instance_ids import most_of
+from synth3dlanes.scene.road_map import LaneName, RoadMap, Station
+from synth3dlanes.scene.roadside import Roadside
+from synth3dlanes.scene.settings import JPEG_QUALITY, MAX_SAMPLES
+from synth3dlanes.scene.town import Town
+from synth3dlanes.system.schema import (
+    Color,
+    DocumentPart,
+    Metres,
+    Name,
+    Number,
+    Positive,
+    Seed,
+    SymbolKind,
+    Unit,
+    is_empty,
+    parse,
+)
+from synth3dlanes.system.streams import stream
+
+SCENE_VERSION = 1
+# The most models, textures or skies of one kind.
+MAX_ASSETS = 9999
+# A narrower median has no room for an edge line at each side.
+MIN_MEDIAN_M = 1.0
+MAX_SYMBOLS = most_of("symbol")
+# Of a grid of heights.
+MAX_GRID = 200
+AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
+class Gaussian(DocumentPart):
+    """One hill or hollow of the terrain (paper, Appendix I, Table 'Terrain 3D')."""
+
+    center_m: tuple[Number, Number]
+    magnitude_m: Metres
+    sd_m: tuple[Positive, Positive]
+    orientation_rad: Number
+
+
+class HeightGrid(DocumentPart):
+    """Smooth heights, by a bicubic B-spline: its coefficients (metres) in rows along x, the rows as y grows, `step_m`
+    apart from `corner_m` on; beyond its outer coefficients it is constant."""
+
+    corner_m: tuple[Number, Number]
+    step_m: Annotated[float, Field(ge=1, le=1000)]
+    rows: Annotated[
+        tuple[Annotated[tuple[Number, ...], Field(min_length=8, max_length=MAX_GRID)], ...],
+        Field(min_length=8, max_length=MAX_GRID),
+    ]
+
+    @model_validator(mode="after")
+    def _is_rectangle(self) -> "HeightGrid":
+        """Check that all rows are as long."""
+        if len({len(row) for row in self.rows}) > 1:
+            raise ValueError("rows: expected rows of one length")
+        return self
+
+
+class Terrain(DocumentPart):
+    """A sum of Gaussians; of a given map with heights, over a ground that meets these."""
+
+    gaussians: Annotated[tuple[Gaussian, ...], Field(max_length=100)]
+    base: Annotated[HeightGrid | None, Field(exclude_if=_is_none)] = None
+
+
+class PaperRoad(DocumentPart):
+    """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D').
+
+    `n_oncoming` lanes of traffic the other way lie on the side opposite the exit, beyond a median of `median_m` between
+    the edge lines, or without one beyond one line that divides the traffic (`divider_dashed` or solid).
+    """
+
+    topology: Annotated[int, Field(ge=1, le=4)]
+    flip_longitudinal: bool
+    flip_lateral: bool
+    n_lanes: Annotated[int, Field(ge=1, le=8)]
+    lane_width_m: Annotated[float, Field(gt=0, le=1000)]
+    shoulder_factor: Annotated[float, Field(ge=0, le=1000)]
+    offset_m100_m: Metres
+    offset_m50_m: Metres
+    offset_p50_m: Metres
+    offset_p100_m: Metres
+    exit_angle_rad: Annotated[float, Field(ge=0, lt=0.5)]
+    exit_offset_m: Annotated[float, Field(ge=0, le=1000)]
+    ramp_height_m: Annotated[float, Field(ge=0, le=1000)]
+    ramp_slope: Positive
+    n_oncoming: Annotated[int, Field(ge=0, le=8)] = 0
+    median_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    divider_dashed: bool = False
+
+    @model_validator(mode="after")
+    def _has_room(self) -> "PaperRoad":
+        """Check that there are enough lanes for the topology, that the exit opens, and room for the median."""
+        if self.n_lanes < 2 and self.topology > 2:
+            raise ValueError(f"n_lanes: expected at least 2 with topology {self.topology}, got {self.n_lanes}")
+        if self.topology > 1 and self.exit_angle_rad == self.exit_offset_m == 0:
+            raise ValueError(
+                "exit_angle_rad: expected more than 0 where exit_offset_m is 0: the exit must leave the road"
+            )
+        if 0 < self.median_m < MIN_MEDIAN_M:
+            raise ValueError(f"median_m: expected 0 or at least {MIN_MEDIAN_M:g}, got {self.median_m:g}")
+        return self
+
+    @property
+    def n_exit_lanes(self) -> int:
+        """Lanes of the exit (Appendix I, Table 'Road and lane topology')."""
+        return {1: 0, 2: 1, 3: 1, 4: 2}[self.topology]
+
+    @property
+    def n_main_after(self) -> int:
+        """Main lanes behind the split (before the merge)."""
+        return self.n_lanes - 1 if self.topology == 4 else self.n_lanes
+
+    def segments_at(self, s_m: float) -> tuple[str, ...]:
+        """The ids of the host's lane segments at a world station, from the left, the main road's first."""
+        if self.topology > 1 and (-s_m if self.flip_lateral else s_m) < 0:
+            return tuple(f"stem_{lane}" for lane in range(1, self.n_lanes + 1))
+        main = (f"main_{lane}" for lane in range(1, self.n_main_after + 1))
+        return (*main, *(f"exit_{lane}" for lane in range(1, self.n_exit_lanes + 1)))
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """The ids of all lane segments."""
+        ends = (*self.segments_at(-1.0), *self.segments_at(1.0), *self.oncoming_segments)
+        return tuple(dict.fromkeys(ends))
+
+    @property
+    def oncoming_segments(self) -> tuple[str, ...]:
+        """The ids of the lane segments of oncoming traffic, from the host's left."""
+        return tuple(f"oncoming_{lane}" for lane in range(1, self.n_oncoming + 1))
+
+    def lanes_present(self, s_m: float) -> int:
+        """Number of the main road's lanes in the host's direction at a world station."""
+        return sum(not segment.startswith("exit") for segment in self.segments_at(s_m))
+
+
+class Markings(DocumentPart):
+    """Paint: `dash_fraction` is the painted share of `dash_cycle_m`, `wear` the share of paint that is rubbed off,
+    `missing` the share of each line's length without paint, in stretches. `left_yellow` and `left_double` (two stripes
+    of `width_m`, `width_m` apart) apply to the leftmost line as the host drives. `left_pair` says which of two stripes,
+    from the left, is solid and which has the dashes of a dashed line; with `same` both are solid. With `dots`, dashed
+    lines, but no stripes of a pair, consist of Botts' dots instead: raised discs 10 cm across, four to a dash."""
+
+    dash_cycle_m: Annotated[float, Field(ge=0.001, le=1000)]
+    dash_fraction: Annotated[float, Field(gt=0, le=1)]
+    width_m: Positive
+    grayscale: Unit
+    gloss: Unit
+    left_yellow: bool = False
+    left_double: bool = False
+    wear: Unit = 0.0
+    missing: Unit = 0.0
+    dots: bool = False
+    left_pair: Literal["same", "solid_dashed", "dashed_solid"] = "same"
+
+
+class Surface(DocumentPart):
+    """Textures of road and terrain, numbered from 1. `wetness` of the pavement is from 0 (dry) to 1 (under water).
+    Three values describe what is visible on the pavement but is no paint: `tar` is the amount of cracks filled with
+    bitumen, from 0 (none) to 1 (a net of them); `joint` is the contrast between old and new asphalt beside each other;
+    `ghost_lines` is the contrast of removed paint."""
+
+    road_texture: AssetNumber
+    road_texture_scale: Positive
+    road_gloss: Unit
+    terrain_texture: AssetNumber
+    terrain_texture_scale: Positive
+    texture_orientation_rad: Number
+    wetness: Unit = 0.0
+    shoulder_texture: Annotated[int, Field(ge=1, le=2)] = 1
+    tar: Unit = 0.0
+    joint: Unit = 0.0
+    ghost_lines: Unit = 0.0
+
+
+class Symbol(DocumentPart):
+    """Paint that bounds no lane. The middle of an arrow is on the centre of lane segment `lane` at station `s_m`. Stop
+    lines (`lane` is None) cross the lanes of the main road there, crosswalks also the oncoming ones. The hatching of a
+    gore fills the area between main road and exit from station `s_m` to where the ramp begins."""
+
+    kind: SymbolKind
+    lane: Name | None
+    s_m: Metres
+
+
+class Car(DocumentPart):
+    """A car in lane segment `lane` (its id in the lane graph) at station `s_m` (world y on the main reference line; of
+    a map the lane's road's own), heading as the lane does, `offset_m` to its driver's right of the lane's centre:
+    parked cars stand on a shoulder. This is its place at the start of a clip, through which it keeps its lane and
+    speed. Models are numbered from 1. `saturation` mixes the body's colour (1) with the gray of its first channel (0).
+
+    On a map it drives through the lanes of `route` behind its own. `track` are instants (seconds of the clip) and the
+    lengths that it has driven then; without them it keeps its speed, which is otherwise that at the clip's start."""
+
+    model: AssetNumber
+    scale: Positive
+    color: Color
+    gloss: Unit
+    lane: Name
+    s_m: Station
+    saturation: Unit = 1.0
+    offset_m: Metres = 0.0
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
+    route: Annotated[tuple[LaneName, ...], Field(max_length=1000, exclude_if=is_empty)] = ()
+    track: DrivenTrack = ()
+
+
+class Tree(DocumentPart):
+    """A tree at a world position off the roads. Models are numbered from 1."""
+
+    model: AssetNumber
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
+    scale: Positive
+
+
+class Vegetation(DocumentPart):
+    """The share of light that leaves let through, relative to real leaves, and the height in metres of the grass beside
+    the road near the host."""
+
+    translucency: Unit = 0.0
+    grass_m: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+
+class Light(DocumentPart):
+    """The sun, its azimuth counter-clockwise from world x, its zenith beyond pi/2 at night; the exposure factor; and
+    `metering`, the exponent with which the exposure compensates for the scene's daylight (0 not at all, 1 fully)."""
+
+    sun_zenith_rad: Annotated[float, Field(ge=0, le=2.0)]
+    sun_azimuth_rad: Number
+    exposure: Positive
+    metering: Unit = 0.0
+
+
+class Air(DocumentPart):
+    """The meteorological visibility, which is the distance where 2 % of the contrast is left, and the share of the sun
+    that clouds hide."""
+
+    visibility_m: Positive = 1e6
+    overcast: Unit = 0.0
+
+
+class Sensor(DocumentPart):
+    """Metres driven during the exposure; the standard deviation of the noise at middle gray, in 8-bit levels; lens
+    flare, dirt and drops of water on the glass, each from 0 to 1; and the quality of JPEG images."""
+
+    motion_blur_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    flare: Unit = 0.0
+    dirt: Unit = 0.0
+    drops: Unit = 0.0
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] = JPEG_QUALITY
+
+
+class Weather(DocumentPart):
+    """The weather and the time of day that the scene was drawn for ("any" for none), and their effects: `rain` and
+    `snowfall` in the air, from 0 to 1; the share of the terrain, and of the road, that snow covers (wheel tracks stay
+    clear longest); `headlights` of the host and of all cars."""
+
+    kind: Literal["any", "clear", "cloudy", "fog", "rain", "snow"] = "any"
+    daytime: Literal["any", "day", "dusk", "night"] = "any"
+    rain: Unit = 0.0
+    snowfall: Unit = 0.0
+    snow: Unit = 0.0
+    snow_on_road: Unit = 0.0
+    headlights: bool = False
+
+
+class Scene(DocumentPart):
+    """One picture of one world. `(seed, split, index)` identify the random draw of the world. `sky` is 0 for the
+    built-in sky, or the number of a user's sky, counted from 1. Its roads are either `road`, those of the paper, or
+    `map`; of a town's map `town` has the values that it was drawn from."""
+
+    format: Literal["synth3dlanes.scene"]
+    version: Literal[1]
+    seed: Seed
+    split: Annotated[str, Field(max_length=200)]
+    index: Annotated[int, Field(ge=0, lt=MAX_SAMPLES)]
+    terrain: Terrain
+    road: PaperRoad | None
+    markings: Markings
+    surface: Surface
+    cars: Annotated[tuple[Car, ...], Field(max_length=1000)]
+    trees: Annotated[tuple[Tree, ...], Field(max_length=10_000)]
+    camera: Camera
+    light: Light
+    air: Air = Air()
+    sensor: Sensor = Sensor()
+    weather: Weather = Weather()
+    host: Host = Host()
+    sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
+    assets: Assets = Assets()
+    symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = ()
+    vegetation: Vegetation = Vegetation()
+    roadside: Roadside = Roadside()
+    shot: Shot = Shot()
+    lidar: Lidar | None = None
+    map: Annotated[RoadMap | None, Field(exclude_if=_is_none)] = None
+    town: Annotated[Town | None, Field(exclude_if=_is_none)] = None
+
+    def stream(self, name: str) -> np.random.Generator:
+        """Random numbers for details of the world that the scene does not store, such as `clouds`."""
+        return stream(self.seed, self.split, self.index, name)
+
+    def picture_stream(self, name: str) -> np.random.Generator:
+        """Random numbers for what differs between the pictures of one world, such as `sensor_noise`."""
+        frame, camera = self.shot.frame, self.shot.camera
+        return self.stream(f"{name}/{frame}/{camera}" if frame or camera else name)
+
+    def glass_stream(self, name: str) -> np.random.Generator:
+        """Random numbers for what differs between cameras but not between frames, such as `dirt`."""
+        return self.stream(f"{name}/{self.shot.camera}" if self.shot.camera else name)
+
+    @model_validator(mode="after")
+    def _has_its_models(self) -> "Scene":
+        """Check that all model, texture and sky numbers exist."""
+        used: list[tuple[str, AssetKind, int]] = [
+            *((f"cars.{i}.model", "cars", car.model) for i, car in enumerate(self.cars)),
+            *((f"trees.{i}.model", "trees", tree.model) for i, tree in enumerate(self.trees)),
+            ("surface.road_texture", "roads", self.surface.road_texture),
+            ("surface.terrain_texture", "terrains", self.surface.terrain_texture),
+            ("sky", "skies", self.sky),
+        ]
+        for path, kind, number in used:
+            if number > self.assets.count(kind):
+                raise ValueError(f"{path}: expected at most {self.assets.count(kind)}, got {number}")
+        return self
+
+    @property
+    def paper_road(self) -> PaperRoad:
+        """The paper's road, of a scene that has one."""
+        assert self.road is not None, "asked only of scenes without a map"
+        return self.road
+
+    @model_validator(mode="after")
+    def _has_roads(self) -> "Scene":
+        """Check that the roads are given once."""
+        if (self.road is None) == (self.map is None):
+            raise ValueError("road: expected either a road or a map")
+        return self
+
+    @model_validator(mode="after")
+    def _governs_its_lanes(self) -> "Scene":
+        """Check that the lanes that signals and signs govern exist."""
+        beside = self.roadside
+        if self.map is not None:
+            segments, among = self.map.driving_lanes, "the driving lanes of the map"
+        else:
+            segments = frozenset(self.paper_road.segments)
+            among = ", ".join(self.paper_road.segments)
+        governed = [
+            *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
+            *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
+            *(
+                (f"roadside.crossings.{i}.signals", tuple(signal.lane for signal in item.signals))
+                for i, item in enumerate(beside.crossings)
+            ),
+        ]
+        for path, lanes in governed:
+            for lane in lanes:
+                if lane not in segments:
+                    raise ValueError(f"{path}: expected lanes among {among}, got {lane}")
+        return self
+
+    @model_validator(mode="after")
+    def _has_its_lanes(self) -> "Scene":
+        """Check that the lanes of host and cars exist at their stations."""
+        problem = _map_problem(self, self.map) if self.map is not None else _road_problem(self, self.paper_road)
+        if problem:
+            raise ValueError(problem)
+        return self
+
+
+def _road_problem(scene: Scene, road: PaperRoad) -> str:
+    """What is missing on the paper's road; "" if nothing is."""
+    present = road.lanes_present(scene.camera.y_m)
+    if scene.camera.lane > present:
+        return f"camera.lane: expected at most {present} at y_m = {scene.camera.y_m:g}, got {scene.camera.lane}"
+    for kind in ("rails", "posts"):
+        for i, item in enumerate(getattr(scene.roadside, kind)):
+            if item.road not in ("main", "exit"):
+                return f"roadside.{kind}.{i}.road: expected main or exit, got {item.road}"
+            if item.road == "exit" and (road.topology == 1 or item.side == "median"):
+                return f"roadside.{kind}.{i}: expected a side of a road that is there, got its exit's"
+    for i, car in enumerate(scene.cars):
+        lanes = (*road.segments_at(car.s_m), *road.oncoming_segments)
+        if car.lane not in lanes:
+            return f"cars.{i}.lane: expected one of {', '.join(lanes)} at s_m = {car.s_m:g}, got {car.lane}"
+        if car.route or car.track:
+            return f"cars.{i}.route: expected none without a map, got one"
+    for i, symbol in enumerate(scene.symbols):
+        named = road.segments_at(symbol.s_m) if symbol.kind.startswith("arrow") else (None,)
+        if symbol.lane not in named:
+            wanted = ", ".join(lane or "null" for lane in named)
+            return f"symbols.{i}.lane: expected one of {wanted}, got {symbol.lane or 'null'}"
+        if symbol.kind == "give_way_line":
+            return f"symbols.{i}.kind: expected no give_way_line, which only maps have, got one"
+        if symbol.kind == "gore" and road.topology == 1:
+            return f"symbols.{i}.kind: expected a road with an exit for a gore, got topology 1"
+    return ""
+
+
+def _map_problem(scene: Scene, roads: RoadMap) -> str:
+    """What is missing on the map; "" if nothing is."""
+    if scene.camera.lane != 1:
+        return f"camera.lane: expected 1 on a map, got {scene.camera.lane}"
+    if scene.symbols:
+        return f"symbols: expected none beside a map, whose paint they are, got {len(scene.symbols)}"
+    for kind in ("rails", "posts"):
+        for i, item in enumerate(getattr(scene.roadside, kind)):
+            if item.road not in roads.road_ids:
+                return f"roadside.{kind}.{i}.road: expected a road of the map, got {item.road}"
+    for i, car in enumerate(scene.cars):
+        for name in (car.lane, *car.route):
+            if name not in roads.driving_lanes:
+                return f"cars.{i}.lane: expected driving lanes of the map, got {name}"
+        for pair in pairwise((car.lane, *car.route)):
+            if pair not in roads.all_links:
+                return f"cars.{i}.route: expected linked lanes, got {pair[0]} and {pair[1]}"
+    return ""
+
+
+def to_json(scene: Scene) -> str:
+    """The scene as one line of JSON; equal scenes give equal text."""
+    return scene.model_dump_json()
+
+
+def from_json(text: str | bytes, where: str) -> Scene:
+    """Parse `scene.json`; raise FormatError with one line per problem, each beginning with `where`."""
+    return parse(Scene, text, where, f"synth3dlanes.scene version {SCENE_VERSION}")

@@ -1,1 +1,0 @@
-"""A user's cameras, rigs and lidars, their files, and the sweep of a lidar."""

@@ -1,0 +1,1 @@
+"""What knows nothing of roads: files, processes, errors, text formats, types of arrays."""

@@ -1,0 +1,116 @@
+"""World and View -> the boxes of all objects, except what needs a rendered picture or a sweep.
+
+A rectangle in the image is that of the box's edges within it, of the corners of the image that are before the box, and
+of the places where edges cross the image's border.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from synth3dlanes.geometry.frames import inside_image, invert, quaternion, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.scene.assets.catalogue import CarModel
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.system.arrays import Matrix4, Points2, Points3
+from synth3dlanes.system.schema import MAX_NUMBER
+from synth3dlanes.world.world import View
+
+# Pieces of an edge, which a lens bends, and halvings of the piece that crosses the image's border.
+PIECES, HALVINGS = 32, 24
+# Parts of a box across, along and up, of which the share outside the image is counted.
+PARTS = (8, 24, 8)
+
+# Ends of the twelve edges: corners of CORNERS that differ in one coordinate.
+EDGES = np.array([(i, j) for i in range(8) for j in range(i) if (CORNERS[i] != CORNERS[j]).sum() == 1])
+INSIDE = np.stack(np.meshgrid(*((np.arange(n) + 0.5) * 2 / n - 1 for n in PARTS), indexing="ij"), axis=-1).reshape(
+    -1, 3
+)
+
+
+def label_objects(view: View, camera: CameraLabel) -> tuple[ObjectLabel, ...]:
+    """The labels of all cars of a view, in the scene's order."""
+    models = view.scene.assets.car_models
+    cars = zip(view.cars, view.world_from_cars, strict=True)
+    return tuple(_object(view, camera, i, (car, models[car.model - 1], pose)) for i, (car, pose) in enumerate(cars))
+
+
+def _object(view: View, camera: CameraLabel, number: int, placed: tuple[Car, CarModel, Matrix4]) -> ObjectLabel:
+    car, model, world_from_car = placed
+    size_m = car.scale * np.array([model.width_m, model.length_m, model.height_m])
+    world_from_object = world_from_car.copy()
+    world_from_object[:3, 3] += world_from_car[:3, 2] * size_m[2] / 2
+    cam_from_object = invert(camera.world_from_cam) @ world_from_object
+    inside, whole = rectangles(camera, cam_from_object, size_m)
+    return ObjectLabel(
+        id=instance_id("car", number),
+        category=model.category,
+        size_m=size_m,
+        center_cam=cam_from_object[:3, 3],
+        rotation_wxyz=quaternion(cam_from_object[:3, :3]),
+        velocity_cam=cam_from_object[:3, 1] * car.speed_m_s if view.scene.shot.n_frames > 1 else None,
+        box_px=inside,
+        unclipped_box_px=whole,
+        truncation=truncation(camera, cam_from_object, size_m),
+    )
+
+
+def rectangles(
+    camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "4"] | None, Float[np.ndarray, "4"] | None]:
+    """The rectangle of what of a box is inside the image, None if nothing is; and that of the whole box, beyond the
+    image's border too, None where a part of it has no place there."""
+    edges = _edges(cam_from_box, size_m)
+    uv = camera.project(edges)
+    # Next to the plane of the camera, and to the end of a lens's field, pixels are beyond all measure.
+    whole = _around(uv.reshape(-1, 2)) if (np.abs(uv) <= MAX_NUMBER).all() else None
+    shown = inside_image(uv, camera.width_px, camera.height_px)
+    if shown.all():
+        return whole, whole
+    size_px = np.array([camera.width_px, camera.height_px], float)
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size_px
+    found = [uv[shown], corners[meets_box(camera.rays(corners), cam_from_box, size_m)]]
+    if shown.any():
+        crossing = shown[:, 1:] != shown[:, :-1]
+        ends = [np.where(shown[:, 1:, None] == side, edges[:, 1:], edges[:, :-1])[crossing] for side in (True, False)]
+        found.append(camera.project(_border(camera, *ends)))
+    inside = np.concatenate(found)
+    return np.clip(_around(inside), 0, np.tile(size_px, 2)) if len(inside) else None, whole
+
+
+def truncation(camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> float:
+    """The share of a box that is outside the image."""
+    shown = camera.shows(transform(cam_from_box, INSIDE * size_m / 2))
+    return round(1 - float(shown.mean()), 3)
+
+
+def meets_box(rays_cam: Points3, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " n"]:
+    """Which rays from the camera meet a box; none that are NaN."""
+    box_from_cam = invert(cam_from_box)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (np.array([-0.5, 0.5])[:, None, None] * size_m - box_from_cam[:3, 3]) / (
+            rays_cam @ box_from_cam[:3, :3].T
+        )
+    enters, leaves = ends.min(axis=0).max(axis=1), ends.max(axis=0).min(axis=1)
+    return np.asarray((leaves > 0) & (enters < leaves))
+
+
+def _edges(cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "12 p 3"]:
+    """Points along the edges of a box."""
+    first, second = (transform(cam_from_box, CORNERS[EDGES[:, end]] * size_m / 2)[:, None] for end in (0, 1))
+    share = np.linspace(0, 1, PIECES + 1)[:, None]
+    return np.asarray(first + share * (second - first))
+
+
+def _border(camera: CameraLabel, shown: Points3, other: Points3) -> Points3:
+    """Points in the image next to where straight lines from it to points out of it cross its border."""
+    for _ in range(HALVINGS):
+        middle = (shown + other) / 2
+        is_shown = camera.shows(middle)[:, None]
+        shown, other = np.where(is_shown, middle, shown), np.where(is_shown, other, middle)
+    return shown
+
+
+def _around(uv: Points2) -> Float[np.ndarray, "4"]:
+    return np.concatenate([uv.min(axis=0), uv.max(axis=0)])

@@ -1,0 +1,158 @@
+"""Areas on the ground from above, as polygons: what junctions, islands and walkways cover. World frame, metres.
+
+Every area consists of valid polygons alone, and no overlay of areas fails: what GEOS cannot do exactly is done on a
+grid.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Bool
+from shapely.geometry.base import BaseGeometry
+
+from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2
+
+# Grids for the corners of what cannot be done exactly, the finest first.
+GRIDS_M = (1e-4, 1e-3, 1e-2)
+# Smaller holes are filled.
+LEAST_HOLE_M2 = 150.0
+# Smaller parts of an area, and smaller polygons, are slivers and left out.
+SLIVER_M2, LEAST_AREA_M2 = 0.01, 0.02
+NOTHING = shapely.MultiPolygon()
+
+
+def valid(area: BaseGeometry) -> BaseGeometry:
+    """The polygons of what may cross itself."""
+    return _polygons_alone(area) if shapely.is_valid(area) else _on_grids(shapely.set_precision, [area], NOTHING)
+
+
+def ring_area(ring: Points2) -> BaseGeometry:
+    """The area within a ring of points; nothing of one whose numbers are not finite."""
+    return valid(shapely.Polygon(ring)) if len(ring) > 2 and np.isfinite(ring).all() else NOTHING
+
+
+def union(areas: Iterable[BaseGeometry]) -> BaseGeometry:
+    """What any of some areas covers."""
+    parts = list(areas)
+    return _overlay(lambda *some, grid_size: shapely.union_all(some, grid_size=grid_size), parts, NOTHING)
+
+
+def difference(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
+    """What of an area another leaves."""
+    return _overlay(shapely.difference, [area, other], area)
+
+
+def intersection(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
+    """What two areas share."""
+    return _overlay(shapely.intersection, [area, other], NOTHING)
+
+
+def outset(area: BaseGeometry, by_m: float) -> BaseGeometry:
+    """An area with what is so near to it; with a negative distance, what of it is farther inside than that."""
+    return valid(shapely.buffer(area, by_m, join_style="mitre"))
+
+
+def _overlay(
+    operation: Callable[..., BaseGeometry], areas: Sequence[BaseGeometry], otherwise: BaseGeometry
+) -> BaseGeometry:
+    """The polygons of an overlay: exact, or else on a grid."""
+    try:
+        return _polygons_alone(operation(*areas, grid_size=None))
+    except shapely.errors.GEOSException:
+        return _on_grids(operation, areas, otherwise)
+
+
+def _on_grids(
+    operation: Callable[..., BaseGeometry], areas: Sequence[BaseGeometry], otherwise: BaseGeometry
+) -> BaseGeometry:
+    """The polygons of an operation on the finest grid that it can be done on."""
+    for grid_m in GRIDS_M:
+        try:
+            on_grid = [_polygons_alone(shapely.make_valid(shapely.set_precision(area, grid_m))) for area in areas]
+            return _polygons_alone(shapely.make_valid(operation(*on_grid, grid_size=grid_m)))
+        except shapely.errors.GEOSException:
+            continue
+    return otherwise
+
+
+def _polygons_alone(area: BaseGeometry) -> BaseGeometry:
+    """An area without the lines and points that overlays leave where areas touch."""
+    if isinstance(area, shapely.Polygon | shapely.MultiPolygon):
+        return area
+    parts = shapely.get_parts(area)
+    nested = shapely.get_parts(parts)
+    return shapely.MultiPolygon([part for part in nested if isinstance(part, shapely.Polygon)])
+
+
+class Outlined(NamedTuple):
+    """An area and a tree of the sides of its outline."""
+
+    area: BaseGeometry
+    sides: shapely.STRtree
+
+
+def outlined(area: BaseGeometry) -> Outlined:
+    """An area, to be asked for distances."""
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_parts(shapely.boundary(area))]
+    sides = [np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings]
+    return Outlined(area, shapely.STRtree(shapely.linestrings(np.concatenate(sides)) if sides else []))
+
+
+def signed_distance(of: Outlined, xy_world: AnyPoints2) -> AnyScalars:
+    """Distance of points from an area, negative in it; infinite from an empty one."""
+    places = xy_world.reshape(-1, 2)
+    flat, distance = shapely.points(places), np.full(len(places), np.inf)
+    (at, _), found = of.sides.query_nearest(flat, return_distance=True, all_matches=False)
+    distance[at] = found
+    distance[shapely.contains_properly(of.area, flat)] *= -1
+    return distance.reshape(xy_world.shape[:-1])
+
+
+def contains(area: BaseGeometry, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+    """Which points an area contains; those out of its bounds are left out before GEOS is asked."""
+    (x, y), (x0, y0, x1, y1) = xy_world.T, shapely.bounds(area)
+    found = np.asarray((x > x0) & (x < x1) & (y > y0) & (y < y1))
+    found[found] = shapely.contains_xy(area, x[found], y[found])
+    return found
+
+
+def solid(area: BaseGeometry) -> BaseGeometry:
+    """The polygons of an area, without slivers."""
+    parts = shapely.get_parts(valid(area))
+    return shapely.MultiPolygon([part for part in parts if shapely.area(part) > LEAST_AREA_M2])
+
+
+def polygon_between(left: Points2, right: Points2) -> BaseGeometry:
+    """The polygon between two lines; of a road that folds, what it covers."""
+    ring = np.concatenate([left, right[::-1]])
+    polygon = shapely.Polygon(ring)
+    if polygon.is_valid:
+        return polygon
+    quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
+    return union(map(valid, quads))
+
+
+def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseGeometry:
+    """What of an area is within (x0, y0, x1, y1)."""
+    try:
+        return shapely.clip_by_rect(area, *box)
+    except shapely.errors.GEOSException:
+        # The fast way refuses parts that only touch the box.
+        return intersection(area, shapely.box(*box))
+
+
+def polygons_of(area: BaseGeometry) -> list[shapely.Polygon]:
+    """The polygons that an area consists of, without slivers."""
+    return [part for part in shapely.get_parts(area) if isinstance(part, shapely.Polygon) and part.area > SLIVER_M2]
+
+
+def filled(area: BaseGeometry) -> BaseGeometry:
+    """An area without its small holes."""
+    parts = [
+        shapely.Polygon(part.exterior, [hole for hole in part.interiors if shapely.Polygon(hole).area > LEAST_HOLE_M2])
+        for part in shapely.get_parts(area)
+        if isinstance(part, shapely.Polygon)
+    ]
+    return union(parts)

@@ -1,0 +1,63 @@
+"""Pose and projection of the host's camera. World and camera frames (docs/frames.md)."""
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.frames import from_axes
+from synth3dlanes.geometry.lens import width_rad
+from synth3dlanes.roads.network import Network
+from synth3dlanes.scene.host import Camera
+from synth3dlanes.system.arrays import AnyPoints3, Matrix4
+
+TANGENT_STEP_M = 1e-3
+BORDER_PX = 1
+
+
+def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
+    """The 3x3 projection matrix of the camera frame: u = cx + fx x/y, v = cy - fy z/y."""
+    return np.array(
+        [[camera.fx_px, camera.cx_px, 0], [0, camera.cy_px, -camera.fy_px], [0, 1, 0]],
+        dtype=float,
+    )
+
+
+def project(camera: Camera, points_cam: AnyPoints3) -> Float[np.ndarray, "*n 2"]:
+    """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
+    return camera.lens.project(img_from_cam(camera), points_cam)
+
+
+def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> AnyPoints3:
+    """Unit vectors (camera frame) along which pixels look; NaN where the lens has no picture."""
+    return camera.lens.rays(img_from_cam(camera), uv)
+
+
+@lru_cache(maxsize=2)
+def rays_with_border(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+    """`rays` of the centres of all pixels, and of those of a border of BORDER_PX around the picture."""
+    columns, rows = (np.arange(-BORDER_PX, size + BORDER_PX) + 0.5 for size in (camera.width_px, camera.height_px))
+    found = rays(camera, np.stack(np.meshgrid(columns, rows), axis=-1))
+    found.flags.writeable = False
+    return found
+
+
+def rays_of_pixels(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+    """`rays` of the centres of all pixels."""
+    return rays_with_border(camera)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+
+
+def horizontal_fov_rad(camera: Camera) -> float:
+    """The angle that the image is wide (`lens.width_rad`)."""
+    return width_rad(img_from_cam(camera), camera.lens, camera.width_px)
+
+
+def world_from_host(network: Network, camera: Camera) -> Matrix4:
+    """The pose of the road frame at the host: origin on the surface at its place, z the surface normal, y along the
+    lane."""
+    foot, behind, ahead = network.host_points(camera, np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))
+    z = network.up(camera, foot)
+    along = ahead - behind
+    y = along - (along @ z) * z
+    y /= np.linalg.norm(y)
+    return from_axes(np.cross(y, z), y, z, foot)

@@ -1,0 +1,149 @@
+"""Grass beside the pavement near the host: tufts of blades that hide no point of a lane. World frame, metres.
+
+Far away the terrain's texture is enough. Tufts stand on the verge, up to where its texture begins to look like depth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.roads import SIDES
+from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.world.ground import Ground
+
+TuftsAndPoints = Integer[np.ndarray, " pairs"]
+
+# Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
+PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
+LEAST_EDGES = 4  # that random numbers are drawn for
+# More of them for each metre that the host drives.
+PER_M = 40
+# Grass is mown next to the road: its height grows from this share at the edge to all of it at FULL_AT_M.
+SHORT, FULL_AT_M = 0.35, 1.5
+# A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
+BLADES, RADIUS_M, LEAN, WIDTH = 9, 0.14, 0.7, 0.12
+SINK_M = 0.04
+# Lines of sight to points of lanes, every STEP_M up to RANGE_M, pass tufts by this much and by this share of the
+# distance, which is more than a pixel.
+STEP_M, RANGE_M, ROOM_M, ROOM = 1.0, 115.0, 0.1, 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class Blades:
+    """Triangles: two corners at the foot and a tip, with a shade and a dryness for each blade, both 0 to 1."""
+
+    corners_world: Float[np.ndarray, "n 3 3"]
+    shade: Scalars
+    dryness: Scalars
+
+
+def blades(
+    ground: Ground,
+    lines: Sequence[LaneCurve],
+    eye_world: Float[np.ndarray, "3"],
+    grass_m: float,
+    rng: np.random.Generator,
+) -> Blades:
+    """The blades of grass of `grass_m` height that a camera at `eye_world` sees beside the road."""
+    feet, height_m = _tufts(ground, grass_m, rng)
+    points = lane_points(ground, lines)
+    free = ~_in_sight(feet, height_m, eye_world, points)
+    return _grown(feet[free], height_m[free], rng)
+
+
+def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
+    """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
+    s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
+    return np.concatenate(
+        [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
+    )
+
+
+def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points3, Scalars]:
+    """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
+    network, last_m = ground.network, ground.near_m + ground.driven_m
+    n_edges = max(LEAST_EDGES, 2 * len(network.roads))
+    draws = rng.random((4, n_edges, PER_EDGE))
+    driven_m = last_m + _away(draws[0])
+    if ground.driven_m:
+        more = rng.random((4, n_edges, int(PER_M * ground.driven_m)))
+        draws = np.concatenate([draws, more], axis=2)
+        driven_m = np.concatenate([driven_m, ground.near_m + AHEAD_M[0] + ground.driven_m * more[0]], axis=1)
+    if ground.both_ways:
+        more = rng.random((4, n_edges, PER_EDGE))
+        draws = np.concatenate([draws, more], axis=2)
+        driven_m = np.concatenate([driven_m, ground.near_m - _away(more[0])], axis=1)
+    beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
+    s, xy = network.stations(driven_m), list[Points2]()
+    for road in network.roads:
+        for side in SIDES:
+            edge = len(xy)
+            at = s[edge] >= road.start_m
+            xy.append(road.xy(s[edge][at], road.edge(side, s[edge][at], beside[edge][at])))
+    places = np.concatenate(xy)
+    from_edge_m = ground.clearance(places)
+    kept = (from_edge_m > BESIDE_M[0]) & (from_edge_m < BESIDE_M[1])
+    places, from_edge_m = places[kept], from_edge_m[kept]
+    height_m = grass_m * np.clip(SHORT + (1 - SHORT) * from_edge_m / FULL_AT_M, 0, 1)
+    height_m *= 0.6 + 0.4 * draws[2].ravel()[: len(places)]
+    return np.column_stack([places, ground.height(places) - SINK_M]), height_m
+
+
+def _away(draws: Float[np.ndarray, "e n"]) -> Float[np.ndarray, "e n"]:
+    """Distances from the host, from random numbers."""
+    return np.asarray(AHEAD_M[0] * (AHEAD_M[1] / AHEAD_M[0]) ** draws)
+
+
+def _in_sight(
+    feet: Points3, height_m: Scalars, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "p 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Which tufts reach into a line of sight from the eye to a point."""
+    to_feet, to_points = feet - eye_world, points_world - eye_world
+    to_points = to_points[np.argsort(np.arctan2(to_points[:, 1], to_points[:, 0]))]
+    distance_m, reach_m = (np.hypot(way[:, 0], way[:, 1]) for way in (to_feet, to_points))
+    room_m = ROOM_M + ROOM * np.linalg.norm(to_feet, axis=1)
+    radius_m = RADIUS_M + LEAN * height_m + room_m
+    tuft, point = _about_one_way(to_feet, distance_m / radius_m, to_points)
+    along = to_points[point, :2] / reach_m[point, None]
+    at_m = (to_feet[tuft, :2] * along).sum(axis=1)
+    beside_m = np.abs(to_feet[tuft, 1] * along[:, 0] - to_feet[tuft, 0] * along[:, 1])
+    last_m = np.minimum(at_m + radius_m[tuft], reach_m[point])
+    first_m = at_m - radius_m[tuft]
+    slope = to_points[point, 2] / reach_m[point]
+    top_z = to_feet[:, 2] + height_m + room_m
+    is_low = np.minimum(slope * first_m, slope * last_m) < top_z[tuft]
+    meets = (beside_m < radius_m[tuft]) & (first_m < reach_m[point]) & (last_m > 0) & is_low
+    hidden = np.zeros(len(feet), dtype=bool)
+    hidden[tuft[meets]] = True
+    return hidden
+
+
+def _about_one_way(
+    to_feet: Points3, away: Scalars, to_points: Float[np.ndarray, "p 3"]
+) -> tuple[TuftsAndPoints, TuftsAndPoints]:
+    """The pairs of a tuft and a point, these in the order of their directions, that a tuft `away` times its radius from
+    the eye may stand between; all points for the nearest."""
+    half = np.where(away > 2, np.arcsin(np.minimum(1 / away, 0.5)), np.pi)
+    toward, angles = (np.arctan2(way[:, 1], way[:, 0]) for way in (to_feet, to_points))
+    turns = np.concatenate([angles - 2 * np.pi, angles, angles + 2 * np.pi])
+    first, last = (np.searchsorted(turns, towards) for towards in (toward - half, toward + half))
+    n = last - first
+    point = np.arange(n.sum()) + np.repeat(first - np.cumsum(n) + n, n)
+    return np.repeat(np.arange(len(to_feet)), n), point % max(1, len(to_points))
+
+
+def _grown(feet: Points3, height_m: Scalars, rng: np.random.Generator) -> Blades:
+    """BLADES blades for each tuft, which lean to all sides."""
+    n = len(feet) * BLADES
+    around, lean, size = 2 * np.pi * rng.random(n), LEAN * rng.random(n), 0.3 + 0.7 * rng.random(n) ** 1.5
+    length_m = np.repeat(height_m, BLADES) * size
+    out = np.stack([np.cos(around), np.sin(around), np.zeros(n)], axis=1)
+    foot = np.repeat(feet, BLADES, axis=0) + RADIUS_M * np.sqrt(rng.random((n, 1))) * out
+    turn = 2 * np.pi * rng.random(n)
+    side = np.stack([np.cos(turn), np.sin(turn), np.zeros(n)], axis=1) * (WIDTH / 2 * length_m + 0.006)[:, None]
+    tip = foot + length_m[:, None] * (lean[:, None] * out + [0, 0, 1.0]) + [0, 0, SINK_M]
+    dryness = np.repeat(rng.random(len(feet)), BLADES) * rng.random(n)
+    return Blades(np.stack([foot - side, foot + side, tip], axis=1), rng.random(n), dryness)

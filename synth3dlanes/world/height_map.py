@@ -1,0 +1,31 @@
+"""A height map of the ground ahead over the road plane, for top-view methods. Road frame."""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.world.ground import Ground
+
+# The paper's top view: 20 m x 80 m, starting below the camera; row 0 is the farthest.
+CELL_M = (0.2, 0.4)
+SHAPE = (200, 100)
+STEPS = 12
+
+
+def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "200 100"]:
+    """Height of the ground as built at each cell's centre, over the plane that touches the road at the host; where one
+    road passes over another, of that which is nearer to the plane.
+
+    Column c lies at x = (c + 0.5) 0.2 - 10 m, row r at y = 80 - (r + 0.5) 0.4 m.
+    """
+    rows, columns = SHAPE
+    x = (np.arange(columns) + 0.5) * CELL_M[0] - columns * CELL_M[0] / 2
+    y = rows * CELL_M[1] - (np.arange(rows) + 0.5) * CELL_M[1]
+    points_road = np.zeros((rows * columns, 3))
+    points_road[:, 0], points_road[:, 1] = (axis.ravel() for axis in np.meshgrid(x, y))
+    for _ in range(STEPS):
+        points_world = transform(world_from_road, points_road)
+        below = ground.height_near(points_world) - points_world[:, 2]
+        points_road[:, 2] += below * world_from_road[2, 2]
+    return points_road[:, 2].reshape(SHAPE)

@@ -1,0 +1,285 @@
+"""The surfaces of a map as vertex and face arrays. World frame.
+
+Roads are strips along their lines; junctions, their walkways and islands are areas; the terrain is one surface below
+all of these.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from shapely.geometry.base import BaseGeometry
+
+from synth3dlanes.roads.section_road import KERB_M, SectionRoad
+from synth3dlanes.scene.road_map import MapLaneKind
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference, intersection, outset, union
+from synth3dlanes.world.ground import PRESS_M
+from synth3dlanes.world.map_ground import GroundArea, MapGround
+from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, terrain_axes, terrain_heights
+
+# Faces of lanes are no wider than this; cells of junctions, near the host and far from it.
+COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
+# What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
+SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
+# Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
+SKIRT_M = 0.12
+# The terrain goes down to its bed so far inside the edges of the pavement.
+UNDER_M = 0.15
+# Columns of cells are cut out a little wider; lines of the terrain's grid keep off corners of the pavement.
+ASIDE_M, HAIR_M = 0.01, 1e-5
+# Pavement farther than this from the host's way is left out.
+REACH_M = 480.0
+SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "median": MEDIAN, "walkway": SHOULDER,
+                                    "kerb": SHOULDER}  # fmt: skip
+AREA_SURFACES = {"road": ROAD, "walkway": SHOULDER, "paved": SHOULDER, "grass": MEDIAN}
+
+
+def pavement_meshes(ground: MapGround) -> list[Mesh]:
+    """The strips of all roads outside junctions, and the areas of junctions and islands."""
+    found = []
+    for road in ground.outside:
+        for stretch in road.stretches:
+            if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
+                found += _strips(ground, stretch)
+    for area in ground.areas:
+        found += _area_meshes(ground, area)
+    near = (_near(ground, mesh) for mesh in found)
+    return [mesh for mesh in near if len(mesh.faces)]
+
+
+def _near(ground: MapGround, mesh: Mesh) -> Mesh:
+    """The mesh without the faces beyond REACH_M."""
+    kept = (ground.away_at(mesh.vertices_world[:, :2]) < REACH_M)[mesh.faces].all(axis=1)
+    return mesh if kept.all() else replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
+
+
+def _strips(ground: MapGround, stretch: SectionRoad) -> list[Mesh]:
+    """The lanes of a stretch of a road, raised ones with kerbs on both sides."""
+    s, (section,) = ground.stretch_rows(stretch), stretch.sections
+    edges, first, last = section.edges(s), *section.paved
+    found, i = [], first
+    while i < last:
+        run = next((run for run in section.raised if run[0] == i), None)
+        level = next((run[0] for run in section.raised if run[0] > i), last)
+        end = min(run[1] if run else level, last)
+        columns, surfaces, across = [], [], []
+        for k in range(i, end):
+            n = max(int(np.ceil((edges[k + 1] - edges[k]).mean() / COLUMN_M)), 1)
+            share = np.linspace(0, 1, n + 1)[0 if k == i else 1 :]
+            columns += [edges[k] + (edges[k + 1] - edges[k]) * at for at in share]
+            across += ((k + share) * ground.network.lane_width_m).tolist()
+            surfaces += [SURFACES.get(section.lanes[k].kind, ROAD)] * n
+        t = np.stack(columns, axis=1)
+        vertices = stretch.base_points(np.broadcast_to(s[:, None], t.shape), t)
+        uv = np.stack(np.broadcast_arrays(np.array(across)[None], s[:, None]), -1)
+        if run:
+            vertices[..., 2] += KERB_M
+            feet = vertices[:, [0, -1]] - [0, 0, KERB_M + FOOT_M]
+            vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
+            uv = np.concatenate([uv[:, :1] - [0.2, 0], uv, uv[:, -1:] + [0.2, 0]], axis=1)
+            surfaces = [surfaces[0], *surfaces, surfaces[-1]]
+            ends = vertices[[0, -1]]
+            ends[:, 1:-1, 2] -= KERB_M + FOOT_M
+            vertices = np.concatenate([ends[:1], vertices, ends[1:]])
+            uv = np.concatenate([uv[:1], uv, uv[-1:]])
+        else:
+            feet = vertices[:, [0, -1]] - [0, 0, SKIRT_M]
+            vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
+            uv = np.concatenate([uv[:, :1], uv, uv[:, -1:]], axis=1)
+            surfaces = [surfaces[0], *surfaces, surfaces[-1]]
+        found.append(grid(vertices, uv, np.array(surfaces)))
+        i = end
+    return found
+
+
+def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
+    """An area over a grid of cells, with kerbs around it where it is raised. One that is not goes on a little below
+    what lies beside it."""
+    if area.polygon.is_empty:
+        return []
+    wide = area.polygon
+    if not area.raised_m:
+        shapely.prepare(area.polygon)
+        wide = union([area.polygon, intersection(outset(area.polygon, SEAM_M), ground.pavement)])
+    x0, y0, x1, y1 = shapely.bounds(wide)
+    away_m = float(ground.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
+    cell_m = CELL_M if away_m < FAR_M else FAR_CELL_M
+    axes = [np.arange(low - cell_m, high + 2 * cell_m, cell_m) for low, high in ((x0, x1), (y0, y1))]
+    xs, ys = axes
+    (column, row), _, parts = _cut(xs, ys, wide)
+    corners = [np.stack([xs[column + i], ys[row + j]], -1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    xy, faces = _merged(np.concatenate([np.stack(corners, axis=1), _triangles(parts)]))
+
+    z = ground.area_height(area, xy)
+    if not area.raised_m:
+        beside = ~contains(area.polygon, xy)
+        beside[beside] = shapely.distance(area.polygon, shapely.points(xy[beside])) > SEAM_EDGE_M
+        z[beside] = np.minimum(z[beside], ground.under(xy[beside])) - SEAM_FALL_M
+    surface = np.full(len(faces), AREA_SURFACES[area.kind])
+    found = [Mesh(np.column_stack([xy, z]), faces, xy, surface)]
+    return [*found, _kerb(ground, area)]
+
+
+def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
+    """Upright faces around an area, down into the terrain."""
+    quads = []
+    for ring in shapely.get_rings(shapely.get_parts(area.polygon)):
+        ring = shapely.segmentize(ring, 1.0)
+        xy = shapely.get_coordinates(ring)
+        top = np.column_stack([xy, ground.area_height(area, xy)])
+        low = top - [0, 0, area.raised_m + FOOT_M if area.raised_m else SKIRT_M]
+        quads.append(np.stack([low[:-1], low[1:], top[1:], top[:-1]], axis=1))
+    corners = np.concatenate(quads)
+    faces = np.arange(4 * len(corners)).reshape(-1, 4)
+    outward = shapely.is_ccw(shapely.get_exterior_ring(shapely.get_geometry(area.polygon, 0)))
+    return Mesh(
+        corners.reshape(-1, 3),
+        faces if outward else faces[:, ::-1],
+        corners.reshape(-1, 3)[:, :2].copy(),
+        np.full(len(faces), AREA_SURFACES[area.kind]),
+    )
+
+
+def terrain_mesh(ground: MapGround) -> Mesh:
+    """A grid with fine cells near the host, which grow to the horizon. It is one surface: it goes on below the
+    pavement, a little lower at its edges and deeper inside, so that no gap shows the sky. Over tunnels it is the ground
+    there, which ends in steps at their edges."""
+    xs, ys = terrain_axes(ground)
+    near = shapely.box(*ground.way_box(REACH_M - 20.0))
+    bed = intersection(outset(ground.graded_pavement, -UNDER_M), near)
+    over = difference(intersection(union(span.area for span in ground.tunnels), near), bed)
+    shapely.prepare(bed)
+    corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
+    xs, ys = (_beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
+    xy = np.stack(np.meshgrid(xs, ys), -1)
+    z, inside = terrain_heights(ground, xy), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
+    z[inside] -= PRESS_M * ground.cell_scale(xy[inside])
+    inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
+    z[inside] = ground.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
+    whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
+    rest: dict[tuple[int, int], BaseGeometry] = {}
+    cuts = [_cut(xs, ys, area) for area in (bed, over)]
+    for cut in cuts:
+        cells = list(zip(*cut.cut.tolist(), strict=True))
+        boxes = [rest[i, j] if (i, j) in rest else shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in cells]
+        rest.update(zip(cells, _differences(np.array(boxes, dtype=object), cut.parts), strict=True))
+    taken = np.array([j * (len(xs) - 1) + i for i, j in rest], dtype=int)
+    vertices, faces = [whole.vertices_world], [np.delete(whole.faces, taken, axis=0)]
+    for parts, is_over in (([*rest.values(), *cuts[0].parts], False), (cuts[1].parts, True)):
+        places, quads = _merged(_triangles(parts))
+        # The corners of cells are those of the grid.
+        at = [np.clip(np.searchsorted(axis, x), 0, len(axis) - 1) for axis, x in zip((xs, ys), places.T, strict=True)]
+        is_corner = (xs[at[0]] == places[:, 0]) & (ys[at[1]] == places[:, 1])
+        number, own = at[1] * len(xs) + at[0], places[~is_corner]
+        number[~is_corner] = sum(map(len, vertices)) + np.arange(len(own))
+        heights = ground.beside_tunnels(own, is_over) + ground.hills.height(own)
+        vertices.append(np.column_stack([own, heights]))
+        faces.append(number[quads])
+    points, quads = np.concatenate(vertices), np.concatenate(faces)
+    return Mesh(points, quads, points[:, :2].copy(), np.zeros(len(quads), dtype=int))
+
+
+def _beside(axis: Scalars, places: Float[np.ndarray, " m"]) -> Scalars:
+    """The lines of a grid, moved by hairs so that none goes through a place: cells on both sides of a line would differ
+    in whether that is on their edge."""
+    places = np.sort(np.concatenate([places, [-np.inf, np.inf]]))
+    while True:
+        after = np.searchsorted(places, axis)
+        is_near = np.minimum(axis - places[after - 1], places[after] - axis) < HAIR_M
+        if not is_near.any():
+            return axis
+        axis = axis + 2.1 * HAIR_M * is_near
+
+
+class _Cells(NamedTuple):
+    """What an area covers of a grid: the columns and rows of the cells that are wholly in it, those of the cells that
+    its border cuts, and its part in each of these."""
+
+    whole: Int[np.ndarray, "2 n"]
+    cut: Int[np.ndarray, "2 m"]
+    parts: list[BaseGeometry]
+
+
+def _cut(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry) -> _Cells:
+    """The cells of a grid that an area covers."""
+    whole, cut, parts = [], [], list[BaseGeometry]()
+    x0, y0, x1, y1 = shapely.bounds(area) if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
+    for i in range(max(int(np.searchsorted(xs, x0)) - 1, 0), min(int(np.searchsorted(xs, x1)), len(xs) - 1)):
+        # A little wider, so that cells do not touch its sides: these are slow to ask about.
+        column = clipped(area, (xs[i] - ASIDE_M, y0 - 1, xs[i + 1] + ASIDE_M, y1 + 1))
+        if column.is_empty:
+            continue
+        _, low, _, high = shapely.bounds(column)
+        j = np.arange(max(int(np.searchsorted(ys, low)) - 1, 0), min(int(np.searchsorted(ys, high)), len(ys) - 1))
+        cells = shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1])
+        shapely.prepare(column)
+        inside = shapely.contains_properly(column, cells)
+        met = j[shapely.intersects(column, cells) & ~inside]
+        pieces = [clipped(column, (xs[i], ys[k], xs[i + 1], ys[k + 1])) for k in met]
+        is_part = shapely.area(pieces) > 0
+        parts += [piece for piece, is_one in zip(pieces, is_part, strict=True) if is_one]
+        cut += [(i, k) for k in met[is_part].tolist()]
+        whole += [(i, k) for k in j[inside].tolist()]
+    in_all, in_part = (np.array(at, dtype=int).reshape(-1, 2).T for at in (whole, cut))
+    return _Cells(in_all, in_part, parts)
+
+
+def _differences(cells: np.ndarray, parts: list[BaseGeometry]) -> list[BaseGeometry]:
+    """What of each cell its part leaves."""
+    try:
+        return list(shapely.difference(cells, parts))
+    except shapely.errors.GEOSException:
+        return [difference(cell, part) for cell, part in zip(cells, parts, strict=True)]
+
+
+def _triangles(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
+    """The triangles of areas, as quads whose last corner is there twice. They have all corners of the areas, and no
+    others: triangles of areas beside each other share these."""
+    pieces = shapely.get_parts(shapely.get_parts(parts))
+    polygons = pieces[shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON]
+    if not len(polygons):
+        return np.zeros((0, 4, 2))
+    return shapely.get_coordinates(_triangulated(polygons)).reshape(-1, 4, 2)[:, [0, 1, 2, 2]]
+
+
+def _triangulated(polygons: np.ndarray) -> np.ndarray:
+    """The triangles of polygons; those that are too thin for any are left out."""
+    try:
+        return np.asarray(shapely.constrained_delaunay_triangles(polygons))
+    except shapely.errors.GEOSException:
+        pass
+    found = []
+    for polygon in polygons:
+        for grid_m in (0.0, *GRIDS_M):
+            try:
+                found.append(shapely.constrained_delaunay_triangles(shapely.set_precision(polygon, grid_m)))
+                break
+            except shapely.errors.GEOSException:
+                continue
+    return np.array(found)
+
+
+class _Merged(NamedTuple):
+    """Quads from above that share their corners, facing up."""
+
+    xy: Float[np.ndarray, "v 2"]
+    faces: Int[np.ndarray, "f 4"]
+
+
+def _merged(quads: Float[np.ndarray, "q 4 2"]) -> _Merged:
+    """Quads with each corner once."""
+    corners = quads.reshape(-1, 2)
+    x, y = np.rint(corners * 1e6).astype(int).T
+    # As one number each: sorted by rows, they take longer.
+    numbers = (x - x.min()) * (np.ptp(y) + 1) + y if len(y) else y
+    _, first, which = np.unique(numbers, return_index=True, return_inverse=True)
+    faces = which.reshape(-1, 4)
+    has_area = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[has_area]
+    a, b, c, d = (corners[first][faces[:, i]] for i in range(4))
+    is_down = (c - a)[:, 0] * (d - b)[:, 1] < (c - a)[:, 1] * (d - b)[:, 0]
+    faces[is_down] = faces[is_down][:, [0, 3, 2, 1]]
+    return _Merged(corners[first], faces)

@@ -1,0 +1,108 @@
+"""Where the host and the cars of a clip are at an instant: each keeps its lane and its speed, or has a track."""
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.network import Network
+from synth3dlanes.scene.host import Camera, Shot
+from synth3dlanes.scene.scene import Car, Scene
+
+STEP_M = 0.25
+# The host's speed in single pictures.
+SPEED_M_S = 25.0
+
+
+class HostExposure(NamedTuple):
+    """The host's speed during the exposure of a picture, the exposure's duration, and how far the host drives in it."""
+
+    speed_m_s: float
+    duration_s: float
+    driven_m: float
+
+
+def host_at(network: Network, camera: Camera, driven_m: float) -> Camera:
+    """The host after driving a distance along its lane; raise InputError where the lane leaves its road."""
+    return camera if driven_m == 0 else network.host_on(camera, host_station(network, camera, driven_m))
+
+
+def host_station(network: Network, camera: Camera, driven_m: float) -> float:
+    """The host's station, as it drives, after a distance along its lane."""
+    if driven_m == 0:
+        return camera.y_m
+    return station_after(network, network.host_way(camera), camera.y_m, driven_m)
+
+
+def host_stations(network: Network, camera: Camera, driven_m: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
+    """`host_station` for several distances."""
+    if not driven_m.any():
+        return np.full(driven_m.shape, camera.y_m)
+    return stations_after(network, network.host_way(camera), camera.y_m, driven_m)
+
+
+def car_at(network: Network, car: Car, time_s: float) -> Car:
+    """A car some seconds after the clip's start, with its speed then."""
+    driven_m, speed_m_s = car.speed_m_s * time_s, car.speed_m_s
+    if car.track:
+        driven_m, speed_m_s = _on_track(car.track, time_s)
+        car = car.model_copy(update={"speed_m_s": speed_m_s})
+    if driven_m == 0:
+        return car
+    way, start_m = network.car_way(car)
+    return network.car_on(car, station_after(network, way, start_m, driven_m))
+
+
+def car_speed(scene: Scene, car: Car) -> float:
+    """A car's speed at the instant of a scene. In single pictures simulated traffic alone has speeds: elsewhere cars
+    that are not parked drive at SPEED_M_S, as the host does."""
+    if scene.shot.n_frames > 1 or scene.town is not None:
+        return car.speed_m_s
+    return 0.0 if car.offset_m else SPEED_M_S
+
+
+def host_driven(shot: Shot, time_s: float) -> float:
+    """How far the host has driven at a time of its clip."""
+    return _on_track(shot.track, time_s)[0] if shot.track else shot.speed_m_s * time_s
+
+
+def host_exposure(shot: Shot, motion_blur_m: float) -> HostExposure:
+    """An exposure in which the host drives `motion_blur_m`: at its speed in a clip, at SPEED_M_S in a single picture.
+    On a track, where it may wait, it lasts as long as at SPEED_M_S."""
+    if len(shot.track) > 1:
+        speed_m_s, duration_s = host_speed(shot, shot.time_s), motion_blur_m / SPEED_M_S
+        return HostExposure(speed_m_s, duration_s, speed_m_s * duration_s)
+    speed_m_s = shot.speed_m_s or SPEED_M_S
+    return HostExposure(speed_m_s, motion_blur_m / speed_m_s, motion_blur_m)
+
+
+def host_speed(shot: Shot, time_s: float) -> float:
+    """The host's speed in m/s at a time of its clip."""
+    return _on_track(shot.track, time_s)[1] if shot.track else shot.speed_m_s
+
+
+def _on_track(track: tuple[tuple[float, float], ...], time_s: float) -> tuple[float, float]:
+    """How far a car has driven, and its speed; it stands before its first instant and behind its last."""
+    times_s, lengths_m = np.array(track).T
+    if len(times_s) == 1 or not times_s[0] <= time_s <= times_s[-1]:
+        return float(lengths_m[0 if time_s < times_s[0] else -1]), 0.0
+    driven = scipy.interpolate.PchipInterpolator(times_s, lengths_m)
+    return float(driven(time_s)), max(float(driven(time_s, 1)), 0.0)
+
+
+def station_after(network: Network, path: LaneCurve, s_m: float, driven_m: float) -> float:
+    """The station as the host drives that traffic on a path reaches after a distance along the path in 3D."""
+    return float(stations_after(network, path, s_m, np.array([driven_m]))[0])
+
+
+def stations_after(
+    network: Network, path: LaneCurve, s_m: float, driven_m: Float[np.ndarray, " t"]
+) -> Float[np.ndarray, " t"]:
+    """`station_after` for several distances."""
+    ahead, farthest_m = -1.0 if path.direction == "oncoming" else 1.0, float(driven_m.max())
+    # On the inside of a bend a path is shorter than its stations; none is half as long.
+    stations = s_m + ahead * np.linspace(0, 2 * farthest_m, 2 * int(np.ceil(farthest_m / STEP_M)) + 1)
+    steps_m = np.linalg.norm(np.diff(path.points_world(network.stations(stations)), axis=0), axis=1)
+    return np.interp(driven_m, np.concatenate([[0.0], np.cumsum(steps_m)]), stations)

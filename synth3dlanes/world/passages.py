@@ -1,0 +1,158 @@
+"""Where roads of a map leave the ground: on decks over it, in tunnels below it. World frame, metres.
+
+A road is on a deck where a file says that it has a bridge, and where it passes over another road: as far as a slope
+down from it would reach that road.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Bool
+from shapely.geometry.base import BaseGeometry
+
+from synth3dlanes.roads.section_road import SectionRoad
+from synth3dlanes.system.arrays import Points2, Scalars
+from synth3dlanes.world.areas import intersection, polygon_between
+from synth3dlanes.world.ground import EMBANKMENT_SLOPE
+
+# A road so far above another passes over it, on a deck of this thickness; roads are looked at in such steps first.
+PASSAGE_M, DECK_M, STEP_M = 3.0, 0.5, 20.0
+LEAST_M2 = 0.02
+# Level ground beside a road before its slopes begin.
+BERM_M = 1.5
+# Ends of decks are found in such steps; a piece between two decks, or up to an end of the road, that is shorter is one.
+END_STEP_M, LEAST_GROUND_M = 1.0, 12.0
+# The ground falls below the deck of a bridge of a file, at most so far; the ceiling of tunnels, the ground over it, and
+# the thickness of their walls.
+VALLEY_M, CEILING_M, COVER_M, WALL_M = 4.0, 5.5, 1.0, 0.6
+# The ground over a tunnel begins this much before its ends.
+BEFORE_M = 0.02
+
+
+class Span(NamedTuple):
+    """A part of a road that is off the ground: its stations, its area from above, and whether it is a tunnel, or a
+    bridge of a file."""
+
+    road: SectionRoad
+    from_m: float
+    to_m: float
+    area: BaseGeometry
+    is_tunnel: bool = False
+    is_given: bool = False
+
+    def rows(self, step_m: float) -> Scalars:
+        """Stations from its beginning to its end."""
+        return np.linspace(self.from_m, self.to_m, 2 + int((self.to_m - self.from_m) / step_m))
+
+    def holds(self, s: Scalars) -> Bool[np.ndarray, " n"]:
+        """Which stations of the road are inside."""
+        return np.asarray((s > self.from_m) & (s < self.to_m))
+
+    def height(self, xy_world: Points2) -> Scalars:
+        """Height of the pavement at places in its area."""
+        s, t = self.road.line.project(xy_world)
+        s = np.clip(s, self.from_m, self.to_m)
+        return np.asarray(self.road.base_points(s, np.clip(t, self.road.left(s), self.road.right(s)))[:, 2])
+
+
+def spans(roads: Sequence[SectionRoad], strip: Callable[[SectionRoad], BaseGeometry]) -> list[Span]:
+    """The decks and tunnels of roads with heights, whose pavements from above `strip` tells."""
+    roads = [road for road in roads if road.has_heights]
+    passed = list(_passages(roads, strip))
+    found = []
+    for road in roads:
+        tunnels = [(at.from_m, at.to_m) for at in road.tunnels]
+        given = [(at.from_m, at.to_m) for at in road.bridges]
+        over = [end for at in passed if at.lower is not road for end in _over(road, at)]
+        found += [_span(road, *ends, is_tunnel=True) for ends in tunnels]
+        for low, high in _joined(given + over, road):
+            is_given = any(a < high and b > low for a, b in given)
+            if not any(a < high and b > low for a, b in tunnels):
+                found.append(_span(road, low, high, is_given=is_given))
+    return found
+
+
+def _span(road: SectionRoad, from_m: float, to_m: float, is_tunnel: bool = False, is_given: bool = False) -> Span:
+    s, aside_m = np.linspace(from_m, to_m, 2 + int(to_m - from_m)), WALL_M if is_tunnel else 0.0
+    left, right = road.left(s), road.right(s)
+    out_m = np.array([-BEFORE_M, BEFORE_M]) * is_tunnel
+    ends = [road.xy(s[[0, -1]] + out_m, edge[[0, -1]])[:, None] for edge in (left, right)]
+    # With the corners of the pavement, at which the ground is as high as that; not on a line with the others.
+    sides = [
+        np.concatenate([end[0], road.xy(s, edge), end[1]])
+        for end, edge in zip(ends, (left - aside_m, right + aside_m), strict=True)
+    ]
+    area = polygon_between(*sides)
+    shapely.prepare(area)
+    return Span(road, from_m, to_m, area, is_tunnel, is_given)
+
+
+class _Passage(NamedTuple):
+    """The area from above where a road passes below another, that road, and its height there."""
+
+    area: BaseGeometry
+    lower: SectionRoad
+    z: float
+
+
+def _passages(roads: Sequence[SectionRoad], strip: Callable[[SectionRoad], BaseGeometry]) -> Iterator[_Passage]:
+    outlines, low, high = [], [], []
+    for road in roads:
+        s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / STEP_M))
+        z = road.base_points(s, np.zeros(len(s)))[:, 2]
+        low.append(z.min())
+        high.append(z.max())
+        ring = np.concatenate([road.xy(s, road.left(s)), road.xy(s, road.right(s))[::-1]])
+        outlines.append(shapely.convex_hull(shapely.Polygon(ring)))
+    pairs = shapely.STRtree(outlines).query(outlines, predicate="intersects").T.tolist() if outlines else []
+    for i, j in pairs:
+        if i == j or high[j] - low[i] < PASSAGE_M:
+            continue
+        shared = intersection(strip(roads[i]), strip(roads[j]))
+        for area in shapely.get_parts(shared):
+            if area.area < LEAST_M2:
+                continue
+            middle = shapely.get_coordinates(shapely.point_on_surface(area))
+            below, above = (road.base_points(*road.line.project(middle))[0, 2] for road in (roads[i], roads[j]))
+            if above - below > PASSAGE_M:
+                shapely.prepare(area)
+                yield _Passage(area, roads[i], float(below))
+
+
+def _over(road: SectionRoad, at: _Passage) -> Iterator[tuple[float, float]]:
+    """The stations of a road between which it is so high over a passage, and so near to it, that a slope down from it
+    would reach the road there."""
+    s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / END_STEP_M))
+    rows = np.stack([road.base_points(s, t) for t in (road.left(s), 0 * s, road.right(s))])
+    above_m = rows[..., 2] - at.z
+    reach_m = BERM_M + 1.0 + EMBANKMENT_SLOPE * np.maximum(above_m, 0.0)
+    x0, y0, x1, y1 = shapely.bounds(at.area)
+    away_m = np.hypot(
+        *(
+            np.maximum(np.maximum(low - x, x - high), 0)
+            for low, high, x in ((x0, x1, rows[..., 0]), (y0, y1, rows[..., 1]))
+        )
+    )
+    is_near = (above_m > PASSAGE_M) & (away_m < reach_m)
+    is_near[is_near] = shapely.distance(at.area, shapely.points(rows[is_near][:, :2])) < reach_m[is_near]
+    inside = is_near.any(axis=0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+    for first, end in edges.reshape(-1, 2).tolist():
+        yield float(s[max(first - 1, 0)]), float(s[min(end, len(s) - 1)])
+
+
+def _joined(ends: Sequence[tuple[float, float]], road: SectionRoad) -> Iterator[tuple[float, float]]:
+    """Spans without those between which there is hardly any ground, up to the ends of the road."""
+    found: list[tuple[float, float]] = []
+    for low, high in sorted(ends):
+        if low < LEAST_GROUND_M:
+            low = 0.0
+        if high > road.end_m - LEAST_GROUND_M:
+            high = road.end_m
+        if found and low - found[-1][1] < LEAST_GROUND_M:
+            low, high = found[-1][0], max(found[-1][1], high)
+            found.pop()
+        found.append((low, high))
+    yield from (at for at in found if at[1] > at[0])

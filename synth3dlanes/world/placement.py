@@ -1,0 +1,93 @@
+"""Poses and footprints of cars and trees. World frame; models have x right, y forward, z up and stand on z = 0."""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.frames import cross, from_axes, transform
+from synth3dlanes.roads.network import Network
+from synth3dlanes.scene.assets.catalogue import CarModel
+from synth3dlanes.scene.scene import Car, Tree
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.world.ground import Ground
+
+# Length and width of the host's own body, which is centred on the camera.
+HOST_SIZE_M = (5.0, 2.0)
+# Trunks are sunk into the ground by this much, so that none floats on a slope.
+TREE_SINK_M = 0.1
+
+
+Placement = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
+
+
+def lane_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"]) -> Placement:
+    """World (x, y) on a lane's centre line, or on its path beyond it, and the unit heading of its traffic there; at
+    each station as the host drives."""
+    path, s = network.in_lane(lane, np.asarray(driven_m))
+    stations = s + np.array([-0.5, 0.0, 0.5]).reshape(3, *[1] * s.ndim)
+    behind, middle, ahead = path.xy_world(network.stations(stations.ravel())).reshape(*stations.shape, 2)
+    along = behind - ahead if path.direction == "oncoming" else ahead - behind
+    return middle, along / np.linalg.norm(along, axis=-1, keepdims=True)
+
+
+def car_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"], offset_m: float) -> Placement:
+    """World (x, y) of a car `offset_m` to its driver's right of the lane's centre, and its heading."""
+    middle, heading = lane_place(network, lane, driven_m)
+    return middle + offset_m * np.stack([heading[..., 1], -heading[..., 0]], axis=-1), heading
+
+
+def world_from_car(network: Network, car: Car, model: CarModel) -> Matrix4:
+    """The car's pose (without scale): a least-squares fit of its four tyres to the road surface."""
+    middle, (hx, hy) = car_place(network, car.lane, car.s_m, car.offset_m)
+    x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
+    wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
+    pose = from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), np.array([0, 0, 1.0]), np.array([*middle, 0.0]))
+    road, guess = network.road(network.lanes[car.lane].road), np.full(4, car.s_m * network.onwards)
+    for _ in range(3):
+        wheels = transform(pose, wheels_car)[:, :2]
+        above = road.raised(*road.line.project(wheels, guess)) if road.is_raised else 0.0
+        contacts = network.lift(wheels, above)
+        slope_x, slope_y, z = np.linalg.lstsq(
+            np.column_stack([contacts[:, :2] - middle, np.ones(4)]), contacts[:, 2], rcond=None
+        )[0]
+        up = np.array([-slope_x, -slope_y, 1.0])
+        up /= np.linalg.norm(up)
+        forward = np.array([hx, hy, slope_x * hx + slope_y * hy])
+        forward /= np.linalg.norm(forward)
+        pose = from_axes(cross(forward, up), forward, up, np.array([*middle, z]))
+    return pose
+
+
+def tree_positions(ground: Ground, trees: tuple[Tree, ...]) -> Float[np.ndarray, "n 3"]:
+    """The base points of trees on the ground as built."""
+    xy = np.array([[tree.x_m, tree.y_m] for tree in trees]).reshape(-1, 2)
+    return np.column_stack([xy, ground.height(xy) - TREE_SINK_M])
+
+
+Footprint = Float[np.ndarray, "4 2"]
+
+
+def footprint(
+    middle: Float[np.ndarray, "*t 2"], heading: Float[np.ndarray, "*t 2"], length_m: float, width_m: float
+) -> Float[np.ndarray, "*t 4 2"]:
+    """Corners of a rectangle on the ground, seen from above."""
+    right = np.stack([heading[..., 1], -heading[..., 0]], axis=-1)
+    along, across = heading * length_m / 2, right * width_m / 2
+    corners = np.stack([along + across, along - across, -along - across, -along + across], axis=-2)
+    return np.asarray(middle[..., None, :] + corners)
+
+
+def host_footprint(world_from_road: Matrix4) -> Footprint:
+    """The footprint of the host's own body, given the road frame at the host."""
+    heading = world_from_road[:2, 1] / np.linalg.norm(world_from_road[:2, 1])
+    return footprint(world_from_road[:2, 3], heading, *HOST_SIZE_M)
+
+
+def overlaps_any(places: Float[np.ndarray, "*#n 4 2"], others: Float[np.ndarray, "*#n 4 2"]) -> bool:
+    """Whether any rectangle overlaps its other (separating axis test); a single one is compared with all others."""
+    separated = np.zeros(np.broadcast_shapes(places.shape, others.shape)[:-2], dtype=bool)
+    for corners in (places, others):
+        for first, second in ((0, 1), (1, 2)):
+            side = (corners[..., second, :] - corners[..., first, :])[..., None, :]
+            ours, theirs = (places * side).sum(axis=-1), (others * side).sum(axis=-1)
+            separated |= (ours.max(axis=-1) < theirs.min(axis=-1)) | (theirs.max(axis=-1) < ours.min(axis=-1))
+    return not separated.all()

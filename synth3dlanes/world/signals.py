@@ -1,0 +1,118 @@
+"""Signals and signs at free places, and signals over the lanes of a gantry: poles, heads and lit lenses. World frame,
+metres."""
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.scene.traffic_elements import LaneState, LensForm, SignalState, TrafficSign, TrafficSignal
+from synth3dlanes.system.schema import Color
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.mounted import Mounted, board_size
+from synth3dlanes.world.sign_faces import SIGN_FACES, Outline, Patch, arrow, bar, disc
+from synth3dlanes.world.solids import DARK_METAL, LIT_GLOSS, METAL, SINK_M, Body, GroundFrame, Quads
+
+HOUSING, DARK_LENS = (0.012, 0.014, 0.012, 0.25), (0.03, 0.03, 0.03, 0.5)
+RED_LIGHT, AMBER_LIGHT, GREEN_LIGHT = (1.0, 0.02, 0.012), (1.0, 0.36, 0.01), (0.02, 1.0, 0.38)
+# A head with three lights: its size with the hoods of its lenses, their radius, how far apart they are, and the depth
+# of the hoods.
+HEAD_M, LENS_M, LENSES_APART_M, HOOD_M = np.array([0.42, 0.42, 1.24]), 0.15, 0.39, 0.2
+# A signal over a lane, and how far the pole is behind what it carries.
+LANE_HEAD_M, BEHIND_M = np.array([0.95, 0.2, 0.95]), 0.1
+BESIDE_POLE_M = 0.05
+# Lights from the top, and which of them shine.
+LIGHTS: tuple[Color, ...] = (RED_LIGHT, AMBER_LIGHT, GREEN_LIGHT)
+SHINING: dict[SignalState, tuple[int, ...]] = {
+    "off": (), "red": (0,), "red_amber": (0, 1), "amber": (1,), "green": (2,)
+}  # fmt: skip
+TURNS_RAD: dict[LensForm, float] = {"left": -np.pi / 2, "straight": 0.0, "right": np.pi / 2}
+CROSS = [bar(0.9, 0.12, turn) for turn in (np.pi / 4, -np.pi / 4)]
+LANE_LIGHTS: dict[LaneState, tuple[Color, list[Outline]]] = {
+    "off": (RED_LIGHT, []),
+    "red_cross": (RED_LIGHT, CROSS),
+    "green_arrow": (GREEN_LIGHT, arrow(0, 0, 0.75, np.pi)),
+    "amber_left": (AMBER_LIGHT, arrow(0, 0, 0.75, -3 * np.pi / 4)),
+    "amber_right": (AMBER_LIGHT, arrow(0, 0, 0.75, 3 * np.pi / 4)),
+}
+
+
+def foot_frame(ground: Ground, item: TrafficSignal | TrafficSign) -> GroundFrame:
+    """The frame on the ground at the foot of a signal or sign: y as its traffic drives."""
+    xy_world = np.array([[item.x_m, item.y_m]])
+    forward = np.array([-np.sin(item.yaw_rad), np.cos(item.yaw_rad)])
+    return GroundFrame(np.array([item.x_m, item.y_m, ground.height(xy_world)[0]]), forward)
+
+
+def mounted(ground: Ground, item: TrafficSignal | TrafficSign) -> Mounted:
+    """Where the head of a signal, or a sign, hangs."""
+    size_m = HEAD_M if isinstance(item, TrafficSignal) else board_size(SIGN_FACES[item.kind])
+    middle = np.array([item.reach_m, -BEHIND_M - size_m[1] / 2, item.height_m + size_m[2] / 2])
+    return Mounted(foot_frame(ground, item), middle, size_m)
+
+
+def pole_body(ground: Ground, item: TrafficSignal | TrafficSign) -> Body:
+    """The pole of a signal or sign, with an arm where that hangs beside it."""
+    is_signal = isinstance(item, TrafficSignal)
+    place, quads = mounted(ground, item), Quads("signal" if is_signal else "sign", "pole")
+    frame, (_, _, height_m), reach_m = place.frame, place.size_m, item.reach_m
+    has_arm, middle_m = abs(reach_m) > BESIDE_POLE_M, item.height_m + height_m / 2
+    radius_m = (0.11 if abs(reach_m) > 2 else 0.06) if is_signal else 0.035
+    top_m = middle_m + 0.3 if has_arm else item.height_m + 0.95 * height_m
+    color = DARK_METAL if is_signal else METAL
+    quads.tube(frame.world(np.array([(0, 0, -SINK_M), (0, 0, top_m)])), (radius_m, 0.8 * radius_m), color, n=8)
+    if has_arm:
+        ends = np.array([(0, 0, middle_m), (reach_m + 0.2 * np.sign(reach_m), 0, middle_m)])
+        quads.tube(frame.world(ends), (0.7 * radius_m, 0.5 * radius_m), color)
+    quads.feet.append(frame.origin[None])
+    return quads.body()
+
+
+def head_body(place: Mounted) -> Body:
+    """The head of a signal with three lights, all of them off."""
+    quads, (frame, middle, size_m) = Quads("head", "signal"), place
+    low = middle - size_m / 2 + [0, HOOD_M, 0]
+    quads.box(frame, low.tolist(), (middle + size_m / 2).tolist(), HOUSING)
+    for at in _lenses(place):
+        _add_patch(quads, frame, Patch(disc(12, LENS_M), DARK_LENS[:3]), at - [0, 0.004, 0], DARK_LENS[3])
+        angles = np.linspace(-0.6 * np.pi, 0.6 * np.pi, 7)
+        ring = (LENS_M + 0.02) * np.stack([np.sin(angles), np.zeros(7), np.cos(angles)], -1)
+        quads.sweep(frame.world(at + np.stack([ring, ring - [0, HOOD_M, 0]])), HOUSING)
+    return quads.body()
+
+
+def lane_head_body(place: Mounted) -> Body:
+    """A signal over a lane, off."""
+    quads, (frame, middle, size_m) = Quads("head", "signal"), place
+    quads.box(frame, (middle - size_m / 2).tolist(), (middle + size_m / 2).tolist(), HOUSING)
+    return quads.body()
+
+
+def head_light(place: Mounted, form: LensForm, state: SignalState) -> Body:
+    """The lit lenses of a head with three lights."""
+    quads = Quads("head", "signal")
+    shapes = [disc(12, LENS_M)] if form == "ball" else arrow(0, 0, 1.7 * LENS_M, TURNS_RAD[form])
+    for number in SHINING[state]:
+        for shape in shapes:
+            at = _lenses(place)[number] - [0, 0.01, 0]
+            _add_patch(quads, place.frame, Patch(shape, LIGHTS[number]), at, LIT_GLOSS)
+    return quads.body()
+
+
+def lane_light(place: Mounted, state: LaneState) -> Body:
+    """The lit shape of a signal over a lane."""
+    quads, (color, shapes) = Quads("head", "signal"), LANE_LIGHTS[state]
+    for number, shape in enumerate(shapes):
+        at = place.middle - [0, place.size_m[1] / 2 + 0.01 + 0.002 * number, 0]
+        _add_patch(quads, place.frame, Patch(shape, color), at, LIT_GLOSS)
+    return quads.body()
+
+
+def _lenses(place: Mounted) -> Float[np.ndarray, "3 3"]:
+    """The middles of the lenses from the top, on the front of a head."""
+    down = np.array([1.0, 0.0, -1.0])[:, None] * [0, 0, LENSES_APART_M]
+    return np.asarray(place.middle - [0, place.size_m[1] / 2 - HOOD_M, 0] + down)
+
+
+def _add_patch(quads: Quads, frame: GroundFrame, patch: Patch, at: Float[np.ndarray, "3"], gloss: float) -> None:
+    """A patch upright at a place of a frame, towards the traffic."""
+    corners = patch.quads()[..., [0, 2, 1]]
+    quads.add(frame.world(corners + at), (*patch.color, gloss))

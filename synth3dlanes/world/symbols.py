@@ -1,0 +1,211 @@
+"""Paint that bounds no lane: arrows, stop lines, crosswalks and the hatching of gores. World frame.
+
+Every symbol is a set of polygons in a frame of its own on the road. For arrows, stop lines and crosswalks its
+coordinates are metres to the right and metres ahead of the symbol's middle, as the host drives. For a gore they are the
+share of the way from the line of one road (0) to that of the road that parts from it (1), and the station.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.roads import Offset, Road
+from synth3dlanes.scene.scene import Symbol
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.system.schema import SymbolKind
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.meshes import Mesh, facing_up
+from synth3dlanes.world.paint import towards_eye
+
+Polygon = Float[np.ndarray, "_ 2"]
+
+# Arrows of 5 m, as painted where traffic is slow: all of them are stretched along the road.
+STRAIGHT = np.array(
+    [(-0.08, -2.5), (0.08, -2.5), (0.08, 0.6), (0.38, 0.6), (0, 2.5), (-0.38, 0.6), (-0.08, 0.6)]
+)  # fmt: skip
+RIGHT = np.array([
+    (-0.43, -2.5), (-0.27, -2.5), (-0.27, 0.35), (-0.08, 0.75), (0.18, 0.85), (0.18, 0.1), (0.85, 1.3), (0.18, 2.5),
+    (0.18, 1.65), (-0.2, 1.5), (-0.43, 0.9),
+])  # fmt: skip
+STRAIGHT_RIGHT = np.array([
+    (-0.08, -2.5), (0.08, -2.5), (0.08, -1.1), (0.16, -0.8), (0.4, -0.7), (0.4, -1.2), (0.95, -0.4), (0.4, 0.4),
+    (0.4, -0.1), (0.08, -0.2), (0.08, 0.95), (0.38, 0.95), (0, 2.5), (-0.38, 0.95), (-0.08, 0.95),
+])  # fmt: skip
+ARROWS: dict[SymbolKind, Polygon] = {
+    "arrow_straight": STRAIGHT,
+    "arrow_right": RIGHT,
+    "arrow_left": RIGHT * [-1, 1],
+    "arrow_straight_right": STRAIGHT_RIGHT,
+    "arrow_straight_left": STRAIGHT_RIGHT * [-1, 1],
+}
+# Extents along the road.
+LENGTHS_M: dict[SymbolKind, float] = {**dict.fromkeys(ARROWS, 5.0), "stop_line": 0.5, "crosswalk": 4.0}
+# Bars of a crosswalk and their gaps are about this wide.
+BAR_M = 0.55
+# Chevrons of a gore, along the road: their period and the length of an arm. They begin where the gore is GORE_FROM_M
+# wide, and end GORE_GAP_M beside the lines.
+CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 1.2, 0.15
+# Without a ramp they end here.
+GORE_TO_M = 100.0
+# Faces are no larger than this across and along the road, so that they follow it; steps along the outlines of labels.
+COLUMN_M, ROW_M, OUTLINE_STEP_M = 0.45, 0.5, 1.0
+# Stations around a symbol for which lengths along the road are measured.
+AROUND_M = np.arange(-10.0, 10.01, 0.25)
+
+
+@dataclass(frozen=True, eq=False)
+class SymbolShape:
+    """A kind, painted polygons and an outline in a frame of its own, the places of that frame in the world, and
+    the size of COLUMN_M in it."""
+
+    kind: SymbolKind
+    polygons: list[Polygon]
+    outline: Polygon
+    points_world: Callable[[Polygon], Float[np.ndarray, "_ 3"]]
+    column: float
+
+
+def shape(ground: Ground, symbol: Symbol) -> SymbolShape:
+    """The shape of a symbol on its road."""
+    if symbol.kind == "gore":
+        return _gore(ground, symbol)
+    polygons = [ARROWS[symbol.kind]] if symbol.kind in ARROWS else _crossing(ground, symbol.kind)
+    outline = polygons[0]
+    if symbol.kind not in ARROWS:
+        (x0, y0), (x1, y1) = np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1))
+        outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    places = _along_road(ground.network, symbol)
+    return SymbolShape(symbol.kind, polygons, dense(outline, OUTLINE_STEP_M), places, COLUMN_M)
+
+
+def symbol_mesh(ground: Ground, form: SymbolShape, eye_world: Float[np.ndarray, "3"]) -> Mesh:
+    """The paint of a symbol over the road, moved towards the eye so that it looks in place from there."""
+    quads = np.concatenate([_quads(polygon, form.column) for polygon in form.polygons])
+    places = quads.reshape(-1, 2)
+    vertices = towards_eye(ground, form.points_world(places), eye_world)
+    return facing_up(vertices, places)
+
+
+def gore_of(network: Network) -> tuple[Road, float, float] | None:
+    """A road that parts from another, and the stations between which there is room for hatching before it rises; None
+    without such a gore."""
+    for road in network.roads:
+        if road.parting is not None:
+            s = np.arange(road.start_m, road.ramp.start_m if road.ramp else GORE_TO_M, 0.5)
+            wide = s[road.parting.gap_m(s) > GORE_FROM_M]
+            if len(wide) > 2 * CHEVRON_PERIOD_M / 0.5:
+                return road, float(wide[0]), float(wide[-1])
+    return None
+
+
+def _crossing(ground: Ground, kind: SymbolKind) -> list[Polygon]:
+    """The rectangles of a stop line, which ends at the oncoming lanes, or of a crosswalk, lane by lane, clear of the
+    lines between the lanes."""
+    road, markings, half_m = ground.network.main, ground.markings, LENGTHS_M[kind] / 2
+    width_m, to_right = road.lane_width_m, ground.network.rightward
+    bars, inset = 1, 0.0
+    if kind == "crosswalk":
+        bars, inset = max(1, round(width_m / (2 * BAR_M))), 0.25
+    lefts = [
+        part.left_m + lane * width_m
+        for part in sorted(road.carriageways, key=lambda part: part.direction == "oncoming")
+        if kind == "crosswalk" or part.direction == "same"
+        for lane in range(part.n_lanes)
+    ]
+    begun = [line for line in ground.network.delimiters if line.pieces[0].road is road and line.start_m == road.start_m]
+    doubles = [line.pieces[0].offset.base_m for line in begun if line.is_inner]
+    lines = np.array(lefts)[:, None] + [0.0, width_m]
+    is_double = np.isclose(lines[..., None], doubles).any(axis=-1) & markings.left_double
+    inner = lines + np.where(is_double, 1.5, 0.5) * markings.width_m * [1, -1]
+    shares = (np.arange(bars)[:, None] + [inset, 1 - inset]) / bars
+    sides = inner[:, :1, None] + (inner[:, 1:, None] - inner[:, :1, None]) * shares
+    rights = np.sort(to_right * sides.reshape(-1, 2), axis=1)
+    return [np.array([[a, -half_m], [b, -half_m], [b, half_m], [a, half_m]]) for a, b in rights]
+
+
+def _along_road(network: Network, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "_ 3"]]:
+    """The places of a symbol's frame in the world: offsets from its lane's centre, or from its road's line, and lengths
+    along it."""
+    lane = None if symbol.lane is None else network.lanes[symbol.lane]
+    road, middle = (network.main, Offset(0.0)) if lane is None else (network.road(lane.road), lane.middle)
+
+    def offsets(s: Scalars, aside_m: Scalars | float) -> Scalars:
+        return middle(s) + aside_m * network.rightward
+
+    driven_m = symbol.s_m + AROUND_M
+    around = network.stations(driven_m)
+    steps = np.diff(road.xy(around, offsets(around, 0.0)), axis=0)
+    length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+    length_m -= np.interp(symbol.s_m, driven_m, length_m)
+
+    def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
+        s = network.stations(np.interp(places[:, 1], length_m, driven_m))
+        return road.points(s, offsets(s, places[:, 0]))
+
+    return points_world
+
+
+def _gore(ground: Ground, symbol: Symbol) -> SymbolShape:
+    """Chevrons that point to where the roads part."""
+    network = ground.network
+    start_m = float(symbol.s_m * network.onwards)
+    gore = gore_of(network)
+    end_m = gore[2] if gore else start_m
+    branch = gore[0] if gore else network.roads[-1]
+    parting = branch.parting
+    assert parting is not None, "a scene with a gore has a road that parts"
+    s = np.arange(start_m, max(end_m, start_m + 1.0), OUTLINE_STEP_M)
+    middles = [float(lane.middle(s[:1])[0]) for lane in parting.road.lanes_at(start_m)]
+    at_m = max(middles) + parting.road.lane_width_m / 2
+
+    def width_m(s: Scalars) -> Scalars:
+        return np.maximum(parting.gap_m(s), 0.01)
+
+    def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
+        share, s = places.T
+        main = parting.road.xy(s, at_m)
+        return network.lift(main + share[:, None] * (branch.xy(s, branch.carriageways[0].left_m) - main))
+
+    apex = np.arange(start_m, end_m, CHEVRON_PERIOD_M)
+    inset = np.minimum((ground.markings.width_m / 2 + GORE_GAP_M) / width_m(apex), 0.45)
+    reach_m = (0.5 - inset) * width_m(apex)
+    fits = apex + reach_m + CHEVRON_M < end_m
+    polygons = [
+        np.array([[0.5, a], [side, a + r], [side, a + r + CHEVRON_M], [0.5, a + CHEVRON_M]])
+        for a, i, r in zip(apex[fits], inset[fits], reach_m[fits], strict=True)
+        for side in (i, 1 - i)
+    ]
+    outline = np.concatenate([np.column_stack([0 * s, s]), np.column_stack([0 * s + 1, s])[::-1]])
+    return SymbolShape(symbol.kind, polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
+
+
+def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:
+    """A polygon as quads whose front and back are level in the second coordinate, no wider than `column` and no longer
+    than ROW_M."""
+    y = polygon[:, 1]
+    breaks = np.unique(np.concatenate([y, np.arange(y.min(), y.max(), ROW_M)]))
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    quads = []
+    for low, high in pairwise(breaks):
+        across = (np.minimum(a[:, 1], b[:, 1]) <= low) & (np.maximum(a[:, 1], b[:, 1]) >= high)
+        start, step = a[across], (b - a)[across]
+        at = start[:, :1] + step[:, :1] * ((np.array([low, high]) - start[:, 1:]) / step[:, 1:])
+        at = at[np.argsort(at.sum(axis=1))]
+        for left, right in zip(at[::2], at[1::2], strict=True):
+            n = max(1, int(np.ceil(np.max(right - left) / column)))
+            x = left + (right - left) * (np.arange(n + 1) / n)[:, None]
+            corners = np.stack([x[:-1, 0], x[1:, 0], x[1:, 1], x[:-1, 1]], axis=1)
+            quads.append(np.stack([corners, np.tile([low, low, high, high], (n, 1))], axis=-1))
+    return np.concatenate(quads)
+
+
+def dense(polygon: Polygon, step: float) -> Polygon:
+    """A closed polygon with further points on its longer sides."""
+    sides = zip(polygon, np.roll(polygon, -1, axis=0), strict=True)
+    return np.concatenate(
+        [a + (b - a) * (np.arange(n := max(1, int(np.ceil(np.hypot(*(b - a)) / step)))) / n)[:, None] for a, b in sides]
+    )

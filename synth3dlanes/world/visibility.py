@@ -1,0 +1,57 @@
+"""Which lane points a camera sees over the ground. World frame."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from synth3dlanes.world.ground import Ground
+
+STEP_M = 2.0
+# Ground above the line of sight by less than this does not count: points lie on the ground themselves.
+TOLERANCE_M = 0.01
+# Lines of sight this near to the direction of a crest's end are asked, too.
+TOLERANCE_RAD = 1e-9
+
+
+def seen_over_ground(
+    ground: Ground, eye_world: Float[np.ndarray, "3"], points_world: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """True where the straight line from the eye to the point stays above terrain, embankments and roads."""
+    to = points_world - eye_world
+    ray, sight = along_sights(eye_world, to, STEP_M)
+    hidden = ground.is_in(sight + np.array([0.0, 0.0, TOLERANCE_M]))
+    seen = np.ones(len(to), dtype=bool)
+    seen[ray[hidden]] = False
+    for crest in ground.crests():
+        seen &= ~_behind_crest(eye_world, to, crest)
+    return seen
+
+
+def along_sights(
+    eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], step_m: float
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+    """Points inside lines of sight (vectors from the eye to their ends), at most a step apart from above: the number of
+    the line of each, and their places."""
+    n_steps = np.maximum(np.ceil(np.linalg.norm(to[:, :2], axis=1) / step_m).astype(int), 2)
+    ray = np.repeat(np.arange(len(to)), n_steps - 1)
+    step = np.arange(len(ray)) - np.repeat(np.cumsum(n_steps - 1) - (n_steps - 1), n_steps - 1) + 1
+    return ray, eye_world + to[ray] * (step / n_steps[ray])[:, None]
+
+
+def _behind_crest(
+    eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], crest_world: Float[np.ndarray, "m 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Which lines of sight (vectors from the eye to their ends) pass below a crest before they end. A crest is narrower
+    than STEP_M, so its crossing seen from above is computed instead of sampled."""
+    toward = crest_world - eye_world
+    turned = np.unwrap(np.arctan2(toward[:, 1], toward[:, 0]))
+    after = (np.arctan2(to[:, 1], to[:, 0]) - turned.min() + TOLERANCE_RAD) % (2 * np.pi)
+    found = after < np.ptp(turned) + 2 * TOLERANCE_RAD
+    start, along = toward[:-1], np.diff(crest_world, axis=0)
+    x, y, z = to[found].T[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = x * along[:, 1] - y * along[:, 0]
+        share = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / across
+        place = (start[:, 0] * y - start[:, 1] * x) / across
+        below = share * z < start[:, 2] + place * along[:, 2] - TOLERANCE_M
+    found[found] = ((share > 0) & (share < 1) & (place >= 0) & (place <= 1) & below).any(axis=1)
+    return np.asarray(found)

@@ -1,0 +1,313 @@
+"""World: a scene resolved once into its site, with roads, trees and buildings. View: a camera at an instant in it.
+
+World frame, metres. Labels, meshes, masks and light are all computed from a world and a view.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.frames import road_from_cam, turned
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.map_roads import map_network
+from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.paper_roads import paper_network
+from synth3dlanes.scene.host import Camera, Lidar
+from synth3dlanes.scene.road_map import MapPaint
+from synth3dlanes.scene.roadside import Roadside
+from synth3dlanes.scene.scene import Car, Scene, Tree
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.world import map_meshes, meshes, roadside
+from synth3dlanes.world.bonnet import cam_from_bonnet
+from synth3dlanes.world.camera import img_from_cam, project, world_from_host
+from synth3dlanes.world.decks import span_bodies
+from synth3dlanes.world.elements import TrafficElement, traffic_elements
+from synth3dlanes.world.grass import Blades, blades
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.horizon import FarHills
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.map_symbols import map_symbols
+from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
+from synth3dlanes.world.paint import paint_meshes
+from synth3dlanes.world.placement import tree_positions, world_from_car
+from synth3dlanes.world.seams import ghost_mesh, tar_mesh
+from synth3dlanes.world.solids import Body
+from synth3dlanes.world.symbols import SymbolShape, shape, symbol_mesh
+
+# Only cameras this close to the host's middle, along it, look over the bonnet.
+BEHIND_WINDSCREEN_M = 1.0
+# Roads farther from the host than this are left out.
+AROUND_HOST_M = 450.0
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera at the instant of a scene's shot, with the host's place then; the host's road frame; and the share of
+    the image that the host's bonnet fills."""
+
+    scene: Scene
+    network: Network
+    camera: Camera
+    world_from_host: Matrix4
+    bonnet: float = 0.0
+
+    @cached_property
+    def cars(self) -> tuple[Car, ...]:
+        """All cars at that instant, with their places and speeds then."""
+        return tuple(car_at(self.network, car, self.scene.shot.time_s) for car in self.scene.cars)
+
+    @cached_property
+    def world_from_cars(self) -> tuple[Matrix4, ...]:
+        """The poses of all cars at that instant, without their scale."""
+        models = self.scene.assets.car_models
+        return tuple(world_from_car(self.network, car, models[car.model - 1]) for car in self.cars)
+
+    @property
+    def lidar(self) -> Lidar | None:
+        """The host's lidar, if it has one."""
+        return self.scene.lidar
+
+    @cached_property
+    def world_from_road(self) -> Matrix4:
+        """The camera's road frame: the host's, moved in its plane to the camera's foot."""
+        right_m, forward_m = self.camera.right_m, self.camera.forward_m
+        return self.world_from_host @ turned(0.0, right_m, forward_m) if right_m or forward_m else self.world_from_host
+
+    @cached_property
+    def road_from_cam(self) -> Matrix4:
+        """The camera's pose in the road frame below it."""
+        camera = self.camera
+        return road_from_cam(camera.height_m, camera.pitch_rad, camera.roll_rad, camera.yaw_rad)
+
+    @cached_property
+    def world_from_cam(self) -> Matrix4:
+        """The camera's pose in the world."""
+        return np.asarray(self.world_from_road @ self.road_from_cam)
+
+    @cached_property
+    def world_from_bonnet(self) -> Matrix4 | None:
+        """The pose of the host's bonnet, None where the picture has none."""
+        if not self.bonnet:
+            return None
+        return np.asarray(self.world_from_cam @ cam_from_bonnet(self.camera, self.bonnet))
+
+    @cached_property
+    def world_from_lidar(self) -> Matrix4:
+        """The pose of the host's lidar in the world: x right, y forward, z up of the lidar."""
+        lidar = self.lidar
+        assert lidar is not None, "asked only of views with a lidar"
+        pose = road_from_cam(lidar.height_m, lidar.pitch_rad, lidar.roll_rad, lidar.yaw_rad)
+        return np.asarray(self.world_from_host @ turned(0.0, lidar.right_m, lidar.forward_m) @ pose)
+
+    @property
+    def eye_world(self) -> Float[np.ndarray, "3"]:
+        """The optical centre."""
+        return np.asarray(self.world_from_cam[:3, 3])
+
+    @cached_property
+    def img_from_cam(self) -> Float[np.ndarray, "3 3"]:
+        """The camera's projection matrix, without its lens."""
+        return img_from_cam(self.camera)
+
+    def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+        """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
+        return project(self.camera, points_cam)
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """What does not move: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
+    instant, so all views of a world share it. Values are computed on first access and kept. `has_seams` says whether
+    tar, removed lines and joints may show on its pavement."""
+
+    ground: Ground
+    trees: tuple[Tree, ...]
+    roadside: Roadside
+    has_seams = True
+
+    @property
+    def lines(self) -> tuple[LaneCurve, ...]:
+        """All centre lines and delimiters."""
+        return self.ground.network.curves
+
+    def symbol_shapes(self, scene: Scene) -> list[SymbolShape]:
+        """The shapes of all symbols of a scene on it, in the order of their labels."""
+        return [shape(self.ground, symbol) for symbol in scene.symbols]
+
+    @cached_property
+    def pavement(self) -> list[meshes.Mesh]:
+        """All roads with their shoulders."""
+        return meshes.road_meshes(self.ground)
+
+    @cached_property
+    def verges(self) -> list[meshes.Mesh]:
+        """Verges and embankments along the pavement."""
+        return meshes.verge_meshes(self.ground)
+
+    @cached_property
+    def terrain(self) -> meshes.Mesh:
+        """The terrain, up to the horizon."""
+        return meshes.terrain_mesh(self.ground)
+
+    @cached_property
+    def trees_world(self) -> Float[np.ndarray, "n 3"]:
+        """The base points of all trees."""
+        return tree_positions(self.ground, self.trees)
+
+    @cached_property
+    def structures(self) -> list[Body]:
+        """What stands beside and over the road, in the order of instance ids; traffic elements come last."""
+        own = (*roadside.bodies(self.ground, self.roadside), *self.span_bodies)
+        return [*own, *(element.body for element in self.elements)]
+
+    @property
+    def span_bodies(self) -> list[Body]:
+        """The decks and tunnels of its roads."""
+        return []
+
+    @cached_property
+    def elements(self) -> list[TrafficElement]:
+        """The traffic elements: heads of signals and faces of signs."""
+        return traffic_elements(self.ground, self.roadside)
+
+    @property
+    def first_element(self) -> int:
+        """The number of the first traffic element among the structures."""
+        return len(self.structures) - len(self.elements)
+
+    def lights(self, time_s: float) -> dict[int, Body]:
+        """What shines of signals at a time of a clip, by the number of the structure that it belongs to."""
+        first = self.first_element
+        lit = ((first + i, element.light(time_s)) for i, element in enumerate(self.elements))
+        return {number: body for number, body in lit if body is not None}
+
+    @cached_property
+    def street_lamps(self) -> Float[np.ndarray, "n 3"]:
+        """Where the lamps beside the road have their light: the middles of the lower sides of their heads."""
+        return roadside.lamp_heads(self.ground, self.roadside)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MapSite(Site):
+    """The site of a map: its roads, junctions and islands, and the terrain around them."""
+
+    ground: MapGround
+    paint: tuple[MapPaint, ...]
+    has_seams = False
+
+    def symbol_shapes(self, scene: Scene) -> list[SymbolShape]:
+        """The shapes of the map's paint that bounds no lane."""
+        return map_symbols(self.ground, self.paint)
+
+    @cached_property
+    def pavement(self) -> list[meshes.Mesh]:
+        """All roads, junctions and islands."""
+        return map_meshes.pavement_meshes(self.ground)
+
+    @cached_property
+    def span_bodies(self) -> list[Body]:
+        """The decks and tunnels of its roads."""
+        return span_bodies(self.ground)
+
+    @cached_property
+    def verges(self) -> list[meshes.Mesh]:
+        """None: the terrain meets the pavement."""
+        return []
+
+    @cached_property
+    def terrain(self) -> meshes.Mesh:
+        """The terrain around the pavement, up to the horizon."""
+        return map_meshes.terrain_mesh(self.ground)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A scene and its site. All pictures of a site have a world each."""
+
+    scene: Scene
+    site: Site
+
+    @property
+    def ground(self) -> Ground:
+        """The ground as built."""
+        return self.site.ground
+
+    @property
+    def network(self) -> Network:
+        """The roads."""
+        return self.ground.network
+
+    @cached_property
+    def view(self) -> View:
+        """The view of the scene's camera at the instant of its shot."""
+        scene, shot = self.scene, self.scene.shot
+        camera = host_at(self.network, scene.camera, host_driven(shot, shot.time_s))
+        sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
+        bonnet = scene.host.bonnet if sees_bonnet else 0.0
+        return View(scene, self.network, camera, world_from_host(self.network, camera), bonnet)
+
+    def seen_in(self, scene: Scene) -> "World":
+        """Another picture of the same site: the scene differs in camera, shot and lidar alone."""
+        return World(scene, self.site)
+
+    def furnished(self, scene: Scene) -> "World":
+        """Other things on the same ground: the scene differs in what stands and drives there."""
+        return World(scene, replace(self.site, trees=scene.trees, roadside=scene.roadside))
+
+    def paint(self, view: View) -> dict[str, meshes.Mesh]:
+        """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
+        return paint_meshes(self.ground, self.site.lines, view.eye_world, self.scene.stream)
+
+    def symbols(self, view: View) -> list[meshes.Mesh]:
+        """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
+        return [symbol_mesh(self.ground, form, view.eye_world) for form in self.symbol_shapes]
+
+    @cached_property
+    def symbol_shapes(self) -> list[SymbolShape]:
+        """The shapes of all symbols on the road, in the order of their labels."""
+        return self.site.symbol_shapes(self.scene)
+
+    def tar(self, view: View) -> meshes.Mesh | None:
+        """Cracks filled with tar, raised less than paint; None without any."""
+        amount = self.scene.surface.tar if self.site.has_seams else 0.0
+        return tar_mesh(self.ground, amount, view.eye_world, self.scene.stream) if amount else None
+
+    def ghost_lines(self, view: View) -> meshes.Mesh | None:
+        """Removed lines, raised less than paint; None without any."""
+        if not self.scene.surface.ghost_lines or not self.site.has_seams:
+            return None
+        return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
+
+    def grass(self, view: View) -> Blades | None:
+        """The grass beside the road as a view sees it, if any grows there."""
+        grass_m = self.scene.vegetation.grass_m
+        if not grass_m:
+            return None
+        found = blades(self.ground, self.site.lines, view.eye_world, grass_m, self.scene.stream("grass"))
+        return found if len(found.shade) else None
+
+
+def resolve(scene: Scene, network: Network | None = None) -> World:
+    """Resolve a scene into its world; `network` is that of its road, where it is known."""
+    network, shot, camera = network or scene_network(scene), scene.shot, scene.camera
+    network = network.around(network.host_points(camera, np.zeros(1))[0, :2], AROUND_HOST_M)
+    hills = FarHills.draw(scene.stream("far_hills"))
+    driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
+    place, furniture = (driven_m, shot.behind_m > 0), (scene.trees, scene.roadside)
+    # Nothing else asks for the kind of a network.
+    if scene.map is not None and isinstance(network, MapNetwork):
+        x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
+        around = camera.y_m, scene.markings, replace(hills, center_world=(x, y))
+        ground = MapGround(*around, *place, network=network, islands=scene.map.islands)
+        return World(scene, MapSite(*furniture, ground=ground, paint=scene.map.paint))
+    return World(scene, Site(Ground(network, camera.y_m, scene.markings, hills, *place), *furniture))
+
+
+def scene_network(scene: Scene) -> Network:
+    """The roads of a scene."""
+    if scene.map is not None:
+        return map_network(scene.map, scene.terrain, scene.camera.y_m)
+    return paper_network(scene.paper_road, scene.terrain)
