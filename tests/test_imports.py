@@ -12,8 +12,8 @@ PROBE = "import sys, {}; print(*sorted({} & set(sys.modules)))"
 
 
 # Those that load none of the heavy packages, and those that load pyarrow alone.
-LIGHT = ("", "_cli.main", ".geometry.network", ".sample", ".ground_truth", ".formats.apollo.read")
-WITH_TABLES = (".api", ".dataset.read", ".formats.export", ".sources", ".production.run")
+LIGHT = ("", "_cli.main", ".roads.network", ".draw.sample", ".truth.ground_truth", ".formats.apollo.read")
+WITH_TABLES = (".api", ".dataset.read", ".formats.export", ".dataset.scenes", ".production.run")
 
 
 @pytest.mark.parametrize(("modules", "allowed"), [(LIGHT, set()), (WITH_TABLES, {"pyarrow"})], ids=["light", "tables"])

@@ -408,8 +408,9 @@ class Params(Group):
 
 def presets_folder() -> Path:
     """The folder of the presets: inside the package in an installed wheel, at the root of a checkout."""
-    installed = Path(__file__).parent / "_params"
-    return installed if installed.is_dir() else Path(__file__).parents[1] / "params"
+    package = Path(__file__).parents[1]
+    installed = package / "_params"
+    return installed if installed.is_dir() else package.parent / "params"
 
 
 def preset_names(kind: str = "") -> list[str]:
