@@ -12,7 +12,7 @@ Rows = list[tuple[str, str]]
 
 
 def _yaml_files(kind: str) -> Rows:
-    from synth3dlanes.params_text import presets_described
+    from synth3dlanes.params.params_text import presets_described
 
     return presets_described(kind)
 

@@ -10,8 +10,8 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from synth3dlanes.distributions import extent, form
-from synth3dlanes.params import (
+from synth3dlanes.params.distributions import extent, form
+from synth3dlanes.params.params import (
     BASE,
     Params,
     files_of,
@@ -23,7 +23,7 @@ from synth3dlanes.params import (
     preset_names,
     preset_under,
 )
-from synth3dlanes.yaml_text import text_of
+from synth3dlanes.system.yaml_text import text_of
 
 REFERENCE = "appendix_i"
 # The column of comments, as in the presets.
