@@ -41,7 +41,7 @@ def asked_for(prediction: Prediction, threshold: float) -> list[Detection]:
 def columns_of(
     lane: Detection, img_from_cam: Float[np.ndarray, "3 3"], rows_px: Float[np.ndarray, " r"]
 ) -> Float[np.ndarray, " r"]:
-    """The lane's column at each row, as far as it is visible and does not turn back in the image; NaN elsewhere."""
+    """The lane's column at each row, where it is visible and does not turn back in the image; NaN elsewhere."""
     xyz_cam = lane.xyz_cam
     if lane.visibility is not None:
         seen = np.flatnonzero(lane.visibility >= VISIBLE)

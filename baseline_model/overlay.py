@@ -24,7 +24,7 @@ from .poses import Pose, road_from_cam
 
 FAR_M = 80.0
 ASIDE_M = 12.0
-"""The view from above shows so much to each side."""
+"""Width of the view from above to each side."""
 LEAST_HEIGHT_M = 12.0
 """Of the view from the side, so that an even road looks even."""
 PICTURE_ENDINGS = (OVERLAY, FIGURE) = (".overlay.jpg", ".png")
@@ -53,7 +53,7 @@ class Line:
 
 @dataclass(frozen=True)
 class _Axis:
-    """Metres along one side of a view, from its left or upper end, with a number every so many."""
+    """Metres along one side of a view, from its left or upper end, with a number at every step."""
 
     words: str
     start_m: float

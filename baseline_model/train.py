@@ -48,7 +48,7 @@ class RunLength:
 
     @classmethod
     def of(cls, config: TrainConfig, n_images: int) -> "RunLength":
-        """That of `epochs` passes over so many images."""
+        """The length of `epochs` passes over `n_images` images."""
         steps_per_epoch = -(-n_images // config.batch)
         return cls(
             steps_per_epoch,

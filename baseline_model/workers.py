@@ -53,8 +53,8 @@ class _Worker:
 def made_ahead(
     make: Callable[[list[int]], Any], order: Iterable[list[int]], n_workers: int, device: torch.device
 ) -> Iterator[Any]:
-    """`make` of each list of indices, in order, by so many processes, or by this one if there are none. Tensors in
-    named tuples come in page-locked memory if the device is a GPU.
+    """`make` of each list of indices, in order, by `n_workers` processes, or by this one if that is 0. Tensors in named
+    tuples come in page-locked memory if the device is a GPU.
 
     Raises the errors of ours and of the system that `make` raises, and WorkerError where a worker ends before its work
     is done.

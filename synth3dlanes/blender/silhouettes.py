@@ -13,9 +13,9 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.system.arrays import Points2, Points3
 
-# Of the rays towards a car, so many for every car, the others for one that is seen in part.
+# Number of rays towards every car; a car that is seen in part gets up to MAX_RAYS.
 SOME_RAYS = 100
-# Rays go through the centres of all pixels in a car's box, or of so many of more; and the columns and rows of the grid
+# Rays go through the centres of the pixels in a car's box, of at most MAX_RAYS of them. Columns and rows of the grid
 # over the image that finds the boxes.
 MAX_RAYS, GRID = 1000, (40, 30)
 # Steps of a lattice that is even however many of its points are taken, and leaves no gaps along upright edges, as rows

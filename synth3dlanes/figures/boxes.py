@@ -13,7 +13,7 @@ from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.system.arrays import Polyline2
 
 # Nearer parts of lines cannot be projected. Pieces of a line, which a lens bends.
-NEAR_M, PIECES = 0.3, 12
+CUT_DEPTH_M, PIECES = 0.3, 12
 # Objects of which less is seen have no box: it would stand before what hides them.
 LEAST_SEEN = 0.05
 # Ends of all lines in the frame of a box of size 2.
@@ -46,7 +46,7 @@ def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polylin
 
 
 def lines_img(camera: CameraLabel, item: ObjectLabel) -> Iterator[Polyline2]:
-    """The lines of a box, as far as they are ahead of the camera and in its lens's field."""
+    """The parts of a box's lines that are ahead of the camera and in its lens's field."""
     yield from _drawn(camera, transform(item.cam_from_object, LINES * item.size_m / 2))
 
 
@@ -65,7 +65,7 @@ def _drawn(camera: CameraLabel, lines_cam: Float[np.ndarray, "n 2 3"]) -> Iterat
 def _ahead(first: Float[np.ndarray, "3"], second: Float[np.ndarray, "3"]) -> Float[np.ndarray, "n 3"]:
     """The part of a straight line that is ahead of the camera."""
     near, far = sorted((first, second), key=lambda point: float(point[1]))
-    if far[1] <= NEAR_M:
+    if far[1] <= CUT_DEPTH_M:
         return np.zeros((0, 3))
-    share = max(0.0, (NEAR_M - near[1]) / (far[1] - near[1])) if far[1] > near[1] else 0.0
+    share = max(0.0, (CUT_DEPTH_M - near[1]) / (far[1] - near[1])) if far[1] > near[1] else 0.0
     return np.stack([near + share * (far - near), far])

@@ -102,7 +102,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
 
 
 def _elements(items: Sequence[ElementLabel]) -> str:
-    """What signals show and signs say, as far as they are labelled."""
+    """What the labelled signals show and signs say."""
     return _counted([f"{item.category} {item.state or item.kind}".replace("_", " ") for item in items])
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.truth.ground_truth import RANGE_M, STEP_M
+from synth3dlanes.truth.ground_truth import POINTS_STEP_M, RANGE_M
 from synth3dlanes.world.rails import KERBS, foot_of_front
 from synth3dlanes.world.visibility import seen_over_ground
 from synth3dlanes.world.world import resolve
@@ -22,7 +22,7 @@ def kerb_lanes(scene: Scene, camera: CameraLabel) -> tuple[Lane, ...]:
     world, lanes = resolve(scene), []
     host_m = float(camera.world_from_cam[1, 3])
     for i, rail in kerbs.items():
-        s = np.arange(min(rail.from_m, rail.to_m), max(rail.from_m, rail.to_m), STEP_M)
+        s = np.arange(min(rail.from_m, rail.to_m), max(rail.from_m, rail.to_m), POINTS_STEP_M)
         ahead_m = world.network.stations(s) - host_m
         s = s[(ahead_m > 0) & (ahead_m < RANGE_M)][:: int(world.network.onwards)]
         if len(s) < LEAST_POINTS:

@@ -45,7 +45,7 @@ class Lens(DocumentPart):
 
     @model_validator(mode="after")
     def _has_its_coefficients(self) -> "Lens":
-        """Check that there are as many as the model has."""
+        """Check that there is one coefficient for each of the model."""
         wanted = [COEFFICIENTS[self.model]]
         if self.model == "opencv":
             wanted.append(wanted[0] + PRISM_AND_TILT)

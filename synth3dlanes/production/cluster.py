@@ -67,7 +67,7 @@ class Cluster:
         return f"the Ray cluster is lost: its control store at {self._address} has not answered {since(self._seen)}"
 
     def uses(self, n_cores: int) -> bool:
-        """Whether at least so many cores are in use, by anyone, or this is not known."""
+        """Whether at least `n_cores` cores are in use, by anyone, or this is not known."""
         found = _asked(lambda: (ray.cluster_resources(), ray.available_resources()))
         return found is None or found[0].get("CPU", 0) - found[1].get("CPU", 0) >= n_cores
 

@@ -82,7 +82,7 @@ class Shot(DocumentPart):
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> "Shot":
-        """Check that there are so many frames and cameras."""
+        """Check that the frame and the camera are among those of the shot."""
         for name in ("frame", "camera"):
             number, count = getattr(self, name), getattr(self, f"n_{name}s")
             if number >= count:

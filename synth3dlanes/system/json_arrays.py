@@ -46,6 +46,6 @@ JsonQuaternion = Annotated[Float[np.ndarray, "4"], _Json(Row4, (4,), float)]
 
 
 def rounded(values: Float[np.ndarray, "..."], decimals: int) -> Any:
-    """Values as lists of numbers of so many decimals; equal numbers give equal text."""
+    """Values as lists of numbers of `decimals` decimals; equal numbers give equal text."""
     # Adding 0.0 turns -0.0 into 0.0.
     return (np.round(values, decimals) + 0.0).tolist()

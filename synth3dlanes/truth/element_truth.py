@@ -20,7 +20,7 @@ from synth3dlanes.truth.object_truth import rectangles
 from synth3dlanes.world.world import Site, View
 
 # Farther elements have no label.
-NEAR_M = 200.0
+LABELLED_M = 200.0
 # Quads that reach closer to the camera's plane are left out; the most pixels that are asked of an element.
 AHEAD_M, MAX_PIXELS = 0.1, 1000
 
@@ -32,7 +32,7 @@ def label_elements(site: Site, view: View, camera: CameraLabel, graph: LaneGraph
     time_s = view.scene.shot.time_s
     for number, element in enumerate(site.elements):
         cam_from_element = cam_from_world @ element.place.world_from_face
-        if np.linalg.norm(cam_from_element[:3, 3]) > NEAR_M:
+        if np.linalg.norm(cam_from_element[:3, 3]) > LABELLED_M:
             continue
         inside, whole = rectangles(camera, cam_from_element, element.place.size_m)
         found.append(

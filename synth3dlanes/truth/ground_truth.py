@@ -18,7 +18,7 @@ from synth3dlanes.world.paint import is_double, paint_color, pair_of
 from synth3dlanes.world.visibility import seen_over_ground
 from synth3dlanes.world.world import View, World, resolve
 
-STEP_M = 1.0
+POINTS_STEP_M = 1.0
 RANGE_M = 110.0
 
 
@@ -117,7 +117,7 @@ def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
 
 def _lengths(world: World) -> Scalars:
     """The lengths ahead of the host at which lines are sampled."""
-    return np.arange(-world.scene.shot.behind_m, RANGE_M + STEP_M / 2, STEP_M)
+    return np.arange(-world.scene.shot.behind_m, RANGE_M + POINTS_STEP_M / 2, POINTS_STEP_M)
 
 
 def _lidar(view: View) -> LidarLabel | None:

@@ -19,7 +19,7 @@ from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
 # Clear daylight: the sun's zenith angle, and the visibility in fog. A lower sun is warm, its long shadows are blue, and
 # roads mirror the sky: of 25 images of `streets` beyond 1.15 rad, 3 had other values than those below, of 79 none.
 LOWEST_SUN_RAD, MIN_VISIBILITY_M = 1.1, 1_500.0
-# Terrain within so many metres, and least numbers of pixels of terrain, road and paint.
+# Range of the terrain that is judged, and least numbers of pixels of terrain, road and paint.
 TERRAIN_M, MIN_PIXELS, MIN_PAINT = 60.0, 200, 150
 # Less light than this share of that in the sun is the sky's.
 SHADE = 0.35
@@ -37,9 +37,9 @@ MAX_YELLOW = 0.12
 # How many times brighter than the pavement around it paint is that stands out, at least 1.12 in 90 lines; and the reach
 # of that pavement.
 BRIGHTER, AROUND_PX = 1.05, 4
-# Pavement whose lighter parts have so many times the light of its darker ones lies partly in a shadow.
+# Ratio of light between the lighter and the darker parts of pavement from which it lies partly in a shadow.
 MOST_UNEVEN = 3
-# Rough roads glare so far about the mirrored sun.
+# Angle about the mirrored sun within which rough roads glare.
 GLARE_RAD = 0.6
 # A road of more light than this, of 1 for white, leaves paint no room to be brighter.
 MAX_LIGHT = 0.6

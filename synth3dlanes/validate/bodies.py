@@ -14,13 +14,13 @@ from synth3dlanes.world.bonnet import bonnet
 from synth3dlanes.world.world import World
 
 # Bodies are cut off at this depth, so that a car beside the camera can be projected.
-NEAR_M = 0.3
+CUT_DEPTH_M = 0.3
 # Lower limit of the sun's elevation, and upper limit of a shadow's length.
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
 # Margin for soft shadow edges and for mirrors.
 ROOM_PX = 3.0
 
-# Of a body in the field of a lens; places along a line that it bends.
+# Least number of a body's corners in the field of a lens; places along a line that the lens bends.
 MIN_CORNERS, BENDS = 3, 9
 # Mirrors and twigs may extend beyond the nominal boxes.
 ROOM = 1.15
@@ -29,7 +29,7 @@ ROOTS_M = 1.0
 # Every car is solid in this part of its box: above the open space below a truck, below the windows, behind the gap at a
 # truck's cab, and between the arches of the wheels, through which one sees above the tyres.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.35), (0.7, 0.2)), (0.38, 0.5)
-# The host's bonnet fills this box below its highest point, and lies in that one.
+# Below its highest point the host's bonnet fills the first box and is inside the second.
 BONNET_CORE = ((-0.6, 0.35, -0.3), (0.6, 1.3, -0.16))
 BONNET = ((-0.78, 0.02, -0.4), (0.78, 1.6, 0.02))
 
@@ -69,13 +69,13 @@ def outline(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> Float[
 def ahead(points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
     """Points whose convex hull is the part of that of the given points that is ahead of the camera."""
     y_m = points_cam[:, 1]
-    front, back = points_cam[y_m >= NEAR_M], points_cam[y_m < NEAR_M]
-    share = (front[:, None, 1:2] - NEAR_M) / (front[:, None, 1:2] - back[None, :, 1:2])
+    front, back = points_cam[y_m >= CUT_DEPTH_M], points_cam[y_m < CUT_DEPTH_M]
+    share = (front[:, None, 1:2] - CUT_DEPTH_M) / (front[:, None, 1:2] - back[None, :, 1:2])
     return np.concatenate([front, (front[:, None] + share * (back - front[:, None])).reshape(-1, 3)])
 
 
 def covers(corners: Float[np.ndarray, "k 2"], uv: Points2, room_px: float) -> Bool[np.ndarray, " n"]:
-    """Which pixels are inside the convex hull of corners or at most so far beside it; none without an area."""
+    """Which pixels are inside the convex hull of corners, or within a margin of it; none without an area."""
     covered = np.zeros(len(uv), dtype=bool)
     corners = corners[np.isfinite(corners).all(axis=1)]
     if len(corners) < MIN_CORNERS or not np.ptp(corners, axis=0).all():

@@ -21,7 +21,7 @@ from synth3dlanes.validate.findings import Bounded, Finding, Result
 FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
 # Cars fit their nominal boxes to 1 %, but for mirrors.
 MIRROR_ROOM = 1.2
-# Labels measure shares with at least so many rays, passes with pixel centres. Labels of 1,020 cars that are seen are at
+# Labels measure shares with at least RAYS rays, passes with pixel centres. Labels of 1,020 cars that are seen are at
 # most 0.02 outside these limits, a fifth of the error allowed.
 RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX, EDGE_PX = 60, 4.0, 0.03, 6, 1.0
 # Boxes that reach farther aside than this cosine of the angle from the viewing axis say less: pixels are stretched.

@@ -18,8 +18,8 @@ from synth3dlanes.validate.findings import some
 from synth3dlanes.validate.likeness import ErrorMap, LayerPair, Raster
 from synth3dlanes.validate.pixels import luma
 
-# A cause leaves at most this share of what is wrong; a later one must fit so much better; after one that leaves so
-# small a share of all differences, no smaller region is tried.
+# The most of what is wrong that a cause may leave; what a later cause may leave, as a share of what the best one
+# leaves; the share of all differences below which no smaller region is tried.
 LEFT, BETTER, ENOUGH = 0.35, 0.95, 0.15
 # An object is wrong where this share of its pixels is, and alone wrong if this share of all that is wrong is near it.
 OF_OBJECT, NEAR, NEAR_PX = 0.2, 0.8, 7

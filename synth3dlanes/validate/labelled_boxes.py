@@ -15,7 +15,7 @@ from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, differences
 
-# Points may be so far outside a box; a few of them farther.
+# How far outside a box points may be, and how many of them farther.
 ROOM_M, MAX_SINGLE = 0.02, 2
 # Sides are judged only of what is seen as a whole.
 MIN_SEEN = 0.99
@@ -59,7 +59,7 @@ def check_seen_box(evidence: Evidence, item: ObjectLabel | ElementLabel, label: 
 
 
 def by_pixels(evidence: Evidence, id_: int, cam_from_box: Matrix4, least: int) -> SeenPart | None:
-    """What pixels show of what is labelled, if it is near the camera and they are at least so many."""
+    """What pixels show of what is labelled, if it is near the camera and has at least the least number of pixels."""
     if not {"depth", "instance"} <= evidence.has or np.linalg.norm(cam_from_box[:3, 3]) > PROOF_M:
         return None
     at = evidence.passes["instance"] == id_

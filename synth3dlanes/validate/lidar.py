@@ -22,7 +22,7 @@ from synth3dlanes.validate.surface import MAX_GAP_M, PAVEMENT, misplaced, paveme
 from synth3dlanes.world.camera import project
 from synth3dlanes.world.world import World
 
-# Of the points, and of those that may be wrong.
+# Error of a point's range, the share of points that may have more, and the least number of points that is judged.
 MAX_RANGE_M, MAX_SHARE, MIN_POINTS = 0.01, 0.02, 20
 # Depth is interpolated where its error by the surface's bend is below this; surfaces whose depths differ by a larger
 # share are two.

@@ -22,9 +22,9 @@ ErrorMap = Float[np.ndarray, "h w"]
 # of twice the samples a pixel, stay below 0.8 of it; machines differ far less.
 NOISE = (3.0, 110.0)
 BLOCKS, LEAST_PIXELS = (4, 8, 16, 32, 64), 8
-# Wrong pixels that are no clump: fewer of 9 neighbours, or so few and so small a share of all.
+# Wrong pixels are no clump if fewer than CLUMP of 9 neighbours are wrong, or at most FEW of all and SHARE of all.
 CLUMP, FEW, SHARE = 3, 3, 0.005
-# Of depths, heights and ranges.
+# Errors of depths, heights and ranges: in metres, and as a share.
 VALUE_M, VALUE_SHARE = 5e-4, 5e-5
 NORMAL = 0.02
 # Contrast of single pixels in relation to that of the picture made again: blurred below, noisy above.

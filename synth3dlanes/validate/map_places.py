@@ -15,12 +15,12 @@ from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
 
 # A kerb may be this far from a point.
 KERB_ROOM_M = 0.08
-# Roads whose heights at a point of them, or so far beside one, differ by more do not lie in one surface there.
+# Two roads whose heights differ by more than APART_M at a point on both, or up to EDGE_M beside one, are two surfaces.
 APART_M, EDGE_M = 0.01, 0.3
 # The surface changes within this far of the ends of sections.
 SEAM_M = 0.05
 # Slopes are measured over this length to both sides.
-STEP_M = 0.05
+SLOPE_STEP_M = 0.05
 # Points farther than this beside a curve are not near it.
 BESIDE_M = 30.0
 IDS = {ROAD: SEMANTIC_IDS["road"], SHOULDER: SEMANTIC_IDS["shoulder"], MEDIAN: SEMANTIC_IDS["terrain"]}
@@ -86,7 +86,8 @@ class MapPlaces:
         """Rise of the pavement along world x and y."""
         height = self.ground.height
         steps = [
-            (height(self.xy_world + step) - height(self.xy_world - step)) / (2 * STEP_M) for step in STEP_M * np.eye(2)
+            (height(self.xy_world + step) - height(self.xy_world - step)) / (2 * SLOPE_STEP_M)
+            for step in SLOPE_STEP_M * np.eye(2)
         ]
         return np.stack(steps, axis=-1)
 

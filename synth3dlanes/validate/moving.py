@@ -1,4 +1,4 @@
-"""Check how objects move from picture to picture of a scene: as far as the velocities of their labels say.
+"""Check that objects move from picture to picture of a scene as the velocities of their labels say.
 
 The other checks compare labels with the world of the scene, whose velocities the labels' come from. Here only labels
 are compared, those of one picture with those of the next. World frame, metres and seconds.
@@ -14,8 +14,8 @@ from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Instant, MovingObject
 
-# Tyres hold no more, metres per second squared. Between two pictures a speed that changes by so much at most is in the
-# mean a quarter of its change away from the mean of both speeds, at most.
+# The most that tyres hold, in metres per second squared. The mean speed between two pictures differs from the mean of
+# both speeds by at most a quarter of the change that this allows.
 MOST_ACCELERATION = 10.0
 # Rounding of places, and of velocities in metres per second.
 PLACE_M, SPEED = 0.002, 0.005

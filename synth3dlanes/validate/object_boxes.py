@@ -35,7 +35,7 @@ BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
 # The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. The axles of
 # vans are AXLE_M behind: their wheels are hidden as a whole by an end that is CLEARANCE_M over the ground, or higher.
 SET_BACK, AXLE_M, CLEARANCE_M = 0.25, 1.1, 0.15
-# Mirrors reach at most so far beyond a body.
+# The most that mirrors reach beyond a body.
 MIRROR_M = 0.07
 MAX_TRUNCATION_OFF = 0.005
 

@@ -41,7 +41,7 @@ STEEPEST, MOST = 0.01, 20.0
 MIN_EVENNESS, MAX_COARSENESS = 0.8, 1.33
 # Coarser JPEG has no detail of single pixels, nor has dense fog.
 SHARP_JPEG, FOG_M = 90, 150.0
-# Nor has what passes a camera that looks aside: the host's motion blurs all that is so far away, by so many pixels.
+# Nor has what passes a camera that looks aside: the distance at which the host's motion blurs it by MAX_BLUR_PX.
 ASIDE_BLUR_M, MAX_BLUR_PX = 10.0, 1.0
 
 

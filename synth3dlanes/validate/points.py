@@ -37,7 +37,7 @@ LIMITS = {
 }
 MASKS = ("terrain_visible", "object_visible")
 OBJECTS = [SEMANTIC_IDS[name] for name in ("car", "tree", "host", *SURFACES)]
-# A mask that is moved by a point is wrong at so many points more, and at so many times as many, as where it was.
+# A mask moved along its line by one point must have MIN_MOVED more wrong points and MOVED times as many as unmoved.
 MIN_MOVED, MOVED = 3, 2
 # Depth by this factor off is in another unit; objects hide few points that the labels have as visible.
 OTHER_UNIT, MIN_SCALED = 1.5, 10
@@ -45,9 +45,9 @@ OTHER_UNIT, MIN_SCALED = 1.5, 10
 SCALED_M = 30.0
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
-# A shoulder so much nearer than a point, in depth, may be a kerb before it.
+# How much nearer than a point, in depth, a shoulder must be to be taken for a kerb before it.
 KERB_NEARER_M = 0.3
-# Farther away a kerb is thinner than a pixel: beyond so many metres, and so many for each pixel of the focal length.
+# Distance beyond which a kerb is thinner than a pixel: a constant, and metres for each pixel of the focal length.
 KERBS_M, KERBS_M_A_PX = 80.0, 0.24
 # Pixels of an object whose depths differ by a smaller factor show one surface without a gap.
 ONE_SURFACE = 1.05

@@ -54,8 +54,8 @@ WHITE = 240.0
 # A ridge elsewhere must be this many times stronger than in place: the edge of a shadow reaches 2.7 times.
 STRONGER = 3.0
 # An image is judged as a whole from this many profiles on; with a smaller share of them in place it is not the labels'
-# image. Of 150 images of `appendix_i` and 102 of `streets` with so many, none fails, and of as many images of another
-# scene 87 % and 78 %.
+# image. Of 150 images of `appendix_i` and 102 of `streets` with that many, none fails; judged by the labels of another
+# scene, 87 % and 78 % of them fail.
 MIN_IMAGE_PROFILES, MIN_SHARE = 60, 0.4
 # All lines together are tried at these shifts (pixels) and stretches about the image's middle (shares); a profile
 # counts at most MAX_OF_MEDIAN times its line's median. In place, lines are at least 0.99 times as clear as at their

@@ -49,7 +49,7 @@ NO_GEOMETRY = (
     ArithmeticError, AssertionError, LookupError, MemoryError, RuntimeError, RuntimeWarning, StopIteration, ValueError
 )  # fmt: skip
 
-# Another process starts in the time that so many samples take.
+# Number of samples that are checked in the time that another process takes to start.
 SAMPLES_A_START = 8
 
 Map = Callable[..., Iterator[Any]]
@@ -257,8 +257,8 @@ def _passes(scene: Scene, description: Description, passes: Passes) -> Iterator[
 
 @contextmanager
 def _mapping(workers: int, n: int) -> Iterator[Map]:
-    """`map` in this process or in several (0: as many as `n` samples are worth, at most one per core); results are in
-    order."""
+    """`map` in this process or in several, with results in order. 0 workers: as many as `n` samples make worth it, at most
+    one per core."""
     workers = n_workers(workers, math.ceil(n / SAMPLES_A_START))
     if workers == 1:
         yield map

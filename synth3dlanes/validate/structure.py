@@ -25,13 +25,14 @@ from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
 MATRIX = 1e-8
-# Of the host beside the middle of its lane.
+# Error of the host's offset from the middle of its lane.
 LAW_M = 0.001
-# Points of measured lines are a metre apart wherever the host is: the middle of a chord is so far from a sharp bend.
+# Points of measured lines are a metre apart wherever the host is: distance of a chord's middle from a sharp bend.
 CHORD_M = 0.03
 # The longest end of a lane of a map without points: they are a metre apart, and a line has two.
 REST_M = 2.0
-# A line of a map turns from a point to the next by at most so much: one 7 m beside an arc of 3 m by 1.1 m.
+# The most that a line of a map moves aside from one point to the next by a bend: 1.1 m for a line 7 m beside an arc of
+# 3 m.
 MAX_JUMP_M = 1.5
 # Number of lines of sight that may graze the core's edges.
 MAX_WRONG = 1
@@ -63,7 +64,7 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
 
 
 def check_measured(labels: Labels) -> Iterator[Finding]:
-    """Check labels that were lifted from a real drive, as far as they can be without a world: ids, order, projection,
+    """Check labels that were lifted from a real drive, without a world: ids, order, projection,
     rotations, and that every point says how certain it is."""
     for id_, count in Counter(lane.id for lane in labels.lanes).items():
         if count > 1:

@@ -37,7 +37,7 @@ MAX_TURN = 0.005
 MAX_SINGLE, MAX_SHARE, MIN_PIXELS = 3, 0.02, 100
 # The near road, seen in pixels of its mesh: in 86 images, of 96 to 560 columns, depth is at most 0.00015 m off in the
 # median. Points farther from the mesh than SAME_M are not on it.
-NEAR_M, MAX_NEAR, SAME_M, MAX_NEAR_M = 12.0, 1_500, 0.5, 0.002
+NEAR_ROAD_M, MAX_NEAR, SAME_M, MAX_NEAR_M = 12.0, 1_500, 0.5, 0.002
 # Of the terrain: pixels, range, and verge widths from the embankment's foot within which verges cover it.
 MAX_HILLS, MIN_HILLS, HILLS_M, VERGES = 2_000, 20, 120.0, 1.1
 # The median over a sample is at most 1 mm in 400 rendered samples.
@@ -213,7 +213,7 @@ def _depth(pavement: Pavement) -> Iterator[Result]:
 
 def _exactly(world: World, points: Points3, pavement: Pavement) -> Iterator[Result]:
     """Finding if depth is not exactly, along the pixels' rays, that of the mesh that is rendered."""
-    near = np.flatnonzero((pavement.range_m > 0) & (pavement.range_m < NEAR_M))
+    near = np.flatnonzero((pavement.range_m > 0) & (pavement.range_m < NEAR_ROAD_M))
     near = near[:: 1 + len(near) // MAX_NEAR]
     above_m = points[near, 2] - mesh_height(world.site.pavement, points[near, :2], points[near, 2] + SAME_M)
     slant = pavement.up_world[near, 2] * pavement.range_m[near] / pavement.below_eye_m[near]

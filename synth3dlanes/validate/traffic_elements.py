@@ -22,11 +22,11 @@ from synth3dlanes.validate.labelled_boxes import MIN_SEEN, SideLimit, against_bo
 # between two pixels.
 MAX_OUTSIDE, MAX_GAP_M, MAX_PART = 0.01, 0.03, 1.0
 # How far a share may be from that of its pixels, and how many of them may be on the other side of an edge. Labels ask
-# at most so many pixels, in a grid; bodies that reach nearer to the camera's plane are left out.
+# at most MAX_ASKED pixels, in a grid; bodies that reach nearer to the camera's plane are left out.
 MAX_SHARE_OFF, EDGE_PIXELS, MAX_ASKED, AHEAD_M = 0.02, 2, 1_000, 0.2
 # Elements of fewer pixels are not judged by these.
 MIN_PIXELS = 60
-# Pixels without a label: more than these, at most so far away.
+# Pixels of an element without a label are a fault if there are more than MAX_UNLABELLED within FARTHEST_M.
 MAX_UNLABELLED, FARTHEST_M = 4, 190.0
 # What follows from the scene.
 TOLD = ("category", "kind", "state", "lanes", "size_m", "center_cam", "rotation_wxyz", "box_px", "unclipped_box_px")

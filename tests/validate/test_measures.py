@@ -18,7 +18,7 @@ from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car, Scene
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth, label
-from synth3dlanes.validate.bodies import NEAR_M, ahead, corners_world, covers
+from synth3dlanes.validate.bodies import CUT_DEPTH_M, ahead, corners_world, covers
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import BAND_NAMES, Finding, Measure, RangeHistogram
 from synth3dlanes.validate.paint import WorldPaint
@@ -301,7 +301,7 @@ def test_a_body_is_cut_off_at_the_camera_and_covers_what_it_covers_ahead():
     """Of a wall beside the camera, 4 m before and behind it, the half ahead fills the right of the view."""
     wall = np.array([[x, y, z] for x in (2.0, 2.2) for y in (-4.0, 4.0) for z in (-1.0, 1.0)])
     front = ahead(wall)
-    assert front[:, 1].min() == pytest.approx(NEAR_M)
+    assert front[:, 1].min() == pytest.approx(CUT_DEPTH_M)
     assert front[:, 1].max() == 4
     camera = ground_truth(FLAT).camera
     along = np.column_stack([np.full(30, 2.0), np.linspace(2.2, 3.9, 30), np.zeros(30)])

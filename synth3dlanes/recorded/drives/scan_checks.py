@@ -12,8 +12,8 @@ from synth3dlanes.recorded.drives.axes import OURS_FROM
 from synth3dlanes.recorded.drives.drive import Drive, Scan
 from synth3dlanes.system.arrays import Matrix4, Points3
 
-# Median ranges of lidars on roads, in metres; beyond them points are in another unit.
-NEAR_M, FAR_M = 1.0, 150.0
+# Median ranges of lidars on roads; beyond them points are in another unit than metres.
+LEAST_RANGE_M, MOST_RANGE_M = 1.0, 150.0
 UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "kilometres": 1e3}
 # Where the ground is looked for, and how far from a plane it may be.
 GROUND_REACH_M, GROUND_OFF_M, TRIES = 15.0, 0.12, 200
@@ -24,10 +24,10 @@ LOWEST_M, HIGHEST_M, MOST_TILT_DEG = 0.3, 4.5, 12.0
 # Pairs of scans, how far apart they are, and what of them is compared: what stands on the ground.
 PAIRS, LEAST_APART_M, MOST_APART_M = 6, 1.5, 8.0
 REACH_M, STANDING_M, HIGHEST_STANDING_M, MOST_POINTS, LEAST_STANDING = 35.0, 0.3, 5.0, 3000, 40
-# What stands upright has so much height within so small a square.
+# Least height within a square of what stands upright.
 UPRIGHT_M = 0.6
 # Scans that fit together are a few centimetres apart, sparse ones some decimetres; distances count up to 1 m. Another
-# reading is named where it fits so much better.
+# reading is named where its distance is below this share of the first one's.
 CAP_M, FITS_M, BETTER = 1.0, 0.2, 0.65
 
 
@@ -45,10 +45,12 @@ def unit_of(drive: Drive, scans: Sequence[Scan]) -> tuple[float, list[str]]:
     median = float(np.median(np.concatenate(ranges))) if sum(map(len, ranges)) else 0.0
     if not median:
         return 1.0, [f"{drive.name}: scans: expected points, got none"]
-    if NEAR_M <= median <= FAR_M:
+    if LEAST_RANGE_M <= median <= MOST_RANGE_M:
         return 1.0, []
     named = [(name, factor) for name, factor in UNITS.items() if 2 <= median * factor <= 60]
-    told = f"half of the points are within {median:.4g} m of the lidar, expected {NEAR_M:g} to {FAR_M:g} m"
+    told = (
+        f"half of the points are within {median:.4g} m of the lidar, expected {LEAST_RANGE_M:g} to {MOST_RANGE_M:g} m"
+    )
     if not named:
         return 1.0, [f"{drive.name}: scans: {told}: check their unit"]
     name, factor = named[0]
@@ -157,7 +159,7 @@ def fit_findings(drive: Drive, scale: float, plane: GroundPlane) -> list[str]:
 
 
 def _pairs(drive: Drive, scale: float, plane: GroundPlane) -> list[ScanPair]:
-    """Up to so many pairs of scans that are some metres apart by their poses, with enough that stands."""
+    """Up to PAIRS pairs of scans that are some metres apart by their poses, with enough that stands."""
     n, found = len(drive.frames), list[ScanPair]()
     for start in np.unique(np.linspace(0, max(0, n - 2), 2 * PAIRS).astype(int)).tolist():
         first = drive.frames[start]

@@ -59,7 +59,7 @@ def read_lines(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def read_rows(path: Path, columns: int, what: str) -> Float[np.ndarray, "n c"]:
-    """The numbers of a text file, so many in each line, between spaces or commas; `what` names them."""
+    """The numbers of a text file, `columns` in each line, between spaces or commas; `what` names them."""
     found = array("d")
     for where, line in read_lines(path):
         found.extend(floats(line.replace(",", " "), where, columns, what))
@@ -69,7 +69,7 @@ def read_rows(path: Path, columns: int, what: str) -> Float[np.ndarray, "n c"]:
 
 
 def floats(text: str, where: str, count: int, what: str) -> list[float]:
-    """So many finite numbers in a text; raise FormatError for others."""
+    """`count` finite numbers in a text; raise FormatError for others."""
     try:
         values = [float(word) for word in text.split()]
     except ValueError:

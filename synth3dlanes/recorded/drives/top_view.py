@@ -23,11 +23,11 @@ from synth3dlanes.system.errors import InputError
 CELL_M, TILE_PX = 0.1, 256
 # How far beside the lidar the ground is shown, and how far over or under its plane it may be.
 REACH_M, OFF_PLANE_M = 25.0, 0.4
-# Three numbers for each cell of so many tiles take 200 MB: 3 km of road.
+# The most tiles: three numbers for each of their cells take 200 MB, for 3 km of road.
 MAX_TILES = 256
-# Of the values shown, so much is darker than black and brighter than white, which differ by so much at least.
+# Shares of the values shown that are clipped to black and to white; the least difference of black and white.
 DARKER, BRIGHTER, LEAST_CONTRAST = 0.01, 0.01, 0.05
-# How dark slopes are drawn: half of all gray for so many metres per metre.
+# Slope, in metres per metre, at which the shading is half of all gray.
 SHADE_SLOPE = 0.5
 # Cells along a side of the square from which an empty one is filled.
 FILLED_CELLS = 3

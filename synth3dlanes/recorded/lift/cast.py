@@ -9,8 +9,8 @@ from synth3dlanes.recorded.lift.ground import GroundMap
 from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.world.visibility import along_sights
 
-# Lines of sight are followed so far, in steps of this length; ground without support is bridged for one step at most.
-RANGE_M, STEP_M = 110.0, 2.0
+# Length and steps of lines of sight. Ground without support is bridged for one step at most.
+RANGE_M, SIGHT_STEP_M = 110.0, 2.0
 BISECTIONS = 10
 # A line of sight that falls to the ground by less than this, as a slope, meets it nowhere in particular.
 LEAST_FALL = 1e-3
@@ -38,7 +38,7 @@ def cast(ground: GroundMap, eye_world: Float[np.ndarray, "3"], rays_world: Point
     level = np.linalg.norm(rays_world[:, :2], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = rays_world / np.where(level > 0, level, np.nan)[:, None]
-    away_m = np.arange(1.0, RANGE_M + STEP_M, STEP_M)
+    away_m = np.arange(1.0, RANGE_M + SIGHT_STEP_M, SIGHT_STEP_M)
     places = eye_world + ahead[:, None] * away_m[None, :, None]
     flat = places.reshape(-1, 3)
     usable = np.isfinite(flat).all(axis=1)
@@ -66,7 +66,7 @@ def cast(ground: GroundMap, eye_world: Float[np.ndarray, "3"], rays_world: Point
         height, height_std = ground.at(found[:, :2])
         fall = ahead_met[:, 2] - (slopes * ahead_met[:, :2]).sum(axis=1)
         step = np.nan_to_num((found[:, 2] - height) / np.maximum(-fall, LEAST_FALL))
-        found = found + ahead_met * np.clip(step, -STEP_M / 2, STEP_M / 2)[:, None]
+        found = found + ahead_met * np.clip(step, -SIGHT_STEP_M / 2, SIGHT_STEP_M / 2)[:, None]
     height, height_std = ground.at(found[:, :2])
     found[:, 2] = height
     normal = np.column_stack([-slopes, np.ones(len(found))])

@@ -11,7 +11,7 @@ from synth3dlanes.system.errors import InputError
 
 # Memory of a grid: 4000 cells of half a metre are 2 km.
 MAX_CELLS = 16_000_000
-# Windows end at so many of their standard deviations.
+# Radius of a window in standard deviations.
 TRUNCATE = 2.0
 
 

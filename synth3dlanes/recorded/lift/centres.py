@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool
 
-from synth3dlanes.recorded.lift.curves import STEP_M
+from synth3dlanes.recorded.lift.curves import STATION_STEP_M
 from synth3dlanes.recorded.lift.ground import GroundMap
 from synth3dlanes.recorded.lift.path import Path
 from synth3dlanes.recorded.lift.tracks import Track, on_ground, unplaced
@@ -42,7 +42,7 @@ def _between(left: Track, right: Track, tracks: Sequence[Track]) -> Track | None
     shared, i, j = np.intersect1d(left.s, right.s, return_indices=True)
     width = right.d[j] - left.d[i]
     is_lane = (width > WIDTHS_M[0]) & (width < WIDTHS_M[1])
-    if is_lane.sum() * STEP_M < MIN_LENGTH_M:
+    if is_lane.sum() * STATION_STEP_M < MIN_LENGTH_M:
         return None
     middle = (left.d[i] + right.d[j]) / 2
     for other in tracks:
@@ -72,8 +72,8 @@ def _between(left: Track, right: Track, tracks: Sequence[Track]) -> Track | None
 def _in_long_runs(is_lane: Bool[np.ndarray, " n"], stations: Scalars) -> Bool[np.ndarray, " n"]:
     """Which stations are in runs without a gap of at least MIN_LENGTH_M."""
     at = np.flatnonzero(is_lane)
-    runs = np.split(at, np.flatnonzero(np.diff(stations[at]) > 1.5 * STEP_M) + 1)
+    runs = np.split(at, np.flatnonzero(np.diff(stations[at]) > 1.5 * STATION_STEP_M) + 1)
     found = np.zeros(len(is_lane), dtype=bool)
     for run in runs:
-        found[run] = len(run) * STEP_M >= MIN_LENGTH_M
+        found[run] = len(run) * STATION_STEP_M >= MIN_LENGTH_M
     return found

@@ -13,7 +13,7 @@ from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 
 # Points are kept up to here beside the path, and this far from the lidar.
 REACH_M, MAX_RANGE_M = 30.0, 100.0
-# At most so many points of one scan are kept in a square of this size: near the lidar they are closer than of use.
+# Side of a square, and the most points of one scan that are kept in it: near the lidar there are more than are of use.
 SQUARE_M, IN_SQUARE = 0.25, 3
 # Nothing farther above the path than this can be the road.
 ABOVE_M = 12.0
@@ -28,7 +28,7 @@ class WorldPoints(NamedTuple):
     scan: Int[np.ndarray, " n"]
 
     def thinned(self, every: int) -> "WorldPoints":
-        """One point of so many."""
+        """Every `every`-th point."""
         return WorldPoints(*(values[::every].copy() for values in self)) if every > 1 else self
 
 

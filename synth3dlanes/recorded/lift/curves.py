@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.system.arrays import Points2, Scalars
 
-STEP_M = 1.0
+STATION_STEP_M = 1.0
 # How a lane's curvature beside the path changes: the standard deviation in 1/m of its changes over a metre. Lanes are
 # nearly parallel to the path, but hosts change lanes.
 BEND = 5e-4
@@ -21,14 +21,14 @@ ASIDE_M = 30.0
 # Stations farther from any place than this have no curve.
 GAP_M = 6.0
 ROUNDS, TUKEY = 6, 4.0
-# Errors may be so many times what they are said to be. Those of the places of a line are no less than this share of
-# its shifts, which are not quite linear.
+# Range of the ratio between errors as found and as stated. The errors of a line's places are at least OWN_SHARE of its
+# shifts, which are not quite linear.
 SCALES, OWN_SHARE = (0.4, 3.0), 0.5
-# What is said of shifts counts as much as so many lines do.
-SAID_LINES = 20
-# Errors of each place of a line, as a share of those of the line as a whole.
+# Weight of the stated shifts, in lines.
+STATED_LINES = 20
+# Error of a place of a line, as a share of the error of the whole line.
 PLACE_SHARE = 0.3
-# So many neighbouring places of a line count as one: they are off together.
+# Number of neighbouring places of a line that count as one: their errors are correlated.
 TOGETHER = 4.0
 # Stations whose offset is less certain than this have no curve.
 MAX_STD_M = 1.0
@@ -87,11 +87,11 @@ def smooth(lines: list[SeenLine]) -> Smooth | None:
     n, k = int(places.at.max()) + 1, len(lines)
     if n < 4:
         return None
-    stations = np.floor(min(line.s.min() for line in lines)) + np.arange(n) * STEP_M
+    stations = np.floor(min(line.s.min() for line in lines)) + np.arange(n) * STATION_STEP_M
     solved, weight, scale, spread = None, 1.0, 1.0, np.ones(2)
     for _ in range(ROUNDS):
-        # Shifts are those of the curve found so far: by its own places, a line that is off to the near side would count
-        # more than one that is off to the far side.
+        # Shifts are taken at the curve of the previous round. By its own places, a line that is off to the near side
+        # would count more than one that is off to the far side.
         curve = places.d if solved is None else solved.curve[places.at]
         slope = np.zeros(len(curve)) if solved is None else np.gradient(solved.curve)[places.at]
         moved, own = moved_by(
@@ -105,7 +105,7 @@ def smooth(lines: list[SeenLine]) -> Smooth | None:
         gap = np.abs(left) * np.sqrt(precision)
         # How large shifts are is found from those of this very line, as they are and as they may be.
         found = (solved.shifts**2).sum(axis=0) + k * solved.shift_variance
-        spread = np.clip(np.sqrt((found + SAID_LINES) / (k + SAID_LINES)), *SCALES)
+        spread = np.clip(np.sqrt((found + STATED_LINES) / (k + STATED_LINES)), *SCALES)
         scale = min(max(1.4826 * float(np.median(gap)), OWN_SHARE * float(spread.max())), SCALES[1])
         weight = np.clip(1 - (gap / (TUKEY * scale)) ** 2, 1e-6, None) ** 2
     total = np.bincount(places.at, weight, minlength=n)
@@ -113,7 +113,7 @@ def smooth(lines: list[SeenLine]) -> Smooth | None:
     if solved is None or not len(seen):
         return None
     shared = np.sqrt(np.bincount(places.at, weight * moved[:, 2] ** 2, minlength=n)[seen] / total[seen])
-    nearest_m = np.abs(np.arange(n)[:, None] - seen[None]).min(axis=1) * STEP_M
+    nearest_m = np.abs(np.arange(n)[:, None] - seen[None]).min(axis=1) * STATION_STEP_M
     std = np.sqrt(solved.variance + np.interp(np.arange(n), seen, shared) ** 2 + LEAST_STD_M**2)
     return Smooth(stations, solved.curve, std, (nearest_m <= GAP_M) & (std < MAX_STD_M))
 
@@ -145,11 +145,11 @@ def _places(lines: list[SeenLine]) -> _Places:
     s, d, sight_m, std, shifts = (np.concatenate(values) for values in zip(*(line[:5] for line in lines), strict=True))
     of = np.repeat(np.arange(len(lines)), [len(line.s) for line in lines])
     low = np.floor(s.min())
-    at = np.round((s - low) / STEP_M).astype(int)
+    at = np.round((s - low) / STATION_STEP_M).astype(int)
     pairs, which = np.unique(np.stack([at, of], axis=1), axis=0, return_inverse=True)
     which = which.ravel()
     count = np.bincount(which)
-    columns = np.column_stack([d, s - low - at * STEP_M, std, sight_m, shifts])
+    columns = np.column_stack([d, s - low - at * STATION_STEP_M, std, sight_m, shifts])
     d, beyond_m, std, *rest = (np.bincount(which, column) / count for column in columns.T)
     return _Places(pairs[:, 0], pairs[:, 1], d, beyond_m, np.column_stack(rest[:2]), std, np.column_stack(rest[2:]))
 
@@ -178,5 +178,5 @@ def _solved(
 
 def _third_differences(n: int) -> Float[np.ndarray, "n n"]:
     """The penalty of changes of curvature."""
-    rows = np.diff(np.eye(n), 3, axis=0) / (BEND * STEP_M**2.5)
+    rows = np.diff(np.eye(n), 3, axis=0) / (BEND * STATION_STEP_M**2.5)
     return np.asarray(rows.T @ rows)

@@ -21,7 +21,8 @@ CELL_M = 0.5
 # Standard deviations of the windows of the planes, the widest first: each narrower plane replaces the wider one where
 # it has support of its own.
 WINDOWS_M = (2.0, 1.0, 0.5, 0.3)
-# A plane's support: so many points in its window, whose middle is this near the cell, as a share of the window.
+# Support of a plane: the least number of points in its window, and how far their mean may be from the cell, as a share
+# of the window.
 MIN_POINTS, OFF_CENTRE = 6.0, 0.6
 # Slopes along a direction that the points do not span are those of the wider plane: this share of the window squared.
 RIDGE = 0.05
@@ -29,7 +30,7 @@ RIDGE = 0.05
 ROUNDS_M = (0.4, 0.2, 0.1, 0.06)
 ABOVE_SHARE = 0.7
 # Points farther from their lidar count less: their heights follow its angle. Metres, and metres per metre.
-NEAR_M, PER_M = 0.01, 0.001
+POINT_STD_M, STD_PER_M = 0.01, 0.001
 # No plane is more certain than this: what the windows smooth away.
 LEAST_STD_M = 0.002
 
@@ -99,7 +100,7 @@ def fit_ground(cloud: WorldPoints, path: Path, precision: Precision) -> GroundMa
     # Sums of squares stay exact for places near the grid's middle.
     origin = np.array([*grid.centre, np.median(xyz[:, 2])])
     local, middles = xyz - origin, grid.middles() - grid.centre
-    prior = NEAR_M**2 / (NEAR_M**2 + (PER_M * range_m) ** 2)
+    prior = POINT_STD_M**2 / (POINT_STD_M**2 + (STD_PER_M * range_m) ** 2)
     gap_m, limit_m = above_m[near], ROUNDS_M[0]
     for following_m in ROUNDS_M[1:]:
         weight = prior * _trusted(gap_m, limit_m)

@@ -11,10 +11,10 @@ from synth3dlanes.recorded.drives.drive import Scan
 from synth3dlanes.recorded.lift.ground import GroundMap
 from synth3dlanes.system.arrays import Matrix4, Points3
 
-# Points so high above the ground are of things that hide it: not kerbs, and not bridges and signs over the road.
+# Heights above the ground of points of things that hide it: no kerbs, and no bridges and signs over the road.
 ABOVE_M = (0.3, 2.5)
-# Directions are this far apart; distances are in such steps; a thing hides what is so much farther than its points.
-DIRECTIONS, STEP_M, BEHIND_M = 1800, 1.0, 1.5
+# Number of directions, step of distances, and how far behind its points a thing begins to hide.
+DIRECTIONS, RANGE_STEP_M, BEHIND_M = 1800, 1.0, 1.5
 STEPS = 120
 
 
@@ -41,5 +41,5 @@ def _seen(points_cam: Points3, farther_m: float) -> tuple[np.ndarray, np.ndarray
     x, y, z = points_cam.T
     far_m = np.hypot(x, y)
     direction = np.floor((np.arctan2(x, y) / (2 * np.pi) + 0.5) * DIRECTIONS).astype(int) % DIRECTIONS
-    step = np.clip((far_m + farther_m) / STEP_M, 0, STEPS - 1).astype(int)
+    step = np.clip((far_m + farther_m) / RANGE_STEP_M, 0, STEPS - 1).astype(int)
     return direction, step, z / np.maximum(far_m, 1e-6)

@@ -10,8 +10,8 @@ from synth3dlanes.recorded.lift.path import Path
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.errors import InputError
 
-# The road plane is that of the ground so far along and across the path, or, where the ground is not known there, of so
-# many times as much.
+# Size of the ground along and across the path that gives the road plane. Where that ground is not known, WIDER times
+# the size is used.
 ALONG_M, ASIDE_M, WIDER = 4.0, 1.5, 4.0
 MIN_PLACES = 12
 

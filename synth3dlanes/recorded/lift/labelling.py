@@ -10,7 +10,7 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, Scan
 from synth3dlanes.recorded.lift.cast import seen_over
-from synth3dlanes.recorded.lift.curves import STEP_M
+from synth3dlanes.recorded.lift.curves import STATION_STEP_M
 from synth3dlanes.recorded.lift.ground import GroundMap
 from synth3dlanes.recorded.lift.hidden import seen_past_things
 from synth3dlanes.recorded.lift.host_camera import camera_label
@@ -57,7 +57,7 @@ def _past_things(
 def _lanes(track: Track, host: float, camera: CameraLabel, ground: GroundMap, precision: Precision) -> list[Lane]:
     """A track ahead of the host: a lane for each stretch without a gap. The first has the track's id."""
     ahead = np.flatnonzero((track.s >= host) & (track.s <= host + RANGE_M))
-    stretches = np.split(ahead, np.flatnonzero(np.diff(track.s[ahead]) > 1.5 * STEP_M) + 1)
+    stretches = np.split(ahead, np.flatnonzero(np.diff(track.s[ahead]) > 1.5 * STATION_STEP_M) + 1)
     found: list[Lane] = []
     for at in stretches:
         if len(at) < MIN_POINTS:

@@ -52,7 +52,7 @@ def worsened(drive: Drive, noise: Noise, seed: int = 0) -> Drive:
 
 
 def enlarged(drive: Drive, width_px: int) -> Drive:
-    """The drive as a camera of so many pixels across would have recorded its 2D lines."""
+    """The drive as a camera of `width_px` pixels across would have recorded its 2D lines."""
     scale = width_px / drive.camera.width_px
     frames = drive.frames
 

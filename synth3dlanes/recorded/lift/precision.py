@@ -35,11 +35,11 @@ class Precision:
         return Precision(**values)
 
     def pose_at(self, far_m: Scalars) -> Scalars:
-        """What an error of the pose moves a point by that is so far from the host."""
+        """The shift of points at distances from the host by an error of the pose."""
         return np.hypot(self.pose_m, far_m * np.radians(self.pose_deg))
 
     def calibration_at(self, far_m: Scalars) -> Scalars:
-        """What an error of the calibration moves a point by that is so far from the sensor."""
+        """The shift of points at distances from the sensor by an error of the calibration."""
         return np.hypot(self.calibration_m, far_m * np.radians(self.calibration_deg))
 
 

@@ -17,11 +17,11 @@ from synth3dlanes.system.errors import InputError
 SQUARE_M = 1.0
 # The lowest height of a square is that which this share of its points are below: some points are below the ground.
 LOW_SHARE = 0.15
-# Beside the path the ground's height may differ by so much, and so much for each metre aside.
+# How far the ground beside the path may be above or below it: a constant, and a share of the distance to the side.
 BAND_M, BAND_PER_M = 0.4, 0.25
-# The ground rises by no more than this from one metre to the next, relative to the path; it is compared so far.
+# The steepest rise of the ground relative to the path, and the distance over which it is compared.
 STEEPEST, CONE_M = 0.2, 6
-# A square that is so much lower than those around it is of wrong points.
+# A square that lies lower than its neighbours by this much holds wrong points.
 SUNK_M = 0.4
 # Points this near the path tell how high the host's frame is over the ground.
 UNDER_M = 1.5

@@ -10,9 +10,9 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.system.arrays import Scalars
 
-# A lifted line is the true line that it is nearest to, if it is this near in the middle.
-NEAR_M = 1.5
-# A point of a true line is covered where the lifted lane passes it so near.
+# A lifted line is matched to the nearest true line, up to this median distance.
+MATCHED_M = 1.5
+# A point of a true line is covered where the lifted lane passes it within this distance.
 COVERED_M = 1.0
 
 
@@ -59,7 +59,7 @@ def errors_of(lifted: Sequence[Labels], truth: Sequence[Labels]) -> LiftErrors:
                 for lateral, _ in found
             ]
             best = int(np.argmin(off)) if off else -1
-            if best < 0 or off[best] > NEAR_M:
+            if best < 0 or off[best] > MATCHED_M:
                 strays += int(lane.visible.sum())
                 continue
             lateral, height = found[best]

@@ -10,7 +10,7 @@ from synth3dlanes.geometry.polylines import lengths_along, resampled
 from synth3dlanes.labels.labels import Direction, LaneKind, Marking, PaintColor
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, MarkedLane
 from synth3dlanes.recorded.lift.cast import CastPoints, cast
-from synth3dlanes.recorded.lift.curves import GAP_M, STEP_M, SeenLine, smooth
+from synth3dlanes.recorded.lift.curves import GAP_M, STATION_STEP_M, SeenLine, smooth
 from synth3dlanes.recorded.lift.ground import GroundMap
 from synth3dlanes.recorded.lift.path import Path
 from synth3dlanes.recorded.lift.precision import Precision
@@ -23,14 +23,14 @@ SAMPLE_PX = 3.0
 LEAST_GRAZING, MOST_SHIFT = 0.005, 0.25
 # Of a line whose most certain places are less certain than this, pictures do not tell which of several lines it is.
 MAX_STD_M = 0.5
-# Two lines are one if they share so many stations, where they are this close: so much, or so many standard deviations,
-# but never as far as the next line may be.
-SHARED, CLOSE_M, CLOSE_STD, NEXT_M = 4, 0.4, 2.0, 1.7
-# Two tracks are one lane where they are this close in the middle of at least so many places that they share.
+# Two lines are one if they share at least MIN_SHARED stations and are there within CLOSE_M or CLOSE_STD standard
+# deviations of each other, but always nearer than the next line may be.
+MIN_SHARED, CLOSE_M, CLOSE_STD, NEXT_M = 4, 0.4, 2.0, 1.7
+# Two tracks are one lane if they share at least SAME_PLACES places, with a median distance below SAME_M.
 SAME_M, SAME_PLACES = 0.8, 5
 # A track shorter than this is noise.
 MIN_LENGTH_M = 5.0
-# A track of fewer sights than this share of those of one that is beside it, nearer than any lane is wide, is none.
+# A track is dropped if another is nearer than any lane is wide and this one has fewer sights than this share of its.
 STRAY_SHARE, NARROWEST_M = 0.5, 2.0
 
 
@@ -56,7 +56,7 @@ class Track:
 
     def has(self, s: float) -> bool:
         """Whether the track is known at a station."""
-        return bool(len(self.s) and np.abs(self.s - s).min() <= STEP_M)
+        return bool(len(self.s) and np.abs(self.s - s).min() <= STATION_STEP_M)
 
     def marked_as(self, lane: MarkedLane) -> "Track":
         """The track with what was said of its lane."""
@@ -64,8 +64,8 @@ class Track:
         return replace(said, sights=0, is_marked=True)
 
     def lies_at(self, plan: Points2) -> float:
-        """How far places (s, d) are from the track in the middle of those beside it, if they may be of the same lane,
-        else infinite."""
+        """Median distance of places (s, d) from the track, of those beside it; infinite if they cannot be of the same
+        lane."""
         inside = (plan[:, 0] >= self.s[0]) & (plan[:, 0] <= self.s[-1])
         if inside.sum() < SAME_PLACES:
             return np.inf
@@ -75,7 +75,8 @@ class Track:
 
 @dataclass(eq=False)
 class _Gathered:
-    """The sights of one track so far: at each station the sum of their weights, and that of their weighted offsets."""
+    """The sights of a track that grows: at each station the sum of their weights, and the sum of their weighted
+    offsets."""
 
     sights: list[SeenLine] = field(default_factory=list)
     sums: dict[int, Float[np.ndarray, "2"]] = field(default_factory=dict)
@@ -86,7 +87,7 @@ class _Gathered:
         for sight in self.sights:
             spans.setdefault(sight.picture, []).append((float(sight.s.min()), float(sight.s.max())))
         return any(
-            min(high, sight.s.max()) - max(low, sight.s.min()) > SHARED
+            min(high, sight.s.max()) - max(low, sight.s.min()) > MIN_SHARED
             for sight in sights
             for low, high in spans.get(sight.picture, ())
         )
@@ -100,7 +101,7 @@ class _Gathered:
         """How far a line's stations are from the track's in the middle, as a share of what is allowed; infinite if they
         share too few. Certain stations count more."""
         shared = [station for station in of if station in self.sums]
-        if len(shared) < SHARED:
+        if len(shared) < MIN_SHARED:
             return np.inf
         theirs, ours = (np.array([sums[station] for station in shared]) for sums in (of, self.sums))
         gap = np.abs(theirs[:, 1] / theirs[:, 0] - ours[:, 1] / ours[:, 0])
@@ -138,7 +139,7 @@ def marked_lines(
 ) -> Iterator[tuple[MarkedLane, SeenLine]]:
     """The lanes marked in the top view, beside the path."""
     for lane in marked:
-        plan = path.to_plan(_resampled(lane.xy_world, STEP_M))
+        plan = path.to_plan(_resampled(lane.xy_world, STATION_STEP_M))
         own = np.full(len(plan), precision.marked_m)
         yield lane, SeenLine(plan[:, 0], plan[:, 1], plan, own, np.zeros((len(plan), 3)), picture=-1)
 
@@ -170,7 +171,7 @@ def curve_of(name: str, sights: Sequence[SeenLine], ground: GroundMap, path: Pat
     if np.median([sight.total_std.min() for sight in sights]) > MAX_STD_M:
         return None
     curve = smooth(list(sights))
-    if curve is None or curve.supported.sum() * STEP_M < MIN_LENGTH_M:
+    if curve is None or curve.supported.sum() * STATION_STEP_M < MIN_LENGTH_M:
         return None
     kept = curve.supported
     found = Track(name, curve.s[kept], curve.d[kept], unplaced(int(kept.sum())), curve.std[kept, None], len(sights))
@@ -205,7 +206,7 @@ def on_ground(track: Track, ground: GroundMap, path: Path) -> Track | None:
     xy = path.to_world(track.s, track.d)
     height, height_std = ground.at(xy)
     has = np.isfinite(height)
-    if has.sum() * STEP_M < MIN_LENGTH_M:
+    if has.sum() * STATION_STEP_M < MIN_LENGTH_M:
         return None
     gap = np.abs(track.s[:, None] - track.s[has][None]).min(axis=1)
     kept = has | (gap <= GAP_M / 2)
