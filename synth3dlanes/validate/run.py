@@ -257,8 +257,8 @@ def _passes(scene: Scene, description: Description, passes: Passes) -> Iterator[
 
 @contextmanager
 def _mapping(workers: int, n: int) -> Iterator[Map]:
-    """`map` in this process or in several, with results in order. 0 workers: as many as `n` samples make worth it, at most
-    one per core."""
+    """`map` in this process or in several, with results in order. 0 workers: as many as `n` samples make worth it,
+    at most one per core."""
     workers = n_workers(workers, math.ceil(n / SAMPLES_A_START))
     if workers == 1:
         yield map
