@@ -196,8 +196,8 @@ def training_and_validation(
     data_dirs: str | Sequence[str], train_split: str, val_split: str, max_images: int | None
 ) -> tuple[Samples, Samples]:
     """Training and validation splits of one data set or several (folders or URLs), of each at most `max_images`
-    training images. Where a data set has no `val_split`, every tenth scene of its training split is held out; below ten scenes,
-    validation uses all of them."""
+    training images. Where a data set has no `val_split`, every tenth scene of its training split is held out; below ten
+    scenes, validation uses all of them."""
     dirs = [data_dir.rstrip("/") for data_dir in ([data_dirs] if isinstance(data_dirs, str) else data_dirs)]
     if len(set(dirs)) < len(dirs):
         raise InputError(f"data sets: expected each once, got {', '.join(dirs)}")
