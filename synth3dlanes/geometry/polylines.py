@@ -22,3 +22,20 @@ def stretches(kept: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
     """The first and the last (exclusive) number of each unbroken run of what is kept."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(int)))
     return [(first, end) for first, end in ends.reshape(-1, 2).tolist()]
+
+
+def thinned(lines: Float[np.ndarray, "n k d"], most_m: float) -> Float[np.ndarray, "m k d"]:
+    """Places of lines beside each other without those between which all lines stay within `most_m`."""
+    kept, stack = {0, len(lines) - 1}, [(0, len(lines) - 1)]
+    while stack:
+        first, last = stack.pop()
+        inner, a, step = lines[first + 1 : last], lines[first], lines[last] - lines[first]
+        if not len(inner):
+            continue
+        share = ((inner - a) * step).sum(-1) / np.maximum((step**2).sum(-1), 1e-12)
+        apart = np.linalg.norm(inner - a - np.clip(share, 0, 1)[..., None] * step, axis=-1).max(axis=1)
+        at = first + 1 + int(apart.argmax())
+        if apart.max() > most_m:
+            kept.add(at)
+            stack += [(first, at), (at, last)]
+    return lines[sorted(kept)]

@@ -178,6 +178,10 @@ class Road:
         half_m = lane.width_m / 2
         return lane.middle, lane.middle.shifted(-half_m), lane.middle.shifted(half_m)
 
+    def stretch_of(self, lane: NetworkLane) -> "Road":
+        """The road as it is along one of its lanes."""
+        return self
+
     def lanes_at(self, s: float) -> list[NetworkLane]:
         """Its lanes at a station, as t grows."""
         here = [lane for lane in self.lanes if lane.start_m <= s < lane.end_m]

@@ -56,6 +56,7 @@ COMMANDS = {
     "argoverse2": Command("export DATA --format argoverse2 --out OUT --workers 1"),
     "kitti": Command("export DATA --format kitti --out OUT --workers 1"),
     "opendrive": Command("export DATA --format opendrive --out OUT --workers 1"),
+    "lanelet2": Command("export DATA --format lanelet2 --out OUT --workers 1"),
     "drive review": Command("drive review DATA/train --out OUT/a.html"),
     "validate": Command("validate OUT --workers 1", is_inside=True),
     "render": Command("render DATA/train:00000001 --out OUT/a.png --set light.exposure=2"),

@@ -174,6 +174,30 @@ def opendrive(out, fault):
     path.write_text(ElementTree.tostring(root, encoding="unicode"))
 
 
+def lanelet2(out, fault):
+    path = sorted(out.glob("test/*.osm"))[0]
+    root = ElementTree.fromstring(path.read_text())
+    if fault in ("mirrored", "shifted"):
+        for tag in root.iterfind("node/tag[@k='local_x']"):
+            tag.set("v", str(float(tag.get("v")) + 0.3 if fault == "shifted" else -float(tag.get("v"))))
+    names = list(root.iterfind("relation/tag[@k='synth3dlanes.segment']"))
+    lanes = {name.get("v"): name for name in names}
+    if fault == "swapped":
+        one, other = list(lanes)[:2]
+        for name in names:
+            name.set("v", {one: other, other: one}.get(name.get("v"), name.get("v")))
+    elif fault == "dropped":
+        for relation in root.findall("relation"):
+            if relation.find(f"tag[@v='{next(iter(lanes))}']") is not None:
+                root.remove(relation)
+    elif fault == "reordered":
+        bound = root.find("relation/member[@role='left']").get("ref")
+        nodes = root.findall(f"way[@id='{bound}']/nd")
+        for node, ref in zip(nodes[1:-1], [node.get("ref") for node in nodes[-2:0:-1]], strict=True):
+            node.set("ref", ref)
+    path.write_text(ElementTree.tostring(root, encoding="unicode"))
+
+
 def coco(out, fault):
     path = out / "annotations/instances_test.json"
     document = json.loads(path.read_text())
@@ -233,6 +257,7 @@ PLANTED = {
     "openlane_v2": openlane_v2,
     "argoverse2": argoverse2,
     "opendrive": opendrive,
+    "lanelet2": lanelet2,
     "coco": coco,
     "masks": texts("lines/test-*.lines.txt", 480.0),
     "yolo": yolo,

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats import export
 from synth3dlanes.formats.argoverse2.convention import RING_CAMERAS, mark_type
-from synth3dlanes.formats.argoverse2.maps import thinned
 from synth3dlanes.formats.argoverse2.verify import _runs_along
 from synth3dlanes.formats.argoverse2.write import annotate
 from synth3dlanes.formats.export import Export
@@ -24,6 +23,7 @@ from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.lens import Lens
+from synth3dlanes.geometry.polylines import thinned
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import LidarLabel
 from synth3dlanes.params.rig_files import load_rig

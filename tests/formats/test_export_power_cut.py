@@ -6,7 +6,7 @@ from synth3dlanes.formats.export import Export
 from tests.power_cut import survive
 from tests.thorough import first
 
-FORMATS = ["tusimple", "openlane", "once", "culane", "curvelanes", "opendrive"]
+FORMATS = ["tusimple", "openlane", "once", "culane", "curvelanes", "opendrive", "lanelet2"]
 
 
 @pytest.mark.parametrize(("format_name", "n_cuts"), first(1, [("tusimple", 5), *((name, 20) for name in FORMATS)]))

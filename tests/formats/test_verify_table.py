@@ -75,6 +75,7 @@ QUICK = {
     *((kind, "openlane_v2") for kind in ("rig", "roundabout")),
     *(("ring rig", name) for name in ("argoverse2", "kitti")),
     *(("paper", name) for name in ("apollo", "once", "openlane", "tusimple", "culane", "curvelanes", "opendrive")),
+    ("town", "lanelet2"),
     *(("streets", name) for name in ("coco", "masks", "yolo")),
     ("clip", "cosmos"),
     ("fisheye", "kitti"),

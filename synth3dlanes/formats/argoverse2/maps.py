@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type, piece_id
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
+from synth3dlanes.geometry.polylines import thinned
 from synth3dlanes.labels.labels import LaneGraph
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.motion import host_driven
@@ -93,7 +94,7 @@ def _lanes(lanes: Sequence[LaneSegment], graph: LaneGraph, world: World) -> Iter
             lines = sides[piece.first : piece.last + 1]
             # A line between both directions has the same points from either side, as in the original: MapTRv2 leaves
             # such lines out, and would take the pieces of one that has others.
-            lines = lines if opposite else thinned(lines)
+            lines = lines if opposite else thinned(lines, LINE_M)
             yield {
                 "id": piece.id,
                 "is_intersection": lane.is_connector,
@@ -140,7 +141,7 @@ def _crossings(world: World) -> Iterator[dict[str, Any]]:
 
 def _outline(strip: Sides) -> list[dict[str, float]]:
     """A strip between two lines as a polygon, whose last point is not the first one again."""
-    kept = thinned(strip)
+    kept = thinned(strip, LINE_M)
     return _points(np.concatenate([kept[:, 0], kept[::-1, 1]]))
 
 
@@ -156,23 +157,6 @@ def _heights(
     heights = np.full(len(xy), np.nan, np.float32)
     heights[near] = world.ground.height(xy[near])
     return heights.reshape(rows, columns), low
-
-
-def thinned(lines: Sides, most_m: float = LINE_M) -> Sides:
-    """Places of lines beside each other without those between which all lines stay within `most_m`."""
-    kept, stack = {0, len(lines) - 1}, [(0, len(lines) - 1)]
-    while stack:
-        first, last = stack.pop()
-        inner, a, step = lines[first + 1 : last], lines[first], lines[last] - lines[first]
-        if not len(inner):
-            continue
-        share = ((inner - a) * step).sum(-1) / np.maximum((step**2).sum(-1), 1e-12)
-        apart = np.linalg.norm(inner - a - np.clip(share, 0, 1)[..., None] * step, axis=-1).max(axis=1)
-        at = first + 1 + int(apart.argmax())
-        if apart.max() > most_m:
-            kept.add(at)
-            stack += [(first, at), (at, last)]
-    return lines[sorted(kept)]
 
 
 def _points(points: Points3) -> list[dict[str, float]]:

@@ -1,0 +1,545 @@
+"""Lanelet2: a map of each scene as an OSM file, of lanelets with shared bounds in 3D, and its comparison with labels.
+
+Local coordinates are the world frame, metres; latitude and longitude are those of UTM around ORIGIN_DEG. Bounds go as
+the traffic of the lanelet that has them first; lines that are drawn twice, as between neighbours, are one way.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances, is_beside
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.lane_map import MIRRORED, link_gaps
+from synth3dlanes.formats.lanelet_map import (
+    JOIN_M,
+    LINE_M,
+    ON_LINE,
+    REACH_M,
+    SAME_M,
+    STEP_M,
+    Bound,
+    Lanelets,
+    Piece,
+    Tags,
+    lanelets_of,
+    painted_along,
+    painted_lines,
+)
+from synth3dlanes.formats.reading import read_text
+from synth3dlanes.formats.writing import FrameAnnotation
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.polylines import lengths_along, resampled, stretches, thinned
+from synth3dlanes.labels.labels import Lane
+from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound, read_lanelet
+from synth3dlanes.roads.maps.osm import Osm, read_osm
+from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of
+from synth3dlanes.system.arrays import Polyline3
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.world.elements import TrafficElement
+from synth3dlanes.world.rails import KERBS, foot_of_front
+from synth3dlanes.world.symbols import ARROWS, SymbolShape
+from synth3dlanes.world.world import World, resolve
+
+# Where the world's origin is: in the middle of a zone, so that x is east.
+ORIGIN_DEG = (49.0, 9.0)
+SEGMENT = "synth3dlanes.segment"
+"""The tag that names a lanelet's segment in our lane graph."""
+# Of places, and of degrees.
+DECIMALS, DEGREE_DECIMALS = 4, 11
+STRAIGHT_RAD = math.radians(30)
+# A bound without paint is the edge of the pavement if this share of it is this near to that. Kerbs are steps of the
+# ground between both sides of an edge.
+ON_BORDER, ON_BORDER_M, BORDER_STEP_M = 0.9, 0.1, 0.1
+BESIDE_M, LEAST_KERB_M = 0.15, 0.06
+# Smaller ones are seams between roads.
+LEAST_AREA_M2 = 0.05
+
+SIGNS = {
+    "stop": "de206",
+    "give_way": "de205",
+    "priority": "de306",
+    "no_entry": "de267",
+    "no_u_turn": "de272",
+    "left_only": "de209-10",
+    "right_only": "de209-20",
+    "ahead_only": "de209-30",
+}
+RAILS = {"guardrail": "guard_rail", "concrete": "jersey_barrier", **dict.fromkeys(KERBS, "curbstone")}
+BORDERS: dict[str, Tags] = {
+    "curbstone": {"type": "curbstone", "subtype": "high"},
+    **{kind: {"type": kind} for kind in ("road_border", "guard_rail", "jersey_barrier")},
+}
+LINES = {"stop_line": "stop_line", "give_way_line": "yield_line"}
+SPEED, STOPPING = "speed_", ("stop", "give_way")
+BULBS = (("red", 1.0), ("yellow", 0.0), ("green", -1.0))
+BULBS_APART = 0.3
+"""Of a head's height."""
+ARROW_BULBS = {"left": "left", "right": "right", "straight": "up"}
+
+README = f"""Lanelet2: a map of each scene.
+
+- `SPLIT/KEY.osm`: the roads of the scene of this frame. `local_x`, `local_y` and `ele` are the coordinates of
+  `world_from_cam` in the frame's labels (x, y on the ground, z up, metres), which so places the camera in the map.
+- `lat` and `lon` are the same places by UTM: `UtmProjector(Origin({ORIGIN_DEG[0]:g}, {ORIGIN_DEG[1]:g}))` of the
+  package lanelet2 gives local_x and local_y. Autoware's projector of type `Local` reads these themselves.
+- `{SEGMENT}` of a lanelet is the id of its segment in the lane graph of the labels. A segment has several lanelets,
+  one behind the other, where paint changes along it or a lane begins beside it.
+"""
+
+
+class _Document:
+    """An OSM file in the making; ids differ among all that is in it."""
+
+    def __init__(self) -> None:
+        self.n, self.nodes, self.places = 0, list[tuple[int, Tags]](), list[Float[np.ndarray, "3"]]()
+        self.ways, self.relations = list[tuple[int, list[int], Tags]](), dict[int, _Relation]()
+
+    def _id(self) -> int:
+        self.n += 1
+        return self.n
+
+    def node(self, xyz: Float[np.ndarray, "3"], tags: Tags | None = None) -> int:
+        """A new node at a place."""
+        self.nodes.append((self._id(), tags or {}))
+        self.places.append(xyz)
+        return self.n
+
+    def way(self, nodes: Iterable[int], tags: Tags) -> int:
+        """A new way through nodes."""
+        self.ways.append((self._id(), list(nodes), tags))
+        return self.n
+
+    def line(self, points: Polyline3, tags: Tags) -> int:
+        """A new way through points of its own."""
+        return self.way([self.node(point) for point in points], tags)
+
+    def relation(self, tags: Tags, members: Iterable[tuple[str, int, str]]) -> int:
+        """A new relation; members are (type, id, role)."""
+        self.relations[self._id()] = _Relation(tags, list(members))
+        return self.n
+
+    def text(self) -> str:
+        """The file."""
+        zone, places = zone_of(ORIGIN_DEG[1]), np.round(np.array(self.places), DECIMALS) + 0.0
+        degrees = degrees_from_utm(places[:, :2] + utm_from_degrees(np.array([ORIGIN_DEG]), zone), zone)
+        root = ElementTree.Element("osm", version="0.6", generator="synth3dlanes")
+        ElementTree.SubElement(root, "MetaInfo", format_version="1", map_version="1")
+        for (name, tags), (lat, lon), (x, y, z) in zip(self.nodes, degrees.tolist(), places.tolist(), strict=True):
+            given = {"lat": f"{lat:.{DEGREE_DECIMALS}f}", "lon": f"{lon:.{DEGREE_DECIMALS}f}"}
+            local = {key: f"{value:.{DECIMALS}f}" for key, value in (("local_x", x), ("local_y", y), ("ele", z))}
+            _add(root, "node", name, {**local, **tags}, (), **given)
+        for name, nodes, tags in self.ways:
+            _add(root, "way", name, tags, [("nd", {"ref": str(node)}) for node in nodes])
+        for name, relation in self.relations.items():
+            members = [{"type": kind, "ref": str(ref), "role": role} for kind, ref, role in relation.members]
+            _add(root, "relation", name, relation.tags, [("member", member) for member in members])
+        ElementTree.indent(root)
+        return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+@dataclass
+class _Relation:
+    tags: Tags
+    members: list[tuple[str, int, str]]
+
+
+def _add(
+    root: ElementTree.Element, kind: str, name: int, tags: Tags, parts: Iterable[tuple[str, Tags]], **more: str
+) -> None:
+    element = ElementTree.SubElement(root, kind, {"id": str(name), "visible": "true", "version": "1", **more})
+    for tag, words in parts:
+        ElementTree.SubElement(element, tag, dict(words))
+    for key, value in tags.items():
+        ElementTree.SubElement(element, "tag", k=key, v=value)
+
+
+# -- the file
+
+
+def annotate(frame: SampleFrame) -> FrameAnnotation:
+    """The map of the frame's scene."""
+    text, lost = lanelet2(resolve(frame.scene))
+    dropped = Counter({"links of lanes that do not meet": lost} if lost else {})
+    return FrameAnnotation(None, text.count(f'k="{SEGMENT}"'), dropped, {f"{frame.split}/{frame.key}.osm": text})
+
+
+def lanelet2(world: World) -> tuple[str, int]:
+    """The OSM file of a world, and how many links are left out because their lanes do not meet."""
+    found, lost = lanelets_of(world)
+    document, borders = _Document(), list(_borders(world))
+    _write_lanes(document, found, borders, world)
+    for points, kind in borders:
+        document.line(thinned(points[:, None], LINE_M)[:, 0], BORDERS[kind])
+    stops = dict(_write_symbols(document, world))
+    _write_rules(document, found, stops, world)
+    return document.text(), lost
+
+
+def _borders(world: World) -> Iterator[tuple[Polyline3, str]]:
+    """What bounds the pavement, by its type: edges, with kerbs where the ground beside is higher, and rails."""
+    ground = world.ground
+    host = world.network.host_points(world.scene.camera, np.zeros(1))[0, :2]
+    for points in ground.pavement_edges(host, REACH_M):
+        if np.allclose(points[0], points[-1]) and shapely.Polygon(points[:, :2]).area < LEAST_AREA_M2:
+            continue
+        along = np.gradient(points[:, :2], axis=0)
+        aside = along[:, ::-1] * [1, -1] * BESIDE_M / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+        step_m = np.abs(ground.height(points[:, :2] + aside) - ground.height(points[:, :2] - aside))
+        is_kerb = step_m > LEAST_KERB_M
+        for kind, alike in (("curbstone", is_kerb), ("road_border", ~is_kerb)):
+            # Each goes on to where the other begins.
+            yield from ((points[max(a - 1, 0) : b + 1], kind) for a, b in stretches(alike) if b - max(a - 1, 0) > 1)
+    for rail in world.scene.roadside.rails:
+        low, high = sorted((rail.from_m, rail.to_m))
+        if rail.kind in RAILS and high > low:
+            s = np.linspace(low, high, 2 + int((high - low) / STEP_M))
+            yield foot_of_front(ground, rail, s), RAILS[rail.kind]
+
+
+def _write_lanes(document: _Document, found: Lanelets, borders: Sequence[tuple[Polyline3, str]], world: World) -> None:
+    """The lanelets of the lanes, with their bounds."""
+    lines = [resampled(line, 2 + int(lengths_along(line)[-1] / BORDER_STEP_M)) for line, _ in borders]
+    kinds = np.repeat([kind for _, kind in borders], [len(line) for line in lines])
+    tree = cKDTree(np.concatenate(lines)) if lines else None
+    painted = list(painted_lines(world))
+    nodes, ways, alike = dict[int, int](), dict[int, int](), dict[frozenset[int], list[tuple[Polyline3, int]]]()
+
+    def node(joint: int) -> int:
+        first = found.first(joint)
+        if first not in nodes:
+            nodes[first] = document.node(found.places[first])
+        return nodes[first]
+
+    def tags_of(bound: Bound, points: Polyline3, piece: Piece) -> Tags:
+        if bound.paint is not None:
+            return bound.paint.ascending if piece.lane.ascends else bound.paint.descending
+        if (paint := painted_along(points[:: 1 if piece.lane.ascends else -1], painted)) is not None:
+            return paint
+        if tree is not None and piece.lane.junction is None:
+            away_m, at = tree.query(resampled(points, 2 + len(points)))
+            if np.mean(away_m < ON_BORDER_M) > ON_BORDER:
+                return BORDERS[str(Counter(kinds[at].tolist()).most_common(1)[0][0])]
+        return {"type": "virtual", "lane_change": "no"}
+
+    def way(bound: Bound, piece: Piece) -> int:
+        if id(bound) not in ways:
+            points = found.line(bound)
+            same = alike.setdefault(frozenset(map(found.first, bound.joints)), [])
+            known = next((name for line, name in same if _is_one(line, points)), None)
+            if known is None:
+                ends = [node(joint) for joint in bound.joints]
+                inner = [document.node(point) for point in points[1:-1]]
+                order = [ends[0], *inner, ends[1]][:: 1 if piece.lane.ascends else -1]
+                known = document.way(order, tags_of(bound, points, piece))
+                same.append((points, known))
+            ways[id(bound)] = known
+        return ways[id(bound)]
+
+    is_town = world.scene.map is not None
+    for pieces in found.pieces.values():
+        for piece in pieces:
+            tags = {"type": "lanelet", "subtype": "road", "location": "urban" if is_town else "nonurban"}
+            tags |= {"one_way": "yes", "participant:vehicle": "yes", SEGMENT: piece.lane.id}
+            if piece.lane.junction is not None:
+                tags["turn_direction"] = _turn(piece.middle)
+            bounds = ((bound, role) for bound, role in ((piece.left, "left"), (piece.right, "right")))
+            members = [("way", way(bound, piece), role) for bound, role in bounds]
+            piece.id = document.relation(tags, members)
+
+
+def _is_one(line: Polyline3, other: Polyline3) -> bool:
+    """Whether two lines with the same ends are one."""
+    return bool(max(distances(line, other).max(), distances(other, line).max()) < SAME_M)
+
+
+def _turn(middle: Polyline3) -> str:
+    """Where a lane leads."""
+    (x0, y0), (x1, y1) = ((middle[i + 1] - middle[i])[:2] for i in (0, -2))
+    turn_rad = math.atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
+    return "straight" if abs(turn_rad) < STRAIGHT_RAD else "left" if turn_rad > 0 else "right"
+
+
+def _write_symbols(document: _Document, world: World) -> Iterator[tuple[str, int]]:
+    """Crosswalks, arrows, and stop and give-way lines: of these the lane, where it is known, and the id."""
+    roads = world.scene.map
+    known = set(world.network.lanes)
+    paint = [] if roads is None else [
+        at.lane for at in roads.paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in known)
+    ]  # fmt: skip
+    for i, form in enumerate(world.symbol_shapes):
+        if form.kind == "crosswalk":
+            _write_crosswalk(document, form, "urban" if roads is not None else "nonurban")
+        elif form.kind in LINES:
+            (x0, _), (x1, _) = form.outline.min(axis=0), form.outline.max(axis=0)
+            line = document.line(form.points_world(np.array([[x0, 0.0], [x1, 0.0]])), {"type": LINES[form.kind]})
+            if roads is not None and (lane := paint[i]) is not None:
+                yield lane, line
+        elif form.kind in ARROWS:
+            (_, y0), (_, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
+            tags = {"type": "arrow", "subtype": form.kind.removeprefix("arrow_")}
+            document.line(form.points_world(np.array([[0.0, y0], [0.0, y1]])), tags)
+
+
+def _write_crosswalk(document: _Document, form: SymbolShape, location: str) -> None:
+    """A crosswalk as a lanelet along which people walk, with the edges of its bars as bounds."""
+    (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
+    x = np.linspace(x0, x1, 2 + int(x1 - x0))
+    right, left = (form.points_world(np.column_stack([x, np.full(len(x), y)])) for y in (y0, y1))
+    (ax, ay), (bx, by) = (right[-1] - right[0])[:2], (left[0] - right[0])[:2]
+    if ax * by < ay * bx:
+        left, right = right, left
+    ways = [document.line(points, {"type": "pedestrian_marking"}) for points in (left, right)]
+    tags = {"type": "lanelet", "subtype": "crosswalk", "location": location}
+    tags |= {"one_way": "no", "participant:pedestrian": "yes"}
+    document.relation(tags, zip(("way", "way"), ways, ("left", "right"), strict=True))
+
+
+def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int], world: World) -> None:
+    """Lights, signs and right of way as regulatory elements of lanelets."""
+    lights = dict[str, list[tuple[int, int]]]()
+
+    def rule(subtype: str, members: Iterable[tuple[str, int, str]], pieces: Sequence[Piece]) -> None:
+        if not pieces:
+            return
+        name = document.relation({"type": "regulatory_element", "subtype": subtype}, members)
+        for piece in pieces:
+            document.relations[piece.id].members.append(("relation", name, "regulatory_element"))
+
+    for element in world.site.elements:
+        lanes = [lane for lane in element.lanes if lane in found.pieces]
+        kind = str(element.kind)
+        if not lanes:
+            continue
+        if element.category == "traffic_light":
+            light = _write_light(document, element)
+            for lane in lanes:
+                lights.setdefault(lane, []).append(light)
+        elif element.category == "road_sign" and (kind in SIGNS or kind.startswith(SPEED)):
+            limit = kind.removeprefix(SPEED) if kind.startswith(SPEED) else ""
+            tags = {"type": "traffic_sign", "subtype": f"de274-{limit}" if limit else SIGNS[kind]}
+            members = [("way", _write_board(document, element, tags), "refers")]
+            last = [found.pieces[lane][-1] for lane in lanes]
+            if limit:
+                # It holds from where it stands.
+                pose = element.place.world_from_face
+                last = [
+                    piece for lane in lanes for piece in found.pieces[lane]
+                    if (piece.middle[-1] - pose[:3, 3]) @ pose[:3, 1] > 0
+                ]  # fmt: skip
+                for piece in last:
+                    of = document.relations[piece.id]
+                    of.tags = {**of.tags, "speed_limit": limit}
+            else:
+                members += [("way", stops[lane], "ref_line") for lane in lanes if lane in stops and kind in STOPPING]
+            rule("speed_limit" if limit else "traffic_sign", members, last)
+    for lane, heads in lights.items():
+        members = [
+            (("way", name, role)) for head in heads for name, role in zip(head, ("refers", "light_bulbs"), strict=True)
+        ]
+        members += [("way", stops[lane], "ref_line")] if lane in stops else []
+        rule("traffic_light", members, [found.pieces[lane][-1]])
+    yields = dict[str, list[str]]()
+    for at in () if world.scene.map is None else world.scene.map.junctions:
+        for one, other in at.yields:
+            if one in found.pieces and other in found.pieces:
+                yields.setdefault(one, []).append(other)
+    for one, others in yields.items():
+        lines = [stops[before] for before, after in world.network.links if after == one and before in stops]
+        firsts = [found.pieces[name][0] for name in (one, *others)]
+        members = [
+            ("relation", firsts[0].id, "yield"),
+            *(("relation", piece.id, "right_of_way") for piece in firsts[1:]),
+        ]
+        rule("right_of_way", [*members, *(("way", line, "ref_line") for line in lines)], firsts)
+
+
+def _write_light(document: _Document, element: TrafficElement) -> tuple[int, int]:
+    """The lower edge of a head and its lenses."""
+    board = _write_board(document, element, {"type": "traffic_light", "subtype": "red_yellow_green"})
+    height_m, pose = element.place.size_m[2], element.place.world_from_face
+    arrow = {"arrow": ARROW_BULBS[element.kind]} if element.kind in ARROW_BULBS else {}
+    front = np.array([[0.0, -element.place.size_m[1] / 2, up * BULBS_APART * height_m] for _, up in BULBS])
+    points = zip(transform(pose, front), (color for color, _ in BULBS), strict=True)
+    bulbs = [document.node(point, {"color": color, **arrow}) for point, color in points]
+    return board, document.way(bulbs, {"type": "light_bulbs", "traffic_light_id": str(board)})
+
+
+def _write_board(document: _Document, element: TrafficElement, tags: Tags) -> int:
+    """The lower edge of a face from its left to its right, as those see it that it is for."""
+    width_m, depth_m, height_m = element.place.size_m
+    edge = np.array([[-width_m, -depth_m, -height_m], [width_m, -depth_m, -height_m]]) / 2
+    return document.line(transform(element.place.world_from_face, edge), {**tags, "height": f"{height_m:.3f}"})
+
+
+# -- read back
+
+# Middles of lanes and painted bounds are within the limit; heights of middles within the slack.
+RULE = Rule("m", 0.05, name="lane", slack=0.3)
+CROSSWALK_M, DEGREES_M = 0.02, 0.001
+"""How far crosswalks may be from those of the labels, and degrees from local coordinates."""
+MOST, AHEAD_M, SURE_M = 0.6, 5.0, 80.0
+"""Paint is compared where the labels reach this share of a bound. They have all that is at least so far ahead of the
+camera and at most so far away."""
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """The maps of every split."""
+    for folder in sorted({path.parent for path in out.glob("*/*.osm")}):
+        paths = sorted(folder.glob("*.osm"))[:most_frames]
+        osms = ((path, read_osm(read_text(path).encode(), str(path))) for path in paths)
+        frames = (ReadFrame(str(path.relative_to(out)), str(path), None, osm) for path, osm in osms)
+        yield FrameList(folder.name, frames, "map")
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """Lanes and crosswalks in metres, in the world frame; sides, links, neighbours and paint; degrees."""
+    osm: Osm = frame.content
+    found, problems, crosswalks = dict[str, list[Lanelet]](), list[str](), list[Lanelet]()
+    for name, relation in osm.relations.items():
+        if relation.tags.get("type") == "lanelet":
+            try:
+                lanelet = read_lanelet(osm, name)
+            except FormatError as error:
+                problems.append(str(error))
+                continue
+            if SEGMENT in lanelet.tags:
+                found.setdefault(lanelet.tags[SEGMENT], []).append(lanelet)
+            elif lanelet.tags.get("subtype") == "crosswalk":
+                crosswalks.append(lanelet)
+    segments = {segment.id: segment for segment in truth.labels.graph.segments}
+    known = set(segments) if truth.scene.map is None else set(truth.scene.map.lanes)
+    inner = {name: lanelets for name, lanelets in found.items() if name in segments or name not in known}
+    middles = [(name, np.concatenate([_middle(at) for at in lanelets])) for name, lanelets in inner.items()]
+    compared = compare_map(middles, truth, RULE) + Comparison(outside=Counter({RULE.name: len(found) - len(inner)}))
+    labelled = {name: lanelets for name, lanelets in inner.items() if name in segments}
+    problems += [*_degree_problems(osm), *_link_problems(labelled, truth), *_neighbour_problems(labelled, truth)]
+    compared += _crosswalks(crosswalks, truth) + _paint(labelled, truth)
+    return compared.because(problems)
+
+
+def _middle(lanelet: Lanelet) -> Polyline3:
+    left, right = lanelet.left.points, lanelet.right.points
+    if len(left) != len(right):
+        left, right = (resampled(points, 100) for points in (left, right))
+    return (left + right) / 2
+
+
+def _degree_problems(osm: Osm) -> Iterator[str]:
+    """Findings where latitude and longitude are not those of the local coordinates."""
+    zone = zone_of(ORIGIN_DEG[1])
+    found = utm_from_degrees(osm.degrees, zone) - utm_from_degrees(np.array([ORIGIN_DEG]), zone)
+    apart_m = np.linalg.norm(found - osm.xyz[:, :2], axis=1)
+    if not apart_m.max() <= DEGREES_M:
+        yield f"expected lat and lon of local_x and local_y to a millimetre, got them {apart_m.max():.3g} m off"
+
+
+def _link_problems(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Iterator[str]:
+    """Findings where lanelets that begin at the end of another are not those of the lane graph."""
+    begins = dict[tuple[str, str], list[str]]()
+    for name, lanelets in found.items():
+        begins.setdefault(lanelets[0].begins, []).append(name)
+        for one, other in pairwise(lanelets):
+            if one.ends != other.begins:
+                yield f"lane {name}: expected lanelet {other.id} to begin where {one.id} ends"
+    pairs = [(a, b) for a, after in truth.labels.graph.successors.items() for b in after if a in found and b in found]
+    gaps_m = link_gaps(truth.scene, pairs)
+    for name, lanelets in found.items():
+        expected = sorted(b for a, b in pairs if a == name and gaps_m[a, b] <= JOIN_M / 2)
+        may = {b for a, b in pairs if a == name}
+        got = sorted(begins.get(lanelets[-1].ends, ()))
+        if not set(expected) <= set(got) <= may:
+            yield f"lane {name}: expected {expected or 'none'} to follow it, got {got or 'none'}"
+
+
+def _neighbour_problems(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Iterator[str]:
+    """Findings where lanes share a bound that are not beside each other in the lane graph, or the other way round.
+    Connectors may share one."""
+    on_right = {(at.right.way, at.right.is_against): name for name, lanelets in found.items() for at in lanelets}
+    for segment in truth.labels.graph.segments:
+        # Of the paper's lanes left and right are the host's.
+        swaps = truth.scene.map is None and segment.s_start_m > segment.s_end_m
+        wanted = segment.right if swaps else segment.left
+        lefts = [at.left for at in found.get(segment.id, ())]
+        got = {on_right[key] for at in lefts if (key := (at.way, at.is_against)) in on_right}
+        is_wrong = got - {wanted} if segment.junction is None else set[str]()
+        if is_wrong or (lefts and wanted in found and not got):
+            yield f"lane {segment.id}: expected it to share its left bound with {wanted}, got {sorted(got) or 'none'}"
+
+
+def _crosswalks(found: Sequence[Lanelet], truth: SourceSample) -> Comparison:
+    """How far bounds of crosswalks are from their outlines in the labels."""
+    pose = truth.labels.camera.world_from_cam
+    ours = [transform(pose, symbol.xyz_cam) for symbol in truth.labels.symbols if symbol.kind == "crosswalk"]
+    problems = [] if len(ours) == len(found) else [f"expected {len(ours)} crosswalks, got {len(found)}"]
+    gaps = []
+    for lanelet in found:
+        corners = np.concatenate([lanelet.left.points, lanelet.right.points])
+        apart = [distances(corners, np.concatenate([line, line[:1]])) for line in ours] or [np.array([np.inf])]
+        gaps.append(Gap.of(f"crosswalk {lanelet.id}", "m", min(apart, key=lambda at: float(at.max())), "crosswalk"))
+    return Comparison.within(gaps, {"m": CROSSWALK_M}).because(problems)
+
+
+def _paint(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Comparison:
+    """How far bounds are in space from the delimiters along which they run, and findings where they have other paint;
+    where the labels reach most of them."""
+    world = {lane.id: transform(truth.labels.camera.world_from_cam, lane.xyz_cam) for lane in truth.labels.lanes}
+    ours = [lane for lane in truth.labels.lanes if lane.kind == "delimiter" and len(lane.xyz_cam) > 1]
+    boxes = {lane.id: (world[lane.id].min(axis=0) - 1, world[lane.id].max(axis=0) + 1) for lane in ours}
+    cam_from_world = invert(truth.labels.camera.world_from_cam)
+    paths = {segment.id: segment.centerlines for segment in truth.labels.graph.segments}
+    gaps, problems = list[Gap](), list[str]()
+    for name, lanelets in found.items():
+        middles = [world[path] for path in paths[name] if len(world.get(path, ())) > 1]
+        for side, at in ((side, at) for one in lanelets for side, at in (("left", one.left), ("right", one.right))):
+            fine = resampled(at.points, 40)[2:-2]
+            reached = np.any([is_beside(fine, middle) for middle in middles], axis=0) if middles else np.zeros(36, bool)
+            if np.mean(reached) <= MOST:
+                continue
+            fine, apart = fine[reached], dict[str, np.ndarray]()
+            for lane in ours:
+                low, high = boxes[lane.id]
+                if ((fine > low) & (fine < high)).all(axis=1).mean() > ON_LINE:
+                    apart[lane.id] = distances(fine, world[lane.id])
+            close = [lane for lane in ours if lane.id in apart and np.mean(apart[lane.id] < RULE.limit) > ON_LINE]
+            is_painted = at.tags.get("type") in ("line_thin", "line_thick")
+            got = f"{at.tags.get('subtype')} {at.tags.get('color')}" if is_painted else "none"
+            expected = {_look_of(lane, world[lane.id], at) for lane in close}
+            fine_cam = transform(cam_from_world, fine)
+            is_sure = bool((fine_cam[:, 1] > AHEAD_M).all() and np.linalg.norm(fine_cam, axis=1).max() < SURE_M)
+            if (close or (is_painted and is_sure)) and got not in expected:
+                told = " or ".join(sorted(expected)) or "no paint"
+                problems.append(f"lane {name}: expected {told} on its {side}, as in the labels, got {got}")
+            if close:
+                # Beyond an end of a delimiter the labels may not reach.
+                off = (apart[lane.id][is_beside(fine, world[lane.id])] for lane in close)
+                gaps.append(Gap.of(f"{side} of {name}", "m", min(off, key=lambda at: float(at.max())), "bound"))
+    return Comparison.within(gaps, {"m": RULE.limit}).because(problems)
+
+
+def _look_of(lane: Lane, points_world: Polyline3, bound: LaneletBound) -> str:
+    """What a delimiter looks like, in the direction in which the way of a bound is drawn."""
+    first, last = (np.linalg.norm(points_world - end, axis=1).argmin() for end in bound.points[[0, -1]])
+    pair = lane.pair if lane.pair is None or (first < last) != bound.is_against else MIRRORED[lane.pair]
+    return f"{pair or ('solid_solid' if lane.double and lane.marking == 'solid' else lane.marking)} {lane.color}"
+
+
+FORMAT = SampleFormat(
+    title="Lanelet2: a map of each scene",
+    readme=README,
+    write=annotate,
+    read=read,
+    verify=verify,
+    tolerances={RULE.unit: RULE.limit},
+    is_per_scene=True,
+    counted="lanelets",
+)
