@@ -214,7 +214,7 @@ class LiftOutput(Document):
     not_found: list[str]
 
 
-class Named(Document):
+class ListedName(Document):
     """What has a name, and a line that says what it is."""
 
     name: str
@@ -235,7 +235,7 @@ class Outputs(Document):
     info: DatasetInfo
     inspect: InspectionOutput
     lift: LiftOutput
-    list_: list[Named] = Field(alias="list", description="`list`: what has a name, in order.")
+    list_: list[ListedName] = Field(alias="list", description="`list`: what has a name, in order.")
     params_show: dict[str, dict[str, Any]] = Field(description="`params show`: every key, by group.")
     stats: Stats
     validate_: Validation = Field(alias="validate")

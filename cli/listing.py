@@ -8,29 +8,29 @@ import click
 from .networks import SHIPPED
 from .options import json_option, output_console
 
-Rows = list[tuple[str, str]]
+Listing = list[tuple[str, str]]
 
 
-def _yaml_files(kind: str) -> Rows:
+def _yaml_files(kind: str) -> Listing:
     from synth3dlanes.params.params_text import presets_described
 
     return presets_described(kind)
 
 
-def _formats() -> Rows:
+def _formats() -> Listing:
     from synth3dlanes.formats.registry import described
 
     return described()
 
 
-def _benchmarks() -> Rows:
+def _benchmarks() -> Listing:
     from synth3dlanes.production.benchmarks import benchmark_names, load_benchmark
 
     found = {name: load_benchmark(name) for name in benchmark_names()}
     return [(name, f"{benchmark.title}. {benchmark.about}") for name, benchmark in found.items()]
 
 
-KINDS: dict[str, Callable[[], Rows]] = {
+KINDS: dict[str, Callable[[], Listing]] = {
     "presets": lambda: _yaml_files(""),
     "cameras": lambda: _yaml_files("cameras"),
     "rigs": lambda: _yaml_files("rigs"),

@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -11,12 +12,9 @@ from synth3dlanes_cli.main import main
 
 from scripts.latency import table as latency_table
 from scripts.results import models_page, with_benchmarks
-from synth3dlanes.figures.stats import form as written
 from synth3dlanes.labels.labels import LabelsDocument
-from synth3dlanes.params.distributions import Distribution
-from synth3dlanes.params.params import Params, forms, load_params, preset_names
-from synth3dlanes.params.params_text import REFERENCE, comments_of
-from synth3dlanes.params.weather import DAYTIMES, KINDS
+from synth3dlanes.params.params import DAYTIMES, KINDS, REFERENCE, REPLACED, Params, forms, load_params, preset_names
+from synth3dlanes.params.params_text import comments_of
 from synth3dlanes.scene.assets.catalogue import BUILT_IN
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
@@ -96,8 +94,9 @@ OTHERS_HEAD = """## Other presets
 
 WEATHER_HEAD = """## Weather and time of day
 
-`weather.kind` and `weather.daytime` are drawn first. Any other than `any` replaces the distributions of these keys, so
-that air, surface, light and camera fit each other; the rest of the scene is drawn as without them.
+`weather.kind` and `weather.daytime` are drawn first. Any other than `any` is a group below, whose keys replace the
+distributions of others, so that air, surface, light and camera fit each other; the rest of the scene is drawn as
+without them. The presets have the ranges of `appendix_i` here. Denser fog is `--set fog.visibility_m='[50, 200]'`.
 
 Your own values come first: a key that you give with `--set`, or in a file with a base, keeps your value in every
 weather. In a file without a base, so do the keys that differ from those of the preset that it differs least from;
@@ -173,14 +172,15 @@ def params_page() -> str:
     presets = {name: forms(load_params(name)) for name in PRESETS}
     legal, comments = legal_values(), preset_comments()
     parts = [PARAMS_HEAD]
-    for group, keys in presets[REFERENCE].items():
+    groups = presets[REFERENCE]
+    for group in [name for name in groups if name not in (*KINDS, *DAYTIMES)]:
         parts += [f"## {group}\n", f"| key | legal values | {' | '.join(PRESETS)} | meaning |"]
         parts.append(f"|---|---|{'---|' * len(PRESETS)}---|")
-        for key in keys:
+        for key in groups[group]:
             values = (shown(preset[group][key]) for preset in presets.values())
             parts.append(f"| {' | '.join((f'`{key}`', legal[group, key], *values, comments[group, key]))} |")
         parts.append("")
-    parts += [WEATHER_HEAD, *weather_table("kind", KINDS), "", *weather_table("daytime", DAYTIMES), ""]
+    parts += [WEATHER_HEAD, *weather_table(KINDS, groups, legal), "", *weather_table(DAYTIMES, groups, legal), ""]
     parts += [OTHERS_HEAD, "| preset | is | but |", "|---|---|---|"]
     others = {name: forms(load_params(name)) for name in preset_names() if name not in PRESETS}
     for name, values_of in others.items():
@@ -196,16 +196,15 @@ def differing(base: Forms, other: Forms) -> dict[str, object]:
     return {f"{group}.{key}": other[group][key] for group, key in keys if base[group][key] != other[group][key]}
 
 
-def weather_table(name: str, table: dict[str, dict[str, Distribution]]) -> list[str]:
-    """What each kind of weather, or time of day, says of the keys that it replaces."""
-    columns = {kind: keys for kind, keys in table.items() if keys}
-    rows = dict.fromkeys(key for keys in columns.values() for key in keys)
-    cells = {key: [written(keys[key]) if key in keys else "" for keys in columns.values()] for key in rows}
-    return [
-        f"| {name} | {' | '.join(columns)} |",
-        f"|---|{'---|' * len(columns)}",
-        *(f"| `{key}` | {' | '.join(texts)} |" for key, texts in cells.items()),
-    ]
+def weather_table(names: Sequence[str], groups: Forms, legal: Mapping[tuple[str, str], str]) -> list[str]:
+    """The groups of kinds of weather or times of day, and what their keys replace."""
+    rows = [f"| key | legal values | {' | '.join(f'`{name}`' for name in names)} | replaces |"]
+    rows.append(f"|---|---|{'---|' * len(names)}---|")
+    for key in dict.fromkeys(key for name in names for key in groups[name]):
+        known = next(legal[name, key] for name in names if key in groups[name])
+        values = (shown(groups[name][key]) if key in groups[name] else "" for name in names)
+        rows.append(f"| {' | '.join((f'`{key}`', known, *values, f'`{REPLACED[key]}`'))} |")
+    return rows
 
 
 def shown(form: object) -> str:

@@ -11,9 +11,8 @@ from synth3dlanes import api
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.stats import is_fine, scene_statistics
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.params.params import Params, load_params
+from synth3dlanes.params.params import REPLACED, Params, load_params
 from synth3dlanes.params.params_text import params_yaml
-from synth3dlanes.params.weather import DAYTIMES, KINDS
 from synth3dlanes.scene.host import Host
 from synth3dlanes.scene.scene import Weather, from_json, to_json
 from synth3dlanes.system.errors import InputError
@@ -100,7 +99,7 @@ def value_of(scene, path):
 
 
 def test_every_key_that_the_weather_replaces_has_an_own_value_here():
-    assert OWN.keys() == {path for table in (KINDS, DAYTIMES) for replaces in table.values() for path in replaces}
+    assert OWN.keys() == {*REPLACED.values()}
 
 
 @pytest.mark.parametrize(("preset", "n"), [("diverse", 12), ("streets", 4)])
@@ -122,7 +121,7 @@ def test_an_own_value_counts_in_a_file_and_by_set_alike(tmp_path):
     text = path.read_text()
     for line, other in (("wetness: {0", "wetness: {0.05"), ("  rain: 0 ", "  rain: [0.8, 1] ")):
         assert line in text
-        text = text.replace(line, other)
+        text = text.replace(line, other, 1)
     path.write_text(text)
     own = load_params(str(path))
     assert own.kept == ("surface.wetness", "weather.rain")
@@ -136,6 +135,59 @@ def test_an_own_value_counts_in_a_file_and_by_set_alike(tmp_path):
     path.write_text(params_yaml(same).replace("kept: [weather.headlights]", "kept: [weather.headlight]"))
     with pytest.raises(InputError, match="kept: expected a list of keys that follow from the weather"):
         load_params(str(path))
+
+
+def test_what_a_weather_replaces_is_a_parameter_and_changes_nothing_else(tmp_path):
+    """In a file with a base, and by --set; a group that a file has in part has the rest as the reference preset."""
+    path = tmp_path / "mine.yaml"
+    path.write_text("base: diverse\nfog: {visibility_m: [40, 60], wetness: 1}\nnight: {sun_zenith_deg: 103}\n")
+    own = load_params(str(path), [*FEW, *ALL_WEATHER])
+    assert own == load_params(
+        "diverse", [*FEW, *ALL_WEATHER, "fog.visibility_m=[40, 60]", "fog.wetness=1", "night.sun_zenith_deg=103"]
+    )
+    assert own.kept == ()
+    usual = load_params("diverse", [*FEW, *ALL_WEATHER])
+    n_fog = n_night = 0
+    for index in range(30):
+        ours, theirs = (sample_scene(Scenes(params, 0, "weather"), index) for params in (own, usual))
+        document = theirs.model_dump()
+        if ours.weather.kind == "fog":
+            n_fog += 1
+            assert 40 <= ours.air.visibility_m <= 60
+            assert ours.surface.wetness == 1
+            document["air"]["visibility_m"], document["surface"]["wetness"] = ours.air.visibility_m, 1
+        if ours.weather.daytime == "night":
+            n_night += 1
+            document["light"]["sun_zenith_rad"] = pytest.approx(np.radians(103), abs=1e-6)
+        assert ours.model_dump() == document
+    assert n_fog > 2
+    assert n_night > 2
+
+
+def test_what_weather_replaces_is_recorded_where_it_is_not_as_usual():
+    """So that descriptions of earlier versions and of today's presets are the same."""
+    document = load_params("streets", ["fog.visibility_m=50"]).model_dump(mode="json")
+    assert document["fog"] == {"visibility_m": 50.0, "overcast": 1.0, "wetness": {"0.0": 2.0, "0.3": 2.0, "0.6": 1.0}}
+    plain = load_params("streets").model_dump(mode="json")
+    assert plain == {name: group for name, group in document.items() if name != "fog"}
+    assert Params.model_validate(document) == load_params("streets", ["fog.visibility_m=50"])
+    assert Params.model_validate(plain) == load_params("streets")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("fog.visibility_m=5", "fog.visibility_m: expected numbers in [20, 1e+06]"),
+        ("fog.visibilty_m=50", "fog.visibilty_m: unknown key; did you mean visibility_m?"),
+        ("fog.rain=0.5", "fog.rain: unknown key"),
+        ("night=3", "expected group.key=value"),
+    ],
+)
+def test_a_mistake_in_what_weather_replaces_is_one_line(change, told):
+    with pytest.raises(InputError) as error:
+        load_params("streets", [change])
+    (line,) = error.value.problems
+    assert told in line
 
 
 def test_what_no_weather_replaces_is_not_recorded():

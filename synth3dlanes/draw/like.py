@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from synth3dlanes.params.params import Group, Params
+from synth3dlanes.params.params import DAYTIMES, KINDS, REPLACED, Group, Params
 from synth3dlanes.scene.settings import MAX_SAMPLES, SPLIT_NAME
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import Seed, validation_problems
@@ -43,6 +43,8 @@ class Neighbourhood(Group):
             kind = Params.model_fields[group].annotation if group in Params.model_fields else None
             if key not in getattr(kind, "model_fields", ()):
                 raise ValueError(f"{path}: expected a parameter such as camera.pitch_deg")
+            if group in (*KINDS, *DAYTIMES):
+                raise ValueError(f"{path}: expected {REPLACED[key]}, which it replaces")
         return spreads
 
     def given(self, index: int) -> DrawKey:

@@ -4,7 +4,7 @@ without oncoming lanes, of the lanes there are."""
 from collections.abc import Mapping
 
 from synth3dlanes.params.distributions import Choice, Distribution, Integers, Uniform, at_least, at_most, extent
-from synth3dlanes.params.params import Params
+from synth3dlanes.params.params import DAYTIMES, KINDS, Params
 from synth3dlanes.roads.paper_roads import is_wide_enough
 from synth3dlanes.scene.scene import MIN_MEDIAN_M, PaperRoad, Scene
 from synth3dlanes.scene.town import ROUNDABOUTS, Town
@@ -91,7 +91,10 @@ class ParameterRules:
         if (kind, daytime) not in self._by_weather:
             changed = self.params.under(kind, daytime).groups
             self._by_weather[kind, daytime] = {
-                f"{name}.{key}": form for name, group in changed.items() for key, form in group
+                f"{name}.{key}": form
+                for name, group in changed.items()
+                if name not in {*KINDS, *DAYTIMES} - {kind, daytime}
+                for key, form in group
             }
         return self._by_weather[kind, daytime]
 

@@ -11,7 +11,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    model_validator,
+)
 
 from synth3dlanes.params.distributions import (
     Choice,
@@ -29,7 +37,6 @@ from synth3dlanes.params.distributions import (
     parse_integers,
     reals,
 )
-from synth3dlanes.params.weather import DAYTIMES, KINDS, replaced
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, AssetKind, Assets
 from synth3dlanes.scene.settings import JPEG_QUALITY
 from synth3dlanes.system.errors import InputError
@@ -39,10 +46,41 @@ from synth3dlanes.system.yaml_text import read_yaml, text_of
 Fraction = Annotated[Real, reals(0, 1)]
 Orientation = Annotated[Real, reals(-360, 360)]
 OffsetRange = Annotated[Real, reals(-50, 50)]
+Visibility = Annotated[Real, reals(20, 1_000_000)]
+SunZenith = Annotated[Real, reals(0, 110)]
+Exposure = Annotated[Real, reals(0, 100, above=True)]
+MotionBlur = Annotated[Real, reals(0, 1)]
+NoiseLevel = Annotated[Real, reals(0, 32)]
 # The largest number of a model or texture if the assets are unknown.
 MAX_NUMBER = 9999
-# Groups that were added later; parameters without them have their defaults.
-OPTIONAL: tuple[str, ...] = ("symbols", "weather", "host", "vegetation", "roadside", "motion", "town")
+# The preset that has every key.
+REFERENCE = "appendix_i"
+# Kinds of weather and times of day, each a group of what it replaces.
+KINDS = ("clear", "cloudy", "fog", "rain", "snow")
+DAYTIMES = ("day", "dusk", "night")
+# The keys that these groups replace, by their own names.
+REPLACED = {
+    "visibility_m": "air.visibility_m",
+    "overcast": "air.overcast",
+    "wetness": "surface.wetness",
+    "rain": "weather.rain",
+    "snowfall": "weather.snowfall",
+    "snow": "weather.snow",
+    "snow_on_road": "weather.snow_on_road",
+    "drops": "sensor.drops",
+    "sun_zenith_deg": "light.sun_zenith_deg",
+    "metering": "light.metering",
+    "exposure": "light.exposure",
+    "noise": "sensor.noise",
+    "motion_blur_m": "sensor.motion_blur_m",
+    "flare": "sensor.flare",
+    "headlights": "weather.headlights",
+}
+# Groups that were added later; parameters without them have their defaults, or the values of the reference.
+OPTIONAL: tuple[str, ...] = (
+    *("symbols", "weather", "host", "vegetation", "roadside", "motion", "town"),
+    *(*KINDS, *DAYTIMES),
+)
 # If more keys than this are missing, one line names them all.
 MAX_MISSING = 3
 
@@ -208,16 +246,16 @@ class CameraParams(Group):
 class LightParams(Group):
     """Sun and film exposure. `metering` says how far the exposure compensates for the scene's daylight, from 0 to 1."""
 
-    sun_zenith_deg: Annotated[Real, reals(0, 110)]
+    sun_zenith_deg: SunZenith
     sun_azimuth_deg: Orientation
-    exposure: Annotated[Real, reals(0, 100, above=True)]
+    exposure: Exposure
     metering: Fraction
 
 
 class AirParams(Group):
     """Haze or fog, by its meteorological visibility, and the share of the sun that a closed layer of clouds hides."""
 
-    visibility_m: Annotated[Real, reals(20, 1_000_000)]
+    visibility_m: Visibility
     overcast: Fraction
 
 
@@ -225,8 +263,8 @@ class SensorParams(Group):
     """Metres driven during the exposure, noise at middle gray in 8-bit levels (standard deviation), flare, dirt and
     drops on the glass, and the quality of JPEG images."""
 
-    motion_blur_m: Annotated[Real, reals(0, 1)]
-    noise: Annotated[Real, reals(0, 32)]
+    motion_blur_m: MotionBlur
+    noise: NoiseLevel
     flare: Fraction = added(0.0)
     dirt: Fraction = added(0.0)
     drops: Fraction = added(0.0)
@@ -234,16 +272,62 @@ class SensorParams(Group):
 
 
 class WeatherParams(Group):
-    """Weather and time of day. A `kind` or `daytime` other than any replaces the distributions of other keys
-    (`weather`)."""
+    """Weather and time of day. A `kind` or `daytime` other than any replaces the distributions of other keys by those
+    of the group of its name."""
 
-    kind: Annotated[Named, names("any", "clear", "cloudy", "fog", "rain", "snow")] = added("any")
-    daytime: Annotated[Named, names("any", "day", "dusk", "night")] = added("any")
+    kind: Annotated[Named, names("any", *KINDS)] = added("any")
+    daytime: Annotated[Named, names("any", *DAYTIMES)] = added("any")
     rain: Fraction = added(0.0)
     snowfall: Fraction = added(0.0)
     snow: Fraction = added(0.0)
     snow_on_road: Fraction = added(0.0)
     headlights: Flag = added(False)
+
+
+class DryParams(Group):
+    """What clear, cloudy and foggy weather replaces."""
+
+    visibility_m: Visibility
+    overcast: Fraction
+    wetness: Fraction
+
+
+class RainParams(DryParams):
+    """What rain replaces."""
+
+    rain: Fraction
+    drops: Fraction
+
+
+class SnowParams(DryParams):
+    """What snow replaces."""
+
+    snowfall: Fraction
+    snow: Fraction
+    snow_on_road: Fraction
+    drops: Fraction
+
+
+class DayParams(Group):
+    """What day replaces."""
+
+    sun_zenith_deg: SunZenith
+
+
+class DuskParams(DayParams):
+    """What dusk replaces."""
+
+    metering: Fraction
+    exposure: Exposure
+    noise: NoiseLevel
+    motion_blur_m: MotionBlur
+    headlights: Flag
+
+
+class NightParams(DuskParams):
+    """What night replaces."""
+
+    flare: Fraction
 
 
 class HostParams(Group):
@@ -335,10 +419,15 @@ class TownParams(Group):
 
 def _read_kept(read: Any) -> tuple[str, ...]:
     """Keys that weather or time of day replace, in order; raise ValueError."""
-    known = sorted({path for table in (KINDS, DAYTIMES) for replaces in table.values() for path in replaces})
+    known = sorted(REPLACED.values())
     if not isinstance(read, list | tuple) or any(path not in known for path in read):
         raise ValueError(f"expected a list of keys that follow from the weather: {', '.join(known)}")
     return tuple(sorted(set(read)))
+
+
+def _as_in_reference(name: str) -> Any:
+    """A field whose values stand in the reference preset alone; `dataset.json` leaves it out if it has those."""
+    return Field(exclude_if=lambda group: group == _reference_group(name))
 
 
 class Params(Group):
@@ -361,6 +450,14 @@ class Params(Group):
     sensor: SensorParams
     symbols: SymbolParams = Field(default=SymbolParams(), exclude_if=lambda group: group == SymbolParams())
     weather: WeatherParams = Field(default=WeatherParams(), exclude_if=lambda group: group == WeatherParams())
+    clear: DryParams = _as_in_reference("clear")
+    cloudy: DryParams = _as_in_reference("cloudy")
+    fog: DryParams = _as_in_reference("fog")
+    rain: RainParams = _as_in_reference("rain")
+    snow: SnowParams = _as_in_reference("snow")
+    day: DayParams = _as_in_reference("day")
+    dusk: DuskParams = _as_in_reference("dusk")
+    night: NightParams = _as_in_reference("night")
     host: HostParams = Field(default=HostParams(), exclude_if=lambda group: group == HostParams())
     vegetation: VegetationParams = Field(
         default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
@@ -369,6 +466,18 @@ class Params(Group):
     motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
     town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
     kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _filled(cls, document: Any) -> Any:
+        """What a document leaves out of groups whose values stand in the reference preset, as there."""
+        if not isinstance(document, dict):
+            return document
+        filled = dict(document)
+        for name in (*KINDS, *DAYTIMES):
+            given = document.get(name, {})
+            filled[name] = {**_reference()[name], **given} if isinstance(given, dict) else given
+        return filled
 
     @property
     def is_town(self) -> bool:
@@ -384,11 +493,17 @@ class Params(Group):
         """What the kinds of weather and times of day that may be drawn replace: `group.key` -> distributions, by the
         value of `weather` that brings them."""
         found: dict[str, dict[str, Distribution]] = {}
-        for name, table in (("kind", KINDS), ("daytime", DAYTIMES)):
+        for name in ("kind", "daytime"):
             for value in getattr(self.weather, name).values:
-                for path, distribution in table[value].items():
+                for path, distribution in self.replaced(value).items():
                     found.setdefault(path, {})[f"weather.{name} {value}"] = distribution
         return found
+
+    def replaced(self, *names: str) -> dict[str, Distribution]:
+        """The distributions that these kinds of weather and times of day replace, by `group.key`; none for any."""
+        return {
+            REPLACED[key]: distribution for name in names if name != "any" for key, distribution in getattr(self, name)
+        }
 
     def keeping(self, own: Iterable[str]) -> "Params":
         """The parameters with these keys of the user's own, too; those that no weather replaces need not be kept."""
@@ -397,7 +512,7 @@ class Params(Group):
     def under(self, kind: str, daytime: str) -> "Params":
         """The parameters of scenes in this weather and at this time of day."""
         changes: dict[str, dict[str, Distribution]] = {}
-        for path, distribution in replaced(kind, daytime).items():
+        for path, distribution in self.replaced(kind, daytime).items():
             if path not in self.kept:
                 group, key = path.split(".")
                 changes.setdefault(group, {})[key] = distribution
@@ -433,6 +548,22 @@ def find_preset(source: str, kind: str = "") -> tuple[Path, str]:
     other = next((other for other in OPTION_OF if other != kind and source in preset_names(other)), None)
     hint = did_you_mean(source, preset_names(kind)) if other is None else f"; {source} is for {OPTION_OF[other]}"
     raise InputError(f"{source}: expected one of {', '.join(preset_names(kind))}, or the path of a .yaml file{hint}")
+
+
+@lru_cache(maxsize=1)
+def _reference() -> dict[str, dict[str, Any]]:
+    """The keys of the reference preset, as they are written."""
+    document, _ = _parsed(text_of(*find_preset(REFERENCE)), REFERENCE)
+    found: dict[str, dict[str, Any]] = document
+    return found
+
+
+@lru_cache
+def _reference_group(name: str) -> Group:
+    """A group of the reference preset."""
+    group: Any = Params.model_fields[name].annotation
+    found: Group = group.model_validate(_reference()[name])
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,9 @@ from pydantic import ValidationError
 from synth3dlanes.params.distributions import extent, form
 from synth3dlanes.params.params import (
     BASE,
+    DAYTIMES,
+    KINDS,
+    REFERENCE,
     Params,
     files_of,
     find_preset,
@@ -25,7 +28,6 @@ from synth3dlanes.params.params import (
 )
 from synth3dlanes.system.yaml_text import text_of
 
-REFERENCE = "appendix_i"
 # The column of comments, as in the presets.
 COMMENT_COLUMN = 32
 # Parameters with more changes are not called by their preset.
@@ -150,13 +152,15 @@ def preset_of(document: Mapping[str, Any]) -> str:
 def keys_left_out(source: str) -> list[str]:
     """The keys that a preset or file leaves out, which have their defaults: `group.key`, or `group.*` for all of one.
 
-    Files of earlier versions lack the keys that were added since. Those of towns are for presets of towns alone.
+    Files of earlier versions lack the keys that were added since. Keys of towns and of kinds of weather are not told
+    where none of these may be drawn.
     """
     document = merged(files_of(source))
     told: list[str] = []
     params = Params.model_validate(document)
+    unused = {*KINDS, *DAYTIMES}.difference(params.weather.kind.values, params.weather.daytime.values)
     for group, keys in forms(params).items():
-        if group == "town" and not params.is_town:
+        if (group == "town" and not params.is_town) or group in unused:
             continue
         there = document.get(group, {})
         missing = [f"{group}.{key}" for key in keys if key not in there]

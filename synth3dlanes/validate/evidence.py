@@ -1,5 +1,6 @@
 """Evidence: all that checks of a sample may ask for, each computed once."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import LidarPoints, Sweep
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
+from synth3dlanes.params.distributions import Distribution
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Passes, Points3, RgbImage
 from synth3dlanes.truth.ground_truth import label
@@ -27,8 +29,8 @@ BORDER_PX = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A sample's labels, image, passes and sweep, the world of its scene, its place in the index, and the values that
-    weather does not decide (paths, as in `Params.kept`); what may be missing is None or empty."""
+    """A sample's labels, image, passes and sweep, the world of its scene, its place in the index, and what
+    follows from its weather and time of day (`Origin.follows`); what may be missing is None or empty."""
 
     world: World
     labels: Labels
@@ -36,7 +38,7 @@ class Evidence:
     passes: Passes = field(default_factory=dict)
     sweep: Sweep | None = None
     entry: Entry | None = None
-    own_values: frozenset[str] | None = None
+    follows: Mapping[str, Distribution] | None = None
 
     @property
     def scene(self) -> Scene:
@@ -55,7 +57,7 @@ class Evidence:
             "image": self.image is not None,
             "row": self.entry is not None,
             "lidar": self.sweep is not None,
-            "origin": self.own_values is not None,
+            "origin": self.follows is not None,
             "aim": all((self.inside_px(lane)[lane.in_image] > -BORDER_PX).all() for lane in self.labels.lanes),
         }
         return frozenset(self.passes) | {name for name, is_there in parts.items() if is_there}

@@ -16,8 +16,9 @@ from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.scenes import Provenance
 from synth3dlanes.draw.sample import sample_scene, world_again
+from synth3dlanes.params.distributions import Distribution
 from synth3dlanes.production.twins import changed_world
-from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.scene import Scene, Weather
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.schema import Excerpt, validation_problems
 from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
@@ -66,10 +67,17 @@ class Origin(Provenance):
             return ""
         return some(list(differences(drawn.model_dump(mode="json"), scene.model_dump(mode="json"))))
 
-    def own_values(self, split: str) -> frozenset[str]:
-        """The values of a split that do not follow from its weather: the user's own, and what was changed since."""
+    def follows(self, weather: Weather, split: str) -> dict[str, Distribution]:
+        """What follows from this weather and time of day in scenes of a split, by `group.key`: without the user's own
+        values and what was changed since they were drawn."""
         changes = self.derived.changes(split) if self.derived is not None else []
-        return frozenset(self.params.kept).union(path for path, _ in changes)
+        own = {*self.params.kept, *(path for path, _ in changes)}
+        found = self.params.replaced(weather.kind, weather.daytime)
+        return {
+            path: distribution
+            for path, distribution in found.items()
+            if not own & {path, path.replace("_deg", "_rad"), path.partition(".")[0]}
+        }
 
     def drawn(self, scene: Scene, split: str, index: int) -> Scene:
         """The scene of a sample, drawn again; of derived data sets `scene`, which lies there, says for what it was

@@ -200,8 +200,8 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
         results += [*misshapen, *check_measured(labels), *check_row(entry, None, labels, numbers)]
     else:
         misshapen += [*_passes(scene, description, passes), *check_shape(scene, labels)]
-        own = None if origin is None else origin.own_values(entry.split)
-        results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry, own))
+        follows = None if origin is None else origin.follows(scene.weather, entry.split)
+        results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry, follows))
     if findings_of(results):
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
     return SampleCheck(entry.name, digest, redrawn, results)

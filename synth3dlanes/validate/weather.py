@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 
 from synth3dlanes.params.distributions import Choice, extent
-from synth3dlanes.params.weather import replaced
 from synth3dlanes.scene.change import value_at
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
@@ -14,16 +13,15 @@ ROUNDED = 1e-4
 
 
 def check_weather(evidence: Evidence) -> Iterator[Finding]:
-    """Findings for values that this weather and this time of day do not give, but for the user's own."""
-    assert evidence.own_values is not None
+    """Findings for values that this weather and this time of day do not give; none for the user's own."""
+    assert evidence.follows is not None
     weather = evidence.scene.weather
-    for path, distribution in replaced(weather.kind, weather.daytime).items():
+    for path, distribution in evidence.follows.items():
         value = value_at(evidence.scene, path.replace("_deg", "_rad"))
         value = math.degrees(value) if path.endswith("_deg") else value
         low, high = extent(distribution)
         possible = distribution.values if isinstance(distribution, Choice) else (min(max(value, low), high),)
-        is_own = bool({path, path.replace("_deg", "_rad"), path.partition(".")[0]} & evidence.own_values)
-        if not is_own and min(abs(value - other) for other in possible) > ROUNDED:
+        if min(abs(value - other) for other in possible) > ROUNDED:
             by = f"weather {weather.kind}, daytime {weather.daytime}"
             given = f"{low:g} to {high:g}" if low != high else f"{low:g}"
             yield Finding("", f"{path}: expected {given} ({by}), got {value:g}")

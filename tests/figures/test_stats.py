@@ -13,7 +13,7 @@ from synth3dlanes.figures.histograms import _of_labels, declared_shares, histogr
 from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.params.distributions import Choice, Integers, Uniform
-from synth3dlanes.params.params import forms, load_params
+from synth3dlanes.params.params import DAYTIMES, KINDS, forms, load_params
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.thorough import presets
 
@@ -35,7 +35,7 @@ def test_drawn_scenes_agree_with_what_was_declared(scenes):
     assert {row.key for row in statistics.parameters} == {
         f"{name}.{key}"
         for name, group in params.groups.items()
-        if name not in ("symbols", "roadside", "motion", "town")
+        if name not in ("symbols", "roadside", "motion", "town", *KINDS, *DAYTIMES)
         for key in type(group).model_fields
     } - texts
     assert [row.key for row in statistics.parameters if not is_fine(row)] == []
