@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.draw.like import DrawKey, Neighbourhood, near
-from synth3dlanes.params.distributions import Uniform, least
+from synth3dlanes.params.distributions import Uniform, extent
 from synth3dlanes.params.params import Group, Params
 from synth3dlanes.system.streams import stream
 
@@ -52,9 +52,13 @@ class Draw:
         """Draw parameter `key` of the group: degrees become radians, floats are rounded."""
         return self._rounded(key, getattr(self.group, key).draw(self._moved(key, self.rng.random())))
 
-    def least(self, key: str) -> int:
-        """The least value that an integer parameter of the group may have."""
-        return least(getattr(self.group, key))
+    def at(self, key: str, u: float) -> Any:
+        """The value of parameter `key` of the group for a random number in [0, 1), not rounded, in its own unit."""
+        return getattr(self.group, key).draw(u)
+
+    def least(self, key: str) -> Any:
+        """The least value that a parameter of the group may have, in its own unit."""
+        return extent(getattr(self.group, key))[0]
 
     def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
         """`n` draws of several parameters, row by row."""

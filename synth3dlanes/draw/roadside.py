@@ -4,12 +4,13 @@ Rails fill the stretches of an edge that are free: along the outer edges of the 
 there is room for them.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.draw.draws import Draw
 from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import SIDES, Side
@@ -25,7 +26,6 @@ from synth3dlanes.world.roadside import Footprints, footprints
 from synth3dlanes.world.sign_faces import FACES, SIGNS
 from synth3dlanes.world.world import World
 
-DrawFunction = Callable[[str], Any]
 Rng = np.random.Generator
 Place = Literal["left", "right", "inner"]
 
@@ -38,12 +38,8 @@ RAISED_ASIDE_M, RAISED_FROM_M = 0.3, 0.3
 BACK_M, LEVEL_M = 0.25, (-0.8, 0.15)
 # Least distance of a barrier in the median from the edge lines.
 MEDIAN_GAP_M = 0.3
-# What stands behind a rail has this much room; posts are this far from crossings, signs from each other.
-BEHIND_RAIL_M, APART_M, SIGNS_APART_M = 0.7, 3.0, 8.0
-LAMP_ASIDE_M, SIGN_ASIDE_M, DELINEATOR_ASIDE_M, POLE_ASIDE_M, POLE_M = 1.0, 1.0, 0.4, (6.0, 14.0), (8.0, 11.0)
-# Distances ahead of the host of signs, crossings and buildings; crossings' spacing and half span.
-SIGNS_M, CROSSINGS_M, BUILDINGS_M = (10.0, 160.0), (20.0, 240.0), (5.0, 240.0)
-CROSSINGS_APART_M, HALF_SPAN_M = 50.0, 40.0
+# Least distances behind a rail of what stands there, and of posts from crossings; the most of half a crossing's span.
+BEHIND_RAIL_M, APART_M, HALF_SPAN_M = 0.7, 3.0, 40.0
 # Least distances of a dam's foot and of a building from any pavement.
 DAM_GAP_M, BUILDING_GAP_M = 1.0, 5.0
 GRAYS = ((0.3, 0.3, 0.29), (0.42, 0.41, 0.38))
@@ -51,12 +47,8 @@ WALLS = ((0.33, 0.31, 0.28), (0.12, 0.16, 0.1), (0.2, 0.13, 0.08), (0.25, 0.26, 
 FRONTS = ((0.6, 0.58, 0.52), (0.5, 0.4, 0.24), (0.32, 0.13, 0.09), (0.4, 0.39, 0.37), (0.55, 0.5, 0.38))
 ROOFS = ((0.22, 0.06, 0.035), (0.09, 0.08, 0.08), (0.14, 0.08, 0.05), (0.2, 0.2, 0.21))
 BOARDS, WOOD = ((0.005, 0.15, 0.07), (0.01, 0.07, 0.33)), (0.11, 0.08, 0.055)
-# Widths, lengths and heights of walls of buildings.
-SIZES_M: dict[Literal["house", "hall", "block"], tuple[tuple[float, float], ...]] = {
-    "house": ((8.0, 12.0), (9.0, 16.0), (3.2, 6.5)),
-    "hall": ((18.0, 36.0), (25.0, 65.0), (6.0, 11.0)),
-    "block": ((11.0, 16.0), (16.0, 45.0), (9.0, 30.0)),
-}
+BuildingKind = Literal["house", "hall", "block"]
+BUILDINGS: tuple[BuildingKind, ...] = ("house", "hall", "block")
 
 
 class RailDraw(NamedTuple):
@@ -87,9 +79,12 @@ class Edge(NamedTuple):
     high_m: float = np.inf
 
 
-def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
-    """All structures of one scene; those that find no room in a few tries are left out."""
-    ground = world.ground
+def draw_roadside(world: World, draw: Draw, own: Draw) -> Roadside:
+    """All structures of one scene, their kinds and numbers by `draw`, their places and sizes by `own`; those that find
+    no room in a few tries are left out."""
+    ground, rng = world.ground, draw.rng
+    lamp_aside_m, delineator_aside_m = own("lamp_aside_m"), own("delineator_aside_m")
+    signs_apart_m, crossings_apart_m = own("signs_apart_m"), own("crossings_apart_m")
     kinds: dict[Place, Any] = {"left": draw("outer"), "right": draw("outer"), "inner": draw("inner")}
     has_ramp_rail, aside_m = draw("ramp_rail"), draw("rail_aside_m")
     wall_m = draw("wall_height_m")
@@ -105,30 +100,32 @@ def draw_roadside(world: World, draw: DrawFunction, rng: Rng) -> Roadside:
                 height_m = RAILS[on_ramp].height_m or wall_m
                 rails += _rails(ground, edge, RailDraw(on_ramp, RAISED_ASIDE_M, height_m, color), True)
     rails += _median_rail(ground, draw("median"), shaded(rng, GRAYS))
-    crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), rng, [])
-    crossings += _crossings(world, "gantry", draw("n_gantries"), draw("clearance_m"), rng, crossings)
+    crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), crossings_apart_m, rng, own, [])
+    crossings += _crossings(
+        world, "gantry", draw("n_gantries"), draw("clearance_m"), crossings_apart_m, rng, own, crossings
+    )
     behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
     lamp_sides, spacing_m, height_m = draw("lamps"), draw("lamp_spacing_m"), draw("lamp_height_m")
     posts: list[Post] = []
     for side in SIDES:
         if lamp_sides in (side, "both"):
-            lamp_m = round(max(LAMP_ASIDE_M, behind_m[side]), DECIMALS)
+            lamp_m = round(max(lamp_aside_m, behind_m[side]), DECIMALS)
             posts += _row(ground, PostRow("lamp", side, lamp_m, spacing_m, height_m), rng, crossings)
     has_delineators, spacing_m = draw("delineators"), draw("delineator_spacing_m")
     for side in SIDES:
         if has_delineators and kinds[side] == "none":
-            posts += _row(ground, PostRow("delineator", side, DELINEATOR_ASIDE_M, spacing_m, 1.0), rng, crossings)
-    posts += _signs(ground, draw("n_signs"), behind_m, rng, crossings)
-    line, pole_m = draw("power_line"), round(float(rng.uniform(*POLE_M)), DECIMALS)
-    pole_aside_m = round(aside_m + float(rng.uniform(*POLE_ASIDE_M)), DECIMALS)
+            posts += _row(ground, PostRow("delineator", side, delineator_aside_m, spacing_m, 1.0), rng, crossings)
+    posts += _signs(ground, draw("n_signs"), signs_apart_m, behind_m, rng, own, crossings)
+    line, pole_m = draw("power_line"), round(own.at("pole_height_m", rng.random()), DECIMALS)
+    pole_aside_m = round(aside_m + own.at("pole_aside_m", rng.random()), DECIMALS)
     if line != "none" and not any(crossing.kind == "bridge" for crossing in crossings):
         for edge in _edges(ground.network, line):
             rails += _rails(ground, edge, RailDraw("power_line", pole_aside_m, pole_m, WOOD), False)
     drawn = Roadside(rails=tuple(rails), posts=tuple(posts), crossings=tuple(crossings))
     taken, buildings = footprints(ground, drawn), list[Building]()
-    for kind in SIZES_M:
+    for kind in BUILDINGS:
         for _ in range(draw(f"n_{kind}s")):
-            buildings += _building(ground, taken, buildings, kind, draw("building_aside_m"), rng)
+            buildings += _building(ground, taken, buildings, kind, draw("building_aside_m"), rng, own)
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
@@ -157,10 +154,10 @@ def _stations(ground: Ground, edge: Edge | None = None) -> Scalars:
     return np.arange(np.ceil(low), np.floor(high) + 0.5)
 
 
-def _ahead(ground: Ground, rng: Rng, limits_m: tuple[float, float]) -> float:
+def _ahead(ground: Ground, rng: Rng, own: Draw, key: str) -> float:
     """A station at a distance ahead of the host where it drives; with `both_ways` ahead or behind."""
-    low_m, high_m = limits_m
-    away_m = rng.uniform(low_m, high_m + ground.driven_m, size=1)
+    u = rng.random()
+    away_m = np.array([own.at(key, u) + ground.driven_m * u])
     if ground.both_ways and rng.random() < 0.5:
         away_m = ground.driven_m - away_m
     return round(float(ground.network.stations(ground.near_m + away_m)[0]), DECIMALS)
@@ -235,21 +232,26 @@ def _is_apart(s_m: float, crossings: list[Crossing]) -> bool:
     return all(abs(crossing.s_m - s_m) > crossing.width_m / 2 + APART_M for crossing in crossings)
 
 
-def _signs(ground: Ground, n: int, behind_m: dict[Place, float], rng: Rng, crossings: list[Crossing]) -> Iterator[Post]:
+def _signs(
+    ground: Ground, n: int, apart_m: float, behind_m: dict[Place, float], rng: Rng, own: Draw, crossings: list[Crossing]
+) -> Iterator[Post]:
     """Signs beside the outer edges, for the traffic there; guide boards stand farther away. None beside oncoming lanes
     forbids entry: it would face the host."""
     taken: list[float] = []
+    least_m = own.least("sign_aside_m")
     for _ in range(n):
         for _ in range(TRIES):
             place: Place = "left" if rng.random() < 0.5 else "right"
             sign = SIGNS[int(rng.random() * len(SIGNS))]
             edges = _edges(ground.network, place)
             edge = edges[int(rng.random() * len(edges))]
-            s_m = _ahead(ground, rng, SIGNS_M)
+            s_m = _ahead(ground, rng, own, "sign_ahead_m")
             width_m = float(np.ptp(FACES[sign.right - 1][0].outline[:, 0]))
-            aside_m = round(max(SIGN_ASIDE_M, behind_m[place]) + width_m / 2 + rng.random(), DECIMALS)
-            height_m = round(float(rng.uniform(1.7, 2.4)), DECIMALS)
-            is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > SIGNS_APART_M for other in taken)
+            aside_m = round(
+                own.at("sign_aside_m", rng.random()) + max(0.0, behind_m[place] - least_m) + width_m / 2, DECIMALS
+            )
+            height_m = round(own.at("sign_height_m", rng.random()), DECIMALS)
+            is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > apart_m for other in taken)
             if is_here and _is_apart(s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
                 taken.append(s_m)
                 beside_it = ground.network.road(edge.road).carriageways[0 if edge.side == "left" else -1]
@@ -270,17 +272,24 @@ def _signs(ground: Ground, n: int, behind_m: dict[Place, float], rng: Rng, cross
 
 
 def _crossings(
-    world: World, kind: Literal["gantry", "bridge"], n: int, clearance_m: float, rng: Rng, others: list[Crossing]
+    world: World,
+    kind: Literal["gantry", "bridge"],
+    n: int,
+    clearance_m: float,
+    apart_m: float,
+    rng: Rng,
+    own: Draw,
+    others: list[Crossing],
 ) -> list[Crossing]:
     """Crossings with a span of plausible length, apart from each other, whose dams end clear of all pavements."""
     ground, found = world.ground, list(others)
     for _ in range(n):
         for _ in range(TRIES):
-            s_m = _ahead(ground, rng, CROSSINGS_M)
-            width_m = round(float(rng.uniform(8, 14) if kind == "bridge" else rng.uniform(0.7, 1.1)), DECIMALS)
+            s_m = _ahead(ground, rng, own, "crossing_ahead_m")
+            width_m = round(own.at(f"{kind}_width_m", rng.random()), DECIMALS)
             color = shaded(rng, GRAYS) if kind == "bridge" else BOARDS[int(rng.random() * len(BOARDS))]
             crossing = Crossing(kind=kind, s_m=s_m, clearance_m=clearance_m, width_m=width_m, color=color)
-            if all(abs(s_m - other.s_m) > CROSSINGS_APART_M for other in found) and _spans(ground, crossing):
+            if all(abs(s_m - other.s_m) > apart_m for other in found) and _spans(ground, crossing):
                 found.append(crossing)
                 break
     return found[len(others) :]
@@ -303,17 +312,18 @@ def _building(
     ground: Ground,
     taken: Footprints,
     others: list[Building],
-    kind: Literal["house", "hall", "block"],
+    kind: BuildingKind,
     aside_m: float,
     rng: Rng,
+    own: Draw,
 ) -> Iterator[Building]:
     """A building along the road on nearly level ground, clear of all pavements and structures."""
-    sizes_m = SIZES_M[kind]
+    narrowest_m = own.least(f"{kind}_width_m")
     for _ in range(TRIES):
-        width_m, length_m, height_m = (round(float(rng.uniform(*limits)), DECIMALS) for limits in sizes_m)
+        width_m, length_m, height_m = (round(size_m, DECIMALS) for size_m in building_size(own, kind, rng))
         side: RoadSide = "left" if rng.random() < 0.5 else "right"
-        s = _ahead(ground, rng, BUILDINGS_M) + np.array([0.0, 1.0])
-        far_m = aside_m + (width_m - sizes_m[0][0]) / 2 + (0.0 if kind == "house" else width_m / 2)
+        s = _ahead(ground, rng, own, "building_ahead_m") + np.array([0.0, 1.0])
+        far_m = aside_m + (width_m - narrowest_m) / 2 + (0.0 if kind == "house" else width_m / 2)
         (x, y), ahead = beside(ground, ground.network.main.id, side, s, far_m)
         turn = rng.normal(0, 0.06) + np.pi / 2 * int(rng.random() * 2)
         yaw_rad = float(np.arctan2(x - ahead[0], ahead[1] - y) + turn)
@@ -338,6 +348,12 @@ def _building(
         if is_level and (ground.clearance(outline) > BUILDING_GAP_M).all():
             yield building
             return
+
+
+def building_size(own: Draw, kind: BuildingKind, rng: Rng) -> tuple[float, float, float]:
+    """The width, length and height of the walls of a building, in metres."""
+    width_m, length_m, height_m = (own.at(f"{kind}_{of}_m", rng.random()) for of in ("width", "length", "height"))
+    return width_m, length_m, height_m
 
 
 def floor_plan(building: Building) -> Float[np.ndarray, "n 2"]:

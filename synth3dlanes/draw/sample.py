@@ -128,8 +128,8 @@ def draw_world(scenes: Scenes, index: int) -> World:
     camera = on_its_road(network, _host_camera(params.camera, of("camera"), road), shot)
     bare = _bare(scenes, index, of, {"terrain": terrain, "road": road, "camera": camera, "shot": shot})
     world = resolve(bare, network)
-    draw = of("roadside")
-    roadside = draw_elements(world, draw_roadside(world, draw, draw.rng), of("roadside", "traffic_elements"))
+    own = of("structures")
+    roadside = draw_elements(world, draw_roadside(world, of("roadside"), own), of("roadside", "traffic_elements"), own)
     world = world.furnished(bare.model_copy(update={"roadside": roadside}))
     cars = draw_cars(world, [of("cars", name) for name in CAR_STREAMS], of("motion", "car_speeds"))
     trees = draw_trees(world, of("trees"), of("trees", "tree_places"))
@@ -168,7 +168,9 @@ def _town_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     place = {"terrain": terrain, "road": None, "map": town.map.road_map(town.host.lanes), "town": town.map.town}
     bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot_of(town, traffic, shot, terrain)})
     world = resolve(bare)
-    roadside = furnish(town.map, traffic.lights, world.ground, of("town", "town_fronts"), of("roadside"))
+    roadside = furnish(
+        town.map, traffic.lights, world.ground, of("town", "town_fronts"), of("roadside"), of("structures")
+    )
     looks = of("cars", "town_cars")
     cars = cars_of(town, traffic, terrain, looks, assets)
     cars += parked_cars(town, traffic, flow("parked"), looks, assets)

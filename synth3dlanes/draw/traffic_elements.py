@@ -14,19 +14,19 @@ from synth3dlanes.world.sign_faces import SIGN_FACES
 from synth3dlanes.world.world import World
 
 DECIMALS, ANGLE_DECIMALS, TRIES = 3, 6, 12
-# How far before an exit its sign stands, how high, and how far from the edge of the pavement or from a rail before it.
-BEFORE_M, HEIGHT_M, ASIDE_M, BEHIND_RAIL_M, OVER_WALL_M = (12.0, 60.0), (2.0, 2.6), 1.0, 0.9, 0.3
+# How far from the edge of the pavement, or from a rail before it, a sign stands, and how far over a wall.
+ASIDE_M, BEHIND_RAIL_M, OVER_WALL_M = 1.0, 0.9, 0.3
 # Room around a sign's foot, and from crossings; as far behind and ahead of the host do signs stand.
 ROOM_M, APART_M, NEAR_M = 0.6, 4.0, (-30.0, 180.0)
 
 
-def draw_elements(world: World, roadside: Roadside, draw: Draw) -> Roadside:
+def draw_elements(world: World, roadside: Roadside, draw: Draw, own: Draw) -> Roadside:
     """The roadside with its signals and signs that govern lanes of their own."""
     crossings = tuple(_with_signals(world.network, crossing, draw) for crossing in roadside.crossings)
     drawn = roadside.model_copy(update={"crossings": crossings})
     has_signs, rng = draw("exit_signs"), draw.rng
     numbers = rng.random((TRIES, 3))
-    signs = _exit_sign(world, drawn, numbers) if has_signs else ()
+    signs = _exit_sign(world, drawn, numbers, own) if has_signs else ()
     return drawn.model_copy(update={"signs": signs})
 
 
@@ -46,7 +46,7 @@ def _possible(state: LaneState, lane: NetworkLane, beside: set[str]) -> LaneStat
     return state if not to_right or f"{lane.section}_{lane.number + to_right}" in beside else "red_cross"
 
 
-def _exit_sign(world: World, roadside: Roadside, numbers: np.ndarray) -> tuple[TrafficSign, ...]:
+def _exit_sign(world: World, roadside: Roadside, numbers: np.ndarray, own: Draw) -> tuple[TrafficSign, ...]:
     """A sign beside the road before an exit that points to it, on its side; none where there is no room."""
     network, ground = world.network, world.ground
     leaving = [
@@ -62,7 +62,7 @@ def _exit_sign(world: World, roadside: Roadside, numbers: np.ndarray) -> tuple[T
     kind: SignKind = "exit_right" if network.rightward > 0 else "exit_left"
     half_m, taken = board_size(SIGN_FACES[kind])[0] / 2, footprints(ground, roadside)
     for before, aside, height in numbers.tolist():
-        s_m = exit_road.start_m - network.onwards * (BEFORE_M[0] + before * (BEFORE_M[1] - BEFORE_M[0]))
+        s_m = exit_road.start_m - network.onwards * own.at("exit_sign_before_m", before)
         ahead_m = s_m * network.onwards - ground.near_m
         rails = [
             rail
@@ -72,7 +72,8 @@ def _exit_sign(world: World, roadside: Roadside, numbers: np.ndarray) -> tuple[T
         aside_m = max([ASIDE_M, *(rail.aside_m + BEHIND_RAIL_M for rail in rails)]) + half_m + aside
         # Over a wall, so that it can be read.
         over_m = max((rail.height_m for rail in rails if rail.kind == "noise_wall"), default=0.0)
-        height_m = max(HEIGHT_M[0], over_m + OVER_WALL_M) + height * (HEIGHT_M[1] - HEIGHT_M[0])
+        raised_m = max(0.0, over_m + OVER_WALL_M - own.least("exit_sign_height_m"))
+        height_m = own.at("exit_sign_height_m", height) + raised_m
         s = np.array([s_m])
         foot = beside(ground, network.main.id, side, s, aside_m)
         is_free = taken.clear(foot, ROOM_M)[0] and ground.clearance(foot)[0] > aside_m - 0.02

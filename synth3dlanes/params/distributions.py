@@ -75,11 +75,6 @@ def extent(distribution: Distribution) -> tuple[Any, Any]:
     return distribution.low, distribution.high
 
 
-def least(distribution: Integers | Choice[int]) -> int:
-    """The least value that may be drawn."""
-    return int(extent(distribution)[0])
-
-
 def at_least(distribution: Integers | Choice[int], low: int) -> Choice[int]:
     """The distribution of max(value, low)."""
     return as_choice(distribution).mapped(lambda value: max(value, low))

@@ -79,8 +79,10 @@ REPLACED = {
 # Groups that were added later; parameters without them have their defaults, or the values of the reference.
 OPTIONAL: tuple[str, ...] = (
     *("symbols", "weather", "host", "vegetation", "roadside", "motion", "town"),
-    *(*KINDS, *DAYTIMES),
+    *(*KINDS, *DAYTIMES, "structures"),
 )
+# Groups whose values stand in the reference alone.
+IN_REFERENCE = (*KINDS, *DAYTIMES, "structures")
 # If more keys than this are missing, one line names them all.
 MAX_MISSING = 3
 
@@ -372,6 +374,44 @@ class RoadsideParams(Group):
     exit_signs: Flag = added(False)
 
 
+Aside = Annotated[Real, reals(0.3, 50)]
+SignHeight = Annotated[Real, reals(1.5, 5)]
+Ahead = Annotated[Real, reals(0, 300)]
+Apart = Annotated[Real, reals(1, 300)]
+WallHeight = Annotated[Real, reals(2, 100)]
+BuildingSide = Annotated[Real, reals(3, 200)]
+
+
+class StructureParams(Group):
+    """Places and sizes of what stands beside and over the road. Distances between things, and those of lamps and
+    delineators from the edge, are drawn once, the others for each thing."""
+
+    lamp_aside_m: Aside
+    delineator_aside_m: Aside
+    sign_aside_m: Aside
+    sign_height_m: SignHeight
+    sign_ahead_m: Ahead
+    signs_apart_m: Apart
+    exit_sign_before_m: Annotated[Real, reals(0, 100)]
+    exit_sign_height_m: SignHeight
+    pole_aside_m: Aside
+    pole_height_m: Annotated[Real, reals(4, 20)]
+    crossing_ahead_m: Ahead
+    crossings_apart_m: Annotated[Real, reals(10, 300)]
+    bridge_width_m: Annotated[Real, reals(2, 40)]
+    gantry_width_m: Annotated[Real, reals(0.3, 3)]
+    building_ahead_m: Ahead
+    house_width_m: BuildingSide
+    house_length_m: BuildingSide
+    house_height_m: WallHeight
+    hall_width_m: BuildingSide
+    hall_length_m: BuildingSide
+    hall_height_m: WallHeight
+    block_width_m: BuildingSide
+    block_length_m: BuildingSide
+    block_height_m: WallHeight
+
+
 Speed = Annotated[Real, reals(0, 60)]
 
 
@@ -463,6 +503,7 @@ class Params(Group):
         default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
     )
     roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
+    structures: StructureParams = _as_in_reference("structures")
     motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
     town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
     kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
@@ -474,7 +515,7 @@ class Params(Group):
         if not isinstance(document, dict):
             return document
         filled = dict(document)
-        for name in (*KINDS, *DAYTIMES):
+        for name in IN_REFERENCE:
             given = document.get(name, {})
             filled[name] = {**_reference()[name], **given} if isinstance(given, dict) else given
         return filled

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from synth3dlanes.draw.draws import DECIMALS, Draw
-from synth3dlanes.draw.roadside import FRONTS, ROOFS, SIZES_M, floor_plan, shaded
+from synth3dlanes.draw.roadside import FRONTS, ROOFS, building_size, floor_plan, shaded
 from synth3dlanes.draw.town.junctions import Arm
 from synth3dlanes.draw.town.layout import TownMap
 from synth3dlanes.draw.town.lights import Lights
@@ -40,7 +40,9 @@ ROOM_M, RIM_M, MOST_BUILDINGS = 1.2, 1.5, 110
 TREES_APART_M, TREE_BEHIND_M = 11.0, 1.2
 
 
-def furnish(town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: Draw, lamps: Draw) -> Roadside:
+def furnish(
+    town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: Draw, lamps: Draw, sizes: Draw
+) -> Roadside:
     """All that stands along the streets, but trees."""
     rng = draw.rng
     signals, signs = list[TrafficSignal](), list[TrafficSign]()
@@ -56,7 +58,7 @@ def furnish(town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: 
     signs += _speed_signs(town_map, limit)
     posts = tuple(_lamps(town_map, lamps))
     drawn = Roadside(posts=posts, signals=tuple(signals), signs=tuple(signs))
-    buildings = _buildings(town_map, ground, draw("fronts"), rng)
+    buildings = _buildings(town_map, ground, draw("fronts"), sizes, rng)
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
@@ -189,7 +191,7 @@ def _lamps(town_map: TownMap, draw: Draw) -> Iterator[Post]:
                 yield Post(kind="lamp", height_m=height_m, **place)
 
 
-def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> list[Building]:
+def _buildings(town_map: TownMap, ground: Ground, share: float, sizes: Draw, rng: Rng) -> list[Building]:
     """Buildings along the streets, the first ones at the corners; rows of one kind."""
     found: list[Building] = []
     taken: list[np.ndarray] = []
@@ -201,7 +203,7 @@ def _buildings(town_map: TownMap, ground: Ground, share: float, rng: Rng) -> lis
             s_m = FIRST_M + float(rng.uniform(0, 2))
             while s_m < street.length_m - 8 and len(found) < MOST_BUILDINGS:
                 kind = usual if rng.random() < 0.85 else KINDS[int(rng.random() * 3)]
-                width_m, length_m, height_m = (float(rng.uniform(*limits)) for limits in SIZES_M[kind])
+                width_m, length_m, height_m = building_size(sizes, kind, rng)
                 form = kind, width_m, length_m, height_m
                 if rng.random() >= share:
                     s_m += length_m + float(rng.uniform(*GAPS_M))
