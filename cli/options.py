@@ -185,7 +185,10 @@ KEYS_OF_CAMERA_FILES = (
     *("camera.roll_deg", "camera.principal_offset_px"),
 )
 # Parameters of what a given map has itself.
-KEYS_OF_ROADS = ("road.", "town.", "symbols.", "roadside.", "structures.", "camera.lane", "camera.y_m", "cars.parked")
+KEYS_OF_ROADS = (
+    *("road.", "town.", "town_streets.", "symbols.", "roadside.", "structures."),
+    *("camera.lane", "camera.y_m", "cars.parked"),
+)
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 

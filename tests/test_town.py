@@ -110,6 +110,70 @@ def test_a_town_is_a_document_and_the_same_each_time() -> None:
     assert to_json(sample_scene(Scenes(TOWN, 5), 2)) == text
 
 
+STREETS = {
+    "open_street_m": "[280, 300]",
+    "link_street_m": "[140, 150]",
+    "edge_lines": "true",
+    "four_arms": "false",
+    "further": "t",
+    "green_major_s": "[40, 41]",
+    "green_major_left_s": "[30, 31]",
+    "green_minor_s": "[50, 51]",
+    "far_signals": "true",
+    "speed_limit": "speed_30",
+    "building": "house",
+    "alike": "1",
+    "gap_m": "[20, 21]",
+    "trees_apart_m": "19",
+    "bay_m": "13",
+    "speed_m_s": "[4, 5]",
+    "turn": "left",
+}
+MUCH = ("town.parking=true", "town.parked=1", "town.traffic=1", "town.fronts=0.95", "town.street_trees=1", "trees.n=0")
+
+
+@pytest.mark.parametrize("junction", first(1, ["crossing", "roundabout"]))
+def test_what_stands_and_drives_along_streets_is_that_of_the_parameters(junction: str) -> None:
+    """In one town; the same town of houses with the usual ranges has other values."""
+    fixed = (*MUCH, f"town.junction={junction}", "town.control=signals", "town.n_more=1", "town.bend_deg=0")
+    fixed = (*fixed, "town.turn_lanes=none", "town.angle_deg=0", "town.walkway_m=2.6")
+    told = town(1, *fixed, *(f"town_streets.{key}={value}" for key, value in STREETS.items())).scene
+    usual = town(1, *fixed, "town_streets.building=house", "town_streets.alike=1").scene
+    scenes = {"told": told, "usual": usual}
+    lengths = {name: [road.length_m for road in roads_of(scene)] for name, scene in scenes.items()}
+    assert sum(140 <= length_m <= 150 for length_m in lengths["told"]) == 1, "the street to the further junction"
+    assert all(280 <= length_m <= 300 for length_m in lengths["told"] if length_m > 150)
+    assert all(75 <= length_m <= 230 for length_m in lengths["usual"])
+    assert len(lengths["told"]) == (6 if junction == "crossing" else 5), "three arms of a ring, and a T behind one"
+    kinds = {building.kind for building in told.roadside.buildings}
+    assert kinds == {"house"}
+    per_m = {name: len(scene.roadside.buildings) / sum(lengths[name]) for name, scene in scenes.items()}
+    assert per_m["told"] < per_m["usual"], "wider gaps"
+    limits = {sign.kind for sign in told.roadside.signs if sign.kind.startswith("speed")}
+    assert limits == {"speed_30"}
+    assert max(car.speed_m_s for car in told.cars) < 5 * 1.08 + 1e-6 < max(car.speed_m_s for car in usual.cars)
+    assert (round(row_step_m(told)), round(row_step_m(usual))) == (19, 11)
+    if junction == "crossing":
+        greens = {
+            phase.seconds for signal in told.roadside.signals for phase in signal.phases if phase.state == "green"
+        }
+        assert greens
+        assert all(any(low <= green_s <= low + 1 for low in (30, 40, 50)) for green_s in greens)
+
+
+def roads_of(scene: Scene):  # type: ignore[no-untyped-def]
+    """The streets of a town."""
+    assert scene.map is not None
+    return [road for road in scene.map.roads if road.junction is None and road.id.startswith("s")]
+
+
+def row_step_m(scene: Scene) -> float:
+    """The usual distance of a tree from the nearest one."""
+    xy = np.array([(tree.x_m, tree.y_m) for tree in scene.trees])
+    away_m = np.linalg.norm(xy[:, None] - xy[None], axis=-1) + np.diag(np.full(len(xy), np.inf))
+    return float(np.median(away_m.min(axis=1)))
+
+
 def test_planted_faults_of_a_map_are_found() -> None:
     roads = town(1, "town.junction=crossing", "town.n_more=0").scene.map
     assert roads is not None

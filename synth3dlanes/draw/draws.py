@@ -56,6 +56,11 @@ class Draw:
         """The value of parameter `key` of the group for a random number in [0, 1), not rounded, in its own unit."""
         return getattr(self.group, key).draw(u)
 
+    def weights(self, key: str) -> dict[str, float]:
+        """The weights of the names that parameter `key` of the group may have."""
+        names = getattr(self.group, key)
+        return dict(zip(names.values, names.weights, strict=True))
+
     def least(self, key: str) -> Any:
         """The least value that a parameter of the group may have, in its own unit."""
         return extent(getattr(self.group, key))[0]

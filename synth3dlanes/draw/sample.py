@@ -160,22 +160,26 @@ def _map_world(scenes: Scenes, given: MapPlace, index: int, of: DrawsOf) -> Worl
 def _town_world(scenes: Scenes, index: int, of: DrawsOf) -> World:
     """Draw and resolve a town: its map and the host's way, the traffic, then what stands along the streets."""
     terrain, markings, assets = _terrain(of("terrain")), _plain(Markings, of("markings")), scenes.assets
-    town = draw_map(of("town"), of("town", "town_layout").rng, markings)
+    own = of("town_streets")
+    bay_m, trees_apart_m = own("bay_m"), own("trees_apart_m")
+    town = draw_map(of("town"), own, of("town", "town_layout").rng, markings)
     camera = _camera(of("camera"), {"lane": 1, "y_m": round(town.host.at_m, DECIMALS)})
     town = town._replace(host=town.host._replace(offset_m=camera.offset_m))
     shot, flow = _shot(scenes.shots, None), of("town", "town_flow")
-    traffic = drive(town, of("cars", "town_traffic"), assets, flow("traffic"), shot.duration_s)
+    traffic = drive(town, of("cars", "town_traffic"), own, assets, flow("traffic"), shot.duration_s)
     place = {"terrain": terrain, "road": None, "map": town.map.road_map(town.host.lanes), "town": town.map.town}
     bare = _bare(scenes, index, of, place | {"camera": camera, "shot": shot_of(town, traffic, shot, terrain)})
     world = resolve(bare)
     roadside = furnish(
-        town.map, traffic.lights, world.ground, of("town", "town_fronts"), of("roadside"), of("structures")
+        town.map, traffic.lights, world.ground, of("town", "town_fronts"), of("roadside"), of("structures"), own
     )
     looks = of("cars", "town_cars")
     cars = cars_of(town, traffic, terrain, looks, assets)
-    cars += parked_cars(town, traffic, flow("parked"), looks, assets)
+    cars += parked_cars(town, traffic, flow("parked"), bay_m, looks, assets)
     world = world.furnished(bare.model_copy(update={"roadside": roadside, "cars": cars}))
-    trees = street_trees(town.map, world.ground, roadside, of("town", "town_trees"), of("trees", "street_trees"))
+    trees = street_trees(
+        town.map, world.ground, roadside, of("town", "town_trees"), trees_apart_m, of("trees", "street_trees")
+    )
     trees += draw_trees(world, of("trees"), of("trees", "tree_places"))
     return world.furnished(world.scene.model_copy(update={"trees": trees}))
 

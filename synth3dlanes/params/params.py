@@ -79,10 +79,10 @@ REPLACED = {
 # Groups that were added later; parameters without them have their defaults, or the values of the reference.
 OPTIONAL: tuple[str, ...] = (
     *("symbols", "weather", "host", "vegetation", "roadside", "motion", "town"),
-    *(*KINDS, *DAYTIMES, "structures"),
+    *(*KINDS, *DAYTIMES, "structures", "town_streets"),
 )
 # Groups whose values stand in the reference alone.
-IN_REFERENCE = (*KINDS, *DAYTIMES, "structures")
+IN_REFERENCE = (*KINDS, *DAYTIMES, "structures", "town_streets")
 # If more keys than this are missing, one line names them all.
 MAX_MISSING = 3
 
@@ -457,6 +457,38 @@ class TownParams(Group):
     street_trees: Fraction = added(0.3)
 
 
+Green = Annotated[Real, reals(3, 120)]
+Setback = Annotated[Real, reals(0.5, 30)]
+
+
+class TownStreetParams(Group):
+    """The streets of towns and what stands and drives along them, beyond the choices of `town` (docs/town.md)."""
+
+    open_street_m: Annotated[Real, reals(120, 400)]
+    link_street_m: Annotated[Real, reals(70, 200)]
+    staggered_m: Annotated[Real, reals(30, 100)]
+    edge_lines: Flag
+    four_arms: Flag
+    further: Annotated[Named, names("t", "crossing")]
+    further_signals: Flag
+    green_major_s: Green
+    green_major_left_s: Green
+    green_minor_s: Green
+    far_signals: Flag
+    speed_limit: Annotated[Named, names("speed_30", "speed_50")]
+    building: Annotated[Named, names("block", "house", "hall")]
+    alike: Fraction
+    gap_m: Annotated[Real, reals(0.3, 50)]
+    house_setback_m: Setback
+    block_setback_m: Setback
+    hall_setback_m: Setback
+    trees_apart_m: Annotated[Real, reals(3, 100)]
+    bay_m: Annotated[Real, reals(6.3, 50)]
+    speed_m_s: Annotated[Real, reals(3, 20)]
+    turn: Annotated[Named, names("left", "straight", "right")]
+    arrival_s: Annotated[Real, reals(1, 600)]
+
+
 def _read_kept(read: Any) -> tuple[str, ...]:
     """Keys that weather or time of day replace, in order; raise ValueError."""
     known = sorted(REPLACED.values())
@@ -506,6 +538,7 @@ class Params(Group):
     structures: StructureParams = _as_in_reference("structures")
     motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
     town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
+    town_streets: TownStreetParams = _as_in_reference("town_streets")
     kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
 
     @model_validator(mode="before")

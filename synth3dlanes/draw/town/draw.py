@@ -19,8 +19,8 @@ from synth3dlanes.scene.scene import Car, Markings, Terrain
 from synth3dlanes.scene.town import ROUNDABOUTS, Town
 from synth3dlanes.world.placement import footprint, overlaps_any
 
-# A parked car takes so much of the kerb; it stands so far from the end of the parking lane.
-BAY_M, BAY_END_M, SHORT_M = 6.6, 4.0, 5.4
+# Least distance of parked cars from the ends of a parking lane, and their greatest length.
+BAY_END_M, SHORT_M = 4.0, 5.4
 N_BENDS = 4
 # Cars that are farther from the host's place are left out: parked ones, and those that drive.
 PARKED_M, MOVING_M = 90.0, 160.0
@@ -60,13 +60,13 @@ def ruled(drawn: dict[str, object]) -> dict[str, object]:
     return drawn | {"n_lanes": n_lanes, "n_side": min(n_side, n_lanes)}
 
 
-def draw_map(draw: Draw, layout: np.random.Generator, markings: Markings) -> DrawnTown:
+def draw_map(draw: Draw, own: Draw, layout: np.random.Generator, markings: Markings) -> DrawnTown:
     """A town, laid out, and the host's way."""
-    town_map = lay_out(town_of(draw), markings, layout)
-    return DrawnTown(town_map, plan_host(town_map, LaneLines(town_map), layout))
+    town_map = lay_out(town_of(draw), markings, own, layout)
+    return DrawnTown(town_map, plan_host(town_map, LaneLines(town_map), own, layout))
 
 
-def drive(drawn: DrawnTown, looks: Draw, assets: Assets, flow: float, duration_s: float) -> TownDrive:
+def drive(drawn: DrawnTown, looks: Draw, own: Draw, assets: Assets, flow: float, duration_s: float) -> TownDrive:
     """The traffic of a town; `flow` is the share of the densest."""
 
     def body(may_be_long: bool) -> CarBody:
@@ -80,7 +80,7 @@ def drive(drawn: DrawnTown, looks: Draw, assets: Assets, flow: float, duration_s
         assert found is not None, "some draws were made"
         return found
 
-    return simulate(drawn.map, drawn.host, body, flow, duration_s, looks.rng)
+    return simulate(drawn.map, drawn.host, body, flow, duration_s, own, looks.rng)
 
 
 def shot_of(drawn: DrawnTown, found: TownDrive, shot: Shot, terrain: Terrain) -> Shot:
@@ -111,7 +111,9 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
     return tuple(cars)
 
 
-def parked_cars(drawn: DrawnTown, found: TownDrive, share: float, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+def parked_cars(
+    drawn: DrawnTown, found: TownDrive, share: float, bay_m: float, looks: Draw, assets: Assets
+) -> tuple[Car, ...]:
     """Cars in the parking lanes near the host, which stand beside the outermost lanes, where nobody who drives would
     touch them: in bends the ends of long vehicles swing out of their lanes."""
     cars, rng = list[Car](), looks.rng
@@ -125,7 +127,7 @@ def parked_cars(drawn: DrawnTown, found: TownDrive, share: float, looks: Draw, a
                     continue
                 lane = [key for key in LANES if key in names][-1]
                 start_m = street.stations[i]
-                places = np.arange(start_m + BAY_END_M, start_m + piece.length_m - BAY_END_M, BAY_M)
+                places = np.arange(start_m + BAY_END_M, start_m + piece.length_m - BAY_END_M, bay_m)
                 away_m = np.linalg.norm(poses(street.plan, places)[0] - host, axis=1)
                 for s_m, its_away_m in zip(places.tolist(), away_m.tolist(), strict=True):
                     if rng.random() >= share or its_away_m > PARKED_M:

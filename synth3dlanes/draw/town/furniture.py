@@ -3,12 +3,11 @@ metres."""
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 
 from synth3dlanes.draw.draws import DECIMALS, Draw
-from synth3dlanes.draw.roadside import FRONTS, ROOFS, building_size, floor_plan, shaded
+from synth3dlanes.draw.roadside import FRONTS, ROOFS, BuildingKind, building_size, floor_plan, shaded
 from synth3dlanes.draw.town.junctions import Arm
 from synth3dlanes.draw.town.layout import TownMap
 from synth3dlanes.draw.town.lights import Lights
@@ -30,23 +29,21 @@ BEHIND_KERB_M, BESIDE_M = 0.5, 0.8
 HEAD_M, OVERHEAD_M, SIGN_M = 2.3, 5.2, 2.1
 # From the junction to the signs of the priority road and of speed.
 PRIORITY_M, SPEED_M = 16.0, 62.0
-# Buildings begin so far from where an arm does (before it: at the corner); steps where there is no room; gaps; fronts
-# behind walkways, by kind.
-FIRST_M, STEP_M, GAPS_M = -12.0, 4.0, (0.6, 9.0)
-SETBACK_M = {"house": (3.0, 8.0), "block": (0.8, 3.0), "hall": (6.0, 14.0)}
-KINDS: tuple[Literal["house", "hall", "block"], ...] = ("block", "house", "hall")
+# Buildings begin so far from where an arm does (before it: at the corner); steps where there is no room.
+FIRST_M, STEP_M = -12.0, 4.0
+KINDS: tuple[BuildingKind, ...] = ("block", "house", "hall")
 # Walls keep off pavements so far that eaves do.
 ROOM_M, RIM_M, MOST_BUILDINGS = 1.2, 1.5, 110
-TREES_APART_M, TREE_BEHIND_M = 11.0, 1.2
+TREE_BEHIND_M = 1.2
 
 
 def furnish(
-    town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: Draw, lamps: Draw, sizes: Draw
+    town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: Draw, lamps: Draw, sizes: Draw, own: Draw
 ) -> Roadside:
-    """All that stands along the streets, but trees."""
+    """All that stands along the streets, but trees: the share of fronts by `draw`, sizes of buildings by `sizes`."""
     rng = draw.rng
     signals, signs = list[TrafficSignal](), list[TrafficSign]()
-    has_far = bool(rng.random() < 0.5)
+    has_far = own.at("far_signals", rng.random())
     for rules in town_map.junctions:
         for number in range(len(rules.junction.arms)):
             back_m = line_m(town_map.town.has_crosswalks)
@@ -54,11 +51,11 @@ def furnish(
                 signals += _signals(rules, number, lights[rules.junction.id], (has_far, back_m))
             else:
                 signs += _signs(rules, number, back_m)
-    limit: SignKind = "speed_30" if rng.random() < 0.4 else "speed_50"
+    limit: SignKind = own.at("speed_limit", rng.random())
     signs += _speed_signs(town_map, limit)
     posts = tuple(_lamps(town_map, lamps))
     drawn = Roadside(posts=posts, signals=tuple(signals), signs=tuple(signs))
-    buildings = _buildings(town_map, ground, draw("fronts"), sizes, rng)
+    buildings = _buildings(town_map, ground, draw("fronts"), sizes, own, rng)
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
@@ -191,30 +188,31 @@ def _lamps(town_map: TownMap, draw: Draw) -> Iterator[Post]:
                 yield Post(kind="lamp", height_m=height_m, **place)
 
 
-def _buildings(town_map: TownMap, ground: Ground, share: float, sizes: Draw, rng: Rng) -> list[Building]:
+def _buildings(town_map: TownMap, ground: Ground, share: float, sizes: Draw, own: Draw, rng: Rng) -> list[Building]:
     """Buildings along the streets, the first ones at the corners; rows of one kind."""
     found: list[Building] = []
     taken: list[np.ndarray] = []
+    alike = own("alike")
     if not share:
         return found
-    usual = KINDS[int(rng.choice(3, p=[0.55, 0.35, 0.1]))]
+    usual: BuildingKind = own.at("building", rng.random())
     for street in town_map.streets:
         for side in ("left", "right"):
             s_m = FIRST_M + float(rng.uniform(0, 2))
             while s_m < street.length_m - 8 and len(found) < MOST_BUILDINGS:
-                kind = usual if rng.random() < 0.85 else KINDS[int(rng.random() * 3)]
+                kind = usual if rng.random() < alike else KINDS[int(rng.random() * 3)]
                 width_m, length_m, height_m = building_size(sizes, kind, rng)
                 form = kind, width_m, length_m, height_m
                 if rng.random() >= share:
-                    s_m += length_m + float(rng.uniform(*GAPS_M))
+                    s_m += length_m + own.at("gap_m", rng.random())
                     continue
-                building = _building(street, side, s_m, form, rng)
+                building = _building(street, side, s_m, form, own, rng)
                 outline = floor_plan(building)
                 corners = outline[[0, 6, 48, 42]]
                 if _has_room(ground, outline, height_m) and not (taken and overlaps_any(corners, np.array(taken))):
                     found.append(building)
                     taken.append(corners)
-                    s_m += length_m + float(rng.uniform(*GAPS_M)) * (0.3 if kind == "block" else 1.0)
+                    s_m += length_m + own.at("gap_m", rng.random()) * (0.3 if kind == "block" else 1.0)
                 else:
                     s_m += STEP_M
     return found
@@ -235,13 +233,14 @@ def _building(
     street: Street,
     side: str,
     s_m: float,
-    form: tuple[Literal["house", "hall", "block"], float, float, float],
+    form: tuple[BuildingKind, float, float, float],
+    own: Draw,
     rng: Rng,
 ) -> Building:
     kind, width_m, length_m, height_m = form
     pose = _at(street, min(s_m + length_m / 2, street.length_m))
     out_m = _paved(street, min(s_m + length_m / 2, street.length_m), side) + street.profile.walkway_m
-    out_m += width_m / 2 + float(rng.uniform(*SETBACK_M[kind])) + 0.3
+    out_m += width_m / 2 + own.at(f"{kind}_setback_m", rng.random()) + 0.3
     at = pose.moved(0.0, out_m if side == "left" else -out_m)
     return Building(
         kind=kind,
@@ -256,7 +255,9 @@ def _building(
     )
 
 
-def street_trees(town_map: TownMap, ground: Ground, roadside: Roadside, draw: Draw, looks: Draw) -> tuple[Tree, ...]:
+def street_trees(
+    town_map: TownMap, ground: Ground, roadside: Roadside, draw: Draw, apart_m: float, looks: Draw
+) -> tuple[Tree, ...]:
     """Trees in rows behind the walkways, where no building stands."""
     share, rng = draw("street_trees"), draw.rng
     found: list[Tree] = []
@@ -265,7 +266,7 @@ def street_trees(town_map: TownMap, ground: Ground, roadside: Roadside, draw: Dr
     for street in town_map.streets if share else ():
         for side, sign in (("left", 1), ("right", -1)):
             model = models[int(rng.random() * len(models))]
-            for s_m in np.arange(8.0, street.length_m - 5, TREES_APART_M).tolist():
+            for s_m in np.arange(8.0, street.length_m - 5, apart_m).tolist():
                 if rng.random() >= share:
                     continue
                 pose = _at(street, s_m)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.draw.draws import Draw
 from synth3dlanes.draw.town.junctions import Arm, crossing, setbacks, turn_of
 from synth3dlanes.draw.town.paint import islands_of, paint_of, painted
 from synth3dlanes.draw.town.plan import PlanPose, chain, end_of, sampled
@@ -20,8 +21,6 @@ from synth3dlanes.scene.town import Control, JunctionKind, Town
 from synth3dlanes.system.arrays import Points2
 
 Rng = np.random.Generator
-# Lengths of streets that end, of those to another junction, and of the one between both parts of a staggered one.
-OPEN_M, LINK_M, STAGGER_M = (170.0, 230.0), (75.0, 130.0), (32.0, 60.0)
 # A street is straight for so long at a junction, and bends by spirals and an arc of these lengths.
 STRAIGHT_M, SPIRAL_M, ARC_M = 20.0, 25.0, 30.0
 # Middles of streets keep this far apart, away from the junctions that they share.
@@ -81,13 +80,13 @@ class TownMap:
         )
 
 
-def lay_out(town: Town, markings: Markings, rng: Rng) -> TownMap:
+def lay_out(town: Town, markings: Markings, own: Draw, rng: Rng) -> TownMap:
     """The map of a town. Where streets come too close to each other, they are drawn anew, then with smaller bends, at
     last with none and without further junctions."""
     for bend, has_more in ATTEMPTS:
         bends = tuple(round(bend * angle, 6) for angle in town.bends_rad)
         changed = town.model_copy(update={"bends_rad": bends, "n_more": town.n_more if has_more else 0})
-        found = _Growth(changed, markings, rng).grown()
+        found = _Growth(changed, markings, own, rng).grown()
         if _are_apart(found.streets):
             break
     return replace(found, town=town)
@@ -96,8 +95,8 @@ def lay_out(town: Town, markings: Markings, rng: Rng) -> TownMap:
 class _Growth:
     """A town that grows, junction by junction."""
 
-    def __init__(self, town: Town, markings: Markings, rng: Rng) -> None:
-        self.town, self.rng = town, rng
+    def __init__(self, town: Town, markings: Markings, own: Draw, rng: Rng) -> None:
+        self.town, self.own, self.rng = town, own, rng
         self.main = self._profile(town.n_lanes, town.median_m, markings)
         self.side = self._profile(town.n_side, 0.0, markings)
         self.streets: list[Street] = []
@@ -135,13 +134,13 @@ class _Growth:
             walkway_m=town.walkway_m,
             divider=among[int(self.rng.random() * len(among))],
             yellow=markings.left_yellow,
-            edge_lines=bool(self.rng.random() < 0.35),
+            edge_lines=self.own.at("edge_lines", self.rng.random()),
         )
 
     def _planned(self, kind: JunctionKind, control: Control, turn_lanes: bool) -> list[Planned]:
         """The arms of a junction, counter-clockwise from the one at -90 degrees, from which the main road comes."""
         town = self.town
-        four = kind == "crossing" or (kind.startswith("roundabout") and self.rng.random() < 0.7)
+        four = kind == "crossing" or (kind.startswith("roundabout") and self.own.at("four_arms", self.rng.random()))
         side = town.angle_rad + (np.pi if not four and self.rng.random() < 0.5 else 0.0)
         sides = [side, side + np.pi] if four else [side]
         angles = sorted(
@@ -192,8 +191,8 @@ class _Growth:
         arm, pose = planned[i], placed.poses[i]
         bends = self.town.bends_rad
         bend = bends[i] if placed.number == 0 and i < len(bends) else 0.0
-        low, high = {"": OPEN_M, "link": LINK_M, "stagger": STAGGER_M}[link]
-        length_m = round(float(self.rng.uniform(low, high)), 3)
+        key = {"": "open_street_m", "link": "link_street_m", "stagger": "staggered_m"}[link]
+        length_m = round(self.own.at(key, self.rng.random()), 3)
         pocket = NO_POCKET if link == "stagger" else arm.pocket
         length_m += pocket.length_m if pocket.left or pocket.right else 0.0
         plan = _plan(pose, length_m, bend if link != "stagger" else 0.0)
@@ -202,10 +201,11 @@ class _Growth:
         placed.streets[i] = street
         if not link:
             return
-        kind: JunctionKind = "t" if link == "stagger" or self.rng.random() < 0.5 else "crossing"
+        kind: JunctionKind = "t" if link == "stagger" else self.own.at("further", self.rng.random())
         control: Control = self.town.control
         if link != "stagger" and not self.town.junction.startswith("roundabout"):
-            control = "signals" if control == "signals" and self.rng.random() < 0.5 else "priority"
+            has_signals = control == "signals" and self.own.at("further_signals", self.rng.random())
+            control = "signals" if has_signals else "priority"
         beyond = self._beyond(arm, kind, planned if link == "stagger" else None)
         child = self._place(end_of(plan), beyond, street)
         for j in range(1, len(beyond)):

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from synth3dlanes.draw.draws import Draw
 from synth3dlanes.draw.town.rules import JunctionRules, LightGroup
 from synth3dlanes.scene.traffic_elements import Phase, SignalState
 
 AMBER_S, RED_AMBER_S, CLEAR_S = 3.0, 1.0, 2.0
-GREEN_S: dict[LightGroup, tuple[float, float]] = {"major": (12.0, 24.0), "major_left": (6.0, 9.0), "minor": (9.0, 16.0)}
 
 
 class Lights(NamedTuple):
@@ -19,11 +19,11 @@ class Lights(NamedTuple):
     shift_s: float
 
     @classmethod
-    def draw(cls, rules: JunctionRules, rng: np.random.Generator) -> "Lights":
+    def draw(cls, rules: JunctionRules, own: Draw, rng: np.random.Generator) -> "Lights":
         """The lights of a junction."""
         has_arrow = any(rules.has_arrow(i) for i in rules.major)
         groups: tuple[LightGroup, ...] = ("major", "major_left", "minor") if has_arrow else ("major", "minor")
-        green_s = tuple(round(float(rng.uniform(*GREEN_S[group])), 1) for group in groups)
+        green_s = tuple(round(own.at(f"green_{group}_s", rng.random()), 1) for group in groups)
         cycle_s = sum(green_s) + len(groups) * (AMBER_S + CLEAR_S)
         return cls(groups, green_s, round(float(rng.uniform(0, cycle_s)), 1))
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.draw.draws import Draw
 from synth3dlanes.draw.town.drive import STANDING, STEP_S, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.draw.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.draw.town.layout import TownMap
@@ -20,13 +21,12 @@ from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 Rng = np.random.Generator
 # Before its place the host drives so far, for so long at most.
 RUN_UP_M, PATIENCE_S = 80.0, 150.0
-# Least free length between cars at the start, mean waiting time of those that come later, and the most cars.
-FREE_M, COMES_S, MOST = 7.0, 9.0, 60
+# Least free length between cars at the start, and the most cars.
+FREE_M, MOST = 7.0, 60
 # Bodies are apart by this in every direction.
 APART_M = 0.12
 # Vehicles longer than this go straight on only.
 LONG_M = 6.5
-WEIGHTS = {"left": 1.0, "straight": 2.5, "right": 1.2}
 # Routes end after so many junctions.
 MOST_JUNCTIONS = 4
 
@@ -68,7 +68,7 @@ class HostPlan(NamedTuple):
     offset_m: float = 0.0
 
 
-def plan_host(town_map: TownMap, lines: LaneLines, rng: Rng) -> HostPlan:
+def plan_host(town_map: TownMap, lines: LaneLines, own: Draw, rng: Rng) -> HostPlan:
     """A way of the host through the first junction with the turn that was drawn, and its place before, in or behind."""
     town, rules = town_map.town, town_map.junctions[0]
     ways = [way for way in rules.ways if way.turn == town.host_turn]
@@ -77,7 +77,7 @@ def plan_host(town_map: TownMap, lines: LaneLines, rng: Rng) -> HostPlan:
     found: HostPlan | None = None
     for way in order:
         lanes = _before(town_map, way.lanes[0]) + list(way.lanes[1:])
-        lanes = _onward(town_map, lanes, rng)
+        lanes = _onward(town_map, lanes, own, rng)
         route = Route(lanes, lines)
         first, last = route.place[way.lanes[1]], route.place[way.lanes[-1]]
         enters_m, leaves_m = route.starts[first], route.starts[last]
@@ -95,17 +95,33 @@ def plan_host(town_map: TownMap, lines: LaneLines, rng: Rng) -> HostPlan:
 
 
 def simulate(
-    town_map: TownMap, host: HostPlan, draw_body: Callable[[bool], CarBody], flow: float, duration_s: float, rng: Rng
+    town_map: TownMap,
+    host: HostPlan,
+    draw_body: Callable[[bool], CarBody],
+    flow: float,
+    duration_s: float,
+    own: Draw,
+    rng: Rng,
 ) -> TownDrive:
     """Traffic until the host is at its place, and from then on for a clip. Where the host does not get there, with
     fewer cars. `draw_body` draws a car that is long only if it may be; `flow` is the share of the most traffic."""
     lines = LaneLines(town_map)
-    seed = int(rng.integers(2**62))
+    seed, usual = int(rng.integers(2**62)), _Usual(own, own("arrival_s"), own.rng.random())
     for share in (1.0, 0.4, 0.0):
-        found = _Simulation(town_map, lines, host, draw_body, flow * share, np.random.default_rng(seed)).run(duration_s)
+        again = np.random.default_rng(seed)
+        found = _Simulation(town_map, lines, host, draw_body, flow * share, usual, again).run(duration_s)
         if found is not None:
             return found
     raise AssertionError("a host alone gets to its place")
+
+
+class _Usual(NamedTuple):
+    """What all cars of a town have in common: the parameters, the mean time between those that enter a street, and a
+    number in [0, 1) that is part of the one for their speed."""
+
+    own: Draw
+    arrival_s: float
+    u: float
 
 
 class _Simulation:
@@ -116,15 +132,19 @@ class _Simulation:
         host: HostPlan,
         draw_body: Callable[[bool], CarBody],
         flow: float,
+        usual: _Usual,
         rng: Rng,
     ) -> None:
         self.town_map, self.lines, self.flow, self.rng = town_map, lines, flow, rng
-        self.draw_body = draw_body
+        self.draw_body, self.usual = draw_body, usual
         self.has_crosswalks = town_map.town.has_crosswalks
         self.lights = {
-            each.junction.id: Lights.draw(each, rng) for each in town_map.junctions if each.control == "signals"
+            each.junction.id: Lights.draw(each, usual.own, rng)
+            for each in town_map.junctions
+            if each.control == "signals"
         }
-        self.wish = float(rng.choice([8.3, 11.0, 13.9]))
+        # Three parts of [0, 1) by this stream, as in earlier versions, and a place in the part.
+        self.wish = usual.own.at("speed_m_s", (int(rng.integers(3)) + usual.u) / 3)
         self.traffic = TownTraffic(lines, self.lights)
         self.bodies: dict[int, CarBody] = {}
         self._gates: dict[tuple[str, ...], tuple[Route, tuple[Gate, ...]]] = {}
@@ -139,7 +159,7 @@ class _Simulation:
     def run(self, duration_s: float) -> TownDrive | None:
         """Drive; None if the host does not get to its place."""
         entries = self._entries()
-        waits = {entry: float(self.rng.exponential(COMES_S / max(self.flow, 0.05))) for entry in entries}
+        waits = {entry: float(self.rng.exponential(self.usual.arrival_s / max(self.flow, 0.05))) for entry in entries}
         traffic = self.traffic
         while self.host.at_m < self.at_m:
             if traffic.time_s > PATIENCE_S:
@@ -148,7 +168,7 @@ class _Simulation:
             for entry in entries:
                 waits[entry] -= STEP_S
                 if waits[entry] < 0 and self.flow > 0:
-                    waits[entry] = float(self.rng.exponential(COMES_S / self.flow))
+                    waits[entry] = float(self.rng.exponential(self.usual.arrival_s / self.flow))
                     self._come(entry)
             traffic.drivers = [driver for driver in traffic.drivers if driver.is_host or not driver.is_done]
         self.host.at_m = self.at_m
@@ -182,7 +202,7 @@ class _Simulation:
 
     def _add(self, lanes: Sequence[str], at_m: float, speed: float) -> bool:
         """Add a car on its way from these lanes on, if there is room for it."""
-        route = _onward(self.town_map, list(lanes), self.rng)
+        route = _onward(self.town_map, list(lanes), self.usual.own, self.rng)
         is_straight = all(self._is_straight(lane) for lane in route)
         body = self.draw_body(is_straight)
         driver = self._driver(tuple(route), at_m, body.length_m, speed)
@@ -302,7 +322,7 @@ def _before(town_map: TownMap, lane: str) -> list[str]:
     return found
 
 
-def _onward(town_map: TownMap, lanes: list[str], rng: Rng) -> list[str]:
+def _onward(town_map: TownMap, lanes: list[str], own: Draw, rng: Rng) -> list[str]:
     """A route from its lanes on: along streets, and at junctions by ways drawn by their turns."""
     after = {a: b for street in town_map.streets for a, b in street.links}
     ways: dict[str, list[JunctionWay]] = {}
@@ -315,7 +335,8 @@ def _onward(town_map: TownMap, lanes: list[str], rng: Rng) -> list[str]:
         if last in after:
             found.append(after[last])
         elif last in ways and passed < MOST_JUNCTIONS:
-            weights = np.array([WEIGHTS[way.turn] for way in ways[last]])
+            weights = np.array([own.weights("turn").get(way.turn, 0.0) for way in ways[last]])
+            weights = weights if weights.any() else np.ones(len(weights))
             way = ways[last][int(rng.choice(len(weights), p=weights / weights.sum()))]
             if set(way.lanes[1:]) & set(found):
                 return found
