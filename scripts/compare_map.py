@@ -53,7 +53,10 @@ def drawn(path: Path, index: int) -> Drawn:
     world = sample_world(Scenes(load_params(PRESET), 1, "train", map=MapPlace(given)), index)
     site, view = world.site, world.view
     labels = label(world, view)
-    _ = site.pavement, site.terrain, site.structures, world.paint(view), world.symbols(view), world.grass(view)
+    _ = (
+        (site.surfaces.pavement, site.surfaces.terrain, site.structures),
+        (world.paint(view), world.symbols(view), world.tar(view), world.ghost_lines(view), world.grass(view)),
+    )
     seconds = time.process_time() - start
     return Drawn(apart(world, labels, given, read(path.read_bytes())), seconds)
 

@@ -144,9 +144,9 @@ def build(
 
 def _add_ground(materials: Materials, world: World) -> None:
     road, shoulder, terrain = materials.ground(world.scene.surface)
-    for mesh in [world.site.terrain, *world.site.verges]:
+    for mesh in [world.site.surfaces.terrain, *world.site.surfaces.verges]:
         _add_object("ground", new_mesh(mesh, [terrain]), 0)
-    for mesh in world.site.pavement:
+    for mesh in world.site.surfaces.pavement:
         _add_object("ground", new_mesh(mesh, [road, shoulder, terrain]), 0)
 
 

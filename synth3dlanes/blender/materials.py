@@ -123,7 +123,7 @@ def set_materials(materials: Materials, world: World) -> None:
     wear.translation = (0.25 * parity, 0, 0)
     set_value(road, "median_at_m", lanes.median_at_m)
     set_value(road, "median_m", median_m)
-    joint_m, darker = joint(network, surface.joint, scene.stream) if world.site.has_seams else (0.0, 0.0)
+    joint_m, darker = joint(network, surface.joint, scene.stream)
     set_value(road, "gloss", surface.road_gloss)
     set_value(road, "joint_m", joint_m)
     set_value(road, "darker", darker if surface.joint else 0.0)

@@ -73,12 +73,12 @@ def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[Came
 
 def _surfaces(view: SceneView, world: World) -> list[Triangles]:
     """The ground, the roads and their paint."""
-    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.site.verges]
-    roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.site.pavement]
+    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.site.surfaces.verges]
+    roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.site.surfaces.pavement]
     yellow = {line.id for line in world.site.lines if paint_color(line, world.scene.markings) == "yellow"}
     strips = world.paint(world.view)
     paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in strips.items()]
-    terrain = [_mesh(view, world.site.terrain, _GRASS), *surfaces]
+    terrain = [_mesh(view, world.site.surfaces.terrain, _GRASS), *surfaces]
     return [_merge("terrain", terrain), _merge("road", roads), _merge("paint", paint)]
 
 

@@ -1,7 +1,7 @@
 """The network of a map: its roads have stations of their own, and the host drives along a route. World frame, metres;
 the rules are in docs/network.md."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -73,7 +73,14 @@ class MapNetwork(Network):
     @property
     def across(self) -> LanePattern:
         """Lanes lie one beside the other across the texture of every road."""
-        return LanePattern(self.lane_width_m, 0)
+        return LanePattern(self.lane_width_m, 0, is_along=False)
+
+    @property
+    def host_stretches(self) -> list[tuple[Road, float, float]]:
+        """The sections of the roads that the host drives on, junctions left out."""
+        lanes = [lane for lane in self.way.lanes if lane.junction is None]
+        found = {id(at): at for at in (self.road(lane.road).stretch_of(lane) for lane in lanes)}
+        return [(at, at.start_m, at.end_m) for at in found.values()]
 
     @property
     def main(self) -> SectionRoad:
@@ -165,6 +172,13 @@ class MapNetwork(Network):
         path = self.path(lane)
         piece = next(piece for at, piece in zip(path.lanes, path.pieces, strict=True) if at.id == lane)
         return path, np.vectorize(piece.station, otypes=[float])(driven_m)
+
+    def places_around(self, lane: str | None, s_m: float) -> Callable[[Points2], Points3]:
+        """World points of places (right, ahead) in metres, as its traffic drives, from a station of the road of a lane;
+        without a lane, from a length of the host's way."""
+        way = self.way if lane is None else self.way_through([self.lanes[lane]])
+        at_m = s_m if lane is None else way.pieces[0].station(s_m)
+        return lambda places: way.points_beside(np.clip(at_m + places[:, 1], 0.0, way.end_m), places[:, 0])
 
     # -- labels
 

@@ -1,7 +1,7 @@
 """Roads as one kind of network: roads, their lanes and painted lines, and the links between lanes. World frame, metres;
 the rules are in docs/network.md."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.labels.labels import LaneGraph, Segment
 from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, joined, neighbours
-from synth3dlanes.roads.roads import NetworkLane, Road, lift
+from synth3dlanes.roads.roads import NetworkLane, Offset, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.host import Camera
 from synth3dlanes.scene.scene import Car, Terrain
@@ -23,11 +23,15 @@ from synth3dlanes.system.errors import InputError
 GRAPH_END_M = 100.0
 # A common station this close to a line's own end is left out: two coinciding points have no direction.
 APART_M = 0.01
+# The host drives between these stations, and a little beyond.
+HOST_ROAD_M = 115.0
 # Steps along a road in which its extent is measured.
 EXTENT_STEP_M = 10.0
 # Points of the middle and the edges of lanes are this far apart, and where a lane begins at the end of another that is
 # on another road at least so far beyond that.
 LINES_STEP_M, LEAST_GAP_M = 0.5, 0.25
+# Stations around a place for which lengths along the road are measured.
+AROUND_M = np.arange(-10.0, 10.01, 0.25)
 
 
 class Nearby(NamedTuple):
@@ -41,12 +45,13 @@ class Nearby(NamedTuple):
 
 class LanePattern(NamedTuple):
     """How the lanes lie across the pavement's texture coordinates: their width, 1 where the middle of a lane is at 0
-    and 0 where an edge is, and where a median of which width is."""
+    and 0 where an edge is, and where a median of which width is; whether each place across is one along all roads."""
 
     width_m: float
     parity: int
     median_at_m: float = -1e6
     median_m: float = 0.0
+    is_along: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +70,11 @@ class Network:
     def main(self) -> Road:
         """The road whose stations scenes use."""
         return self.roads[0]
+
+    @property
+    def host_stretches(self) -> list[tuple[Road, float, float]]:
+        """The roads that the host drives on, each between two stations near it, junctions left out."""
+        return [(self.main, -HOST_ROAD_M, HOST_ROAD_M)]
 
     @property
     def across(self) -> LanePattern:
@@ -193,6 +203,23 @@ class Network:
     def in_lane(self, lane: str, driven_m: AnyScalars) -> tuple[LaneCurve, AnyScalars]:
         """The first centre line along a lane, and its stations, as the host drives, at stations of cars in it."""
         return self.path(lane), driven_m
+
+    def places_around(self, lane: str | None, s_m: float) -> Callable[[Points2], Points3]:
+        """World points of places (right, ahead) in metres, as the host drives, from a station of the middle of a lane
+        or, without a lane, of the main road's line."""
+        at = None if lane is None else self.lanes[lane]
+        road, middle = (self.main, Offset(0.0)) if at is None else (self.road(at.road), at.middle)
+        driven_m = s_m + AROUND_M
+        around = self.stations(driven_m)
+        steps = np.diff(road.xy(around, middle(around)), axis=0)
+        length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+        length_m -= np.interp(s_m, driven_m, length_m)
+
+        def points_world(places: Points2) -> Points3:
+            s = self.stations(np.interp(places[:, 1], length_m, driven_m))
+            return road.points(s, middle(s) + places[:, 0] * self.rightward)
+
+        return points_world
 
     def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of the points of every line, at these lengths of road ahead of the host and at its ends between

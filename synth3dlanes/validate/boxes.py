@@ -91,7 +91,7 @@ def structure_boxes(world: World) -> StructureBoxes:
         *(_crossing(world, crossing) for crossing in roadside.crossings),
         *([_building(world, building)] for building in roadside.buildings),
         *([_free(world, item)] for item in roadside.free_elements if item.has_pole),
-        *(_faces(body) for body in world.site.span_bodies),
+        *(_faces(body) for body in world.site.surfaces.bodies),
         *([_post(world, post)] for post in roadside.posts if post.kind == "sign"),
     ]
     on_gantries = [_crossing(world, crossing)[0] for crossing in roadside.crossings if crossing.kind == "gantry"]

@@ -42,14 +42,15 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
     world, camera = evidence.world, evidence.camera
     wheels = _ahead(camera, _wheels(world))
     trunks = _ahead(camera, world.site.trees_world + np.array([0, 0, TREE_SINK_M]))
-    on_ground_m = np.fmax(_under(world.site.verges, trunks), terrain_height(world.ground, trunks[:, :2]))
+    on_ground_m = np.fmax(_under(world.site.surfaces.verges, trunks), terrain_height(world.ground, trunks[:, :2]))
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
     feet = _ahead(camera, feet)
     under_m = np.fmax(
-        _under([*world.site.pavement, *world.site.verges], feet), terrain_height(world.ground, feet[:, :2])
+        _under([*world.site.surfaces.pavement, *world.site.surfaces.verges], feet),
+        terrain_height(world.ground, feet[:, :2]),
     )
     standing = [
-        ("wheel_gap_m", wheels, _under(world.site.pavement, wheels), MAX_WHEEL_M),
+        ("wheel_gap_m", wheels, _under(world.site.surfaces.pavement, wheels), MAX_WHEEL_M),
         ("tree_gap_m", trunks, on_ground_m, MAX_TREE_M),
         *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
     ]
@@ -131,11 +132,11 @@ def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Scalars
 
 def terrain_height(ground: Ground, xy: Points2) -> Scalars:
     """Height of the terrain mesh, interpolated bilinearly in its cells."""
-    xs, ys = meshes.terrain_axes(ground)
+    xs, ys = ground.mesh_axes
     j = np.clip(np.searchsorted(xs, xy[:, 0]) - 1, 0, len(xs) - 2)
     i = np.clip(np.searchsorted(ys, xy[:, 1]) - 1, 0, len(ys) - 2)
     corners = np.stack([xs[[j, j + 1, j, j + 1]], ys[[i, i, i + 1, i + 1]]], axis=-1)
-    z = meshes.terrain_heights(ground, corners)
+    z = ground.mesh_heights(corners)
     a, b = (xy[:, 0] - xs[j]) / (xs[j + 1] - xs[j]), (xy[:, 1] - ys[i]) / (ys[i + 1] - ys[i])
     near, far = z[0] + a * (z[1] - z[0]), z[2] + a * (z[3] - z[2])
     return np.asarray(near + b * (far - near))

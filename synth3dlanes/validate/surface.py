@@ -19,7 +19,6 @@ from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, R
 from synth3dlanes.validate.pixels import some_pixels
 from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.validate.standing import mesh_height, terrain_height
-from synth3dlanes.world import meshes
 from synth3dlanes.world.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.world.world import World
 
@@ -131,7 +130,7 @@ def check_holes(evidence: Evidence) -> Iterator[Result]:
     rays = evidence.camera.rays(np.column_stack([columns, rows]) + 0.5) @ evidence.camera.world_from_cam[:3, :3].T
     down = rays[:, 2] < 0
     rows, columns, rays = rows[down], columns[down], rays[down]
-    xs, ys = meshes.terrain_axes(evidence.world.ground)
+    xs, ys = evidence.world.ground.mesh_axes
     eye_world, last = evidence.camera.world_from_cam[:3, 3], np.array([[xs[0], ys[0]], [xs[-1], ys[-1]]])
     with np.errstate(divide="ignore"):
         way_m = np.abs((last[(rays[:, :2] > 0).astype(int), [0, 1]] - eye_world[:2]) / rays[:, :2]).min(axis=1)
@@ -215,7 +214,7 @@ def _exactly(world: World, points: Points3, pavement: Pavement) -> Iterator[Resu
     """Finding if depth is not exactly, along the pixels' rays, that of the mesh that is rendered."""
     near = np.flatnonzero((pavement.range_m > 0) & (pavement.range_m < NEAR_ROAD_M))
     near = near[:: 1 + len(near) // MAX_NEAR]
-    above_m = points[near, 2] - mesh_height(world.site.pavement, points[near, :2], points[near, 2] + SAME_M)
+    above_m = points[near, 2] - mesh_height(world.site.surfaces.pavement, points[near, :2], points[near, 2] + SAME_M)
     slant = pavement.up_world[near, 2] * pavement.range_m[near] / pavement.below_eye_m[near]
     off_m = (above_m * slant)[np.abs(above_m) < SAME_M]
     if len(off_m) < MIN_PIXELS:

@@ -19,8 +19,8 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Markings
-from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
-from synth3dlanes.world.horizon import FarHills
+from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.world.horizon import FarHills, far_dam, on_faces
 
 Spread = Float[np.ndarray, "*#n"]
 
@@ -44,7 +44,8 @@ FINE_M, FINE_BEHIND_M = 165.0, 10.0
 CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
 # Roads are looked for at least this much farther than their verges reach.
 NEAR_M = 3.0
-HORIZON_M = 4000.0
+# How far the terrain mesh goes: ahead and aside, and behind a host that does not look there.
+HORIZON_M, BEHIND_M = 4000.0, 300.0
 ROAD_BEHIND_M = 30.0
 # From here to the horizon each row of the road is longer than the previous one by this fraction.
 FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
@@ -221,7 +222,7 @@ class Ground:
         return found
 
     def cell_scale(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Terrain cell size as a multiple of CELL_M, as `meshes.terrain_axes` lays it out."""
+        """Terrain cell size as a multiple of CELL_M, as `mesh_axes` lays it out."""
         x0, y0, x1, y1 = self.fine
         out = np.maximum(
             np.maximum(x0 - xy_world[..., 0], xy_world[..., 0] - x1),
@@ -272,6 +273,50 @@ class Ground:
         pressed[near] = press(_nearest(roads, len(scale)), scale)
         z = terrain.height_at(self.network.terrain, flat) - pressed
         return np.asarray(z.reshape(xy_world.shape[:-1]))
+
+    @cached_property
+    def mesh_axes(self) -> tuple[Scalars, Float[np.ndarray, " m"]]:
+        """World x of the columns of the terrain mesh's vertices, and world y of their rows."""
+        x0, y0, x1, y1 = self.fine
+        return _axis(x0, x1, HORIZON_M), _axis(y0, y1, HORIZON_M if self.both_ways else BEHIND_M)
+
+    def mesh_heights(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Heights of the terrain mesh's vertices, far hills included."""
+        return self.terrain_mesh_height(xy_world) + self.hills.height(xy_world)
+
+    def points_beside(self, curve: LaneCurve, s: Scalars, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k 3"]:
+        """Points on the pavement as it is built: at each station of a curve those at all offsets from it."""
+        lines = [curve.shifted(at) for at in t.tolist()]
+        points = [self.lift_far(line.xy_world(s), line.raised(s) + far_dam(s), s) for line in lines]
+        return np.stack(points, axis=1)
+
+    def lift_far(self, xy_world: AnyPoints2, above_m: Spread, s: Spread) -> AnyPoints3:
+        """3D points at stations, `above_m` over the terrain with its far hills; far away over the faces of its mesh."""
+        points = self.network.lift(xy_world, above_m + self.hills.height(xy_world))
+        share = np.broadcast_to(on_faces(s), points.shape[:-1])
+        far = share > 0
+        over_m = np.broadcast_to(above_m, share.shape)[far] + self._face_height(xy_world[far]) - points[far, 2]
+        points[far, 2] += share[far] * over_m
+        return points
+
+    def _face_height(self, xy_world: Points2) -> Scalars:
+        """Height of the terrain mesh's faces, not pressed under pavements: of either way to split a quad into triangles
+        the higher one."""
+        axes = self.mesh_axes
+        cells = [
+            np.clip(np.searchsorted(axis, at) - 1, 0, len(axis) - 2) for axis, at in zip(axes, xy_world.T, strict=True)
+        ]
+        corners = np.array([[axis[cell], axis[cell + 1]] for axis, cell in zip(axes, cells, strict=True)])
+        u, v = (xy_world.T - corners[:, 0]) / (corners[:, 1] - corners[:, 0])
+
+        def height(i: int, j: int) -> Scalars:
+            xy = np.stack([corners[0, i], corners[1, j]], -1)
+            return np.asarray(self.network.lift(xy, self.hills.height(xy))[:, 2])
+
+        a, b, c, d = height(0, 0), height(1, 0), height(0, 1), height(1, 1)
+        one = a + np.where(u > v, (b - a) * u + (d - b) * v, (c - a) * v + (d - c) * u)
+        other = np.where(u + v < 1, a + (b - a) * u + (c - a) * v, d + (c - d) * (1 - u) + (b - d) * (1 - v))
+        return np.maximum(one, other)
 
     def height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the ground as built."""
@@ -324,6 +369,18 @@ class Ground:
         """Distance from a pavement within which the ground may differ from the terrain."""
         highest_m = max([road.parting.rise_m for road in self.network.roads if road.parting], default=0.0)
         return max(EMBANKMENT_SLOPE * highest_m, NEAR_M) + VERGE_M * self.cell_scale(xy_world)
+
+
+def _axis(low: float, high: float, before_m: float) -> Scalars:
+    """Coordinates CELL_M apart in [low, high]; outside, to `before_m` before it and HORIZON_M beyond it, cells grow by
+    GROWTH per metre of distance."""
+
+    def outside(reach_m: float) -> Scalars:
+        n = int(np.ceil(np.log1p(reach_m * GROWTH / CELL_M) / np.log1p(GROWTH)))
+        return np.asarray(CELL_M / GROWTH * ((1 + GROWTH) ** np.arange(1, n + 1) - 1))
+
+    inner = np.linspace(low, high, int(np.ceil((high - low) / CELL_M)) + 1)
+    return np.concatenate([low - outside(before_m)[::-1], inner, high + outside(HORIZON_M)])
 
 
 def _nearest(roads: list[Beside], n: int) -> AnyScalars:

@@ -167,6 +167,10 @@ class MapGround(Ground):
         """The stations of the rows of a curve's paint."""
         return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
 
+    def points_beside(self, curve: LaneCurve, s: Scalars, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k 3"]:
+        """Points on the pavement: at each station of a curve those at all offsets from it."""
+        return curve.points_beside(np.repeat(s, len(t)), np.tile(t, len(s))).reshape(len(s), len(t), 3)
+
     @cached_property
     def _road_rows(self) -> dict[str, Scalars]:
         found = {}

@@ -4,7 +4,8 @@ Roads are strips along their lines; junctions, their walkways and islands are ar
 all of these.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +17,11 @@ from synth3dlanes.roads.section_road import KERB_M, SectionRoad
 from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference, intersection, outset, union
+from synth3dlanes.world.decks import span_bodies
 from synth3dlanes.world.ground import PRESS_M
 from synth3dlanes.world.map_ground import GroundArea, MapGround
-from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, terrain_axes, terrain_heights
+from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, Surfaces, grid
+from synth3dlanes.world.solids import Body
 
 # Faces of lanes are no wider than this; cells of junctions, near the host and far from it.
 COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
@@ -37,17 +40,78 @@ SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "m
 AREA_SURFACES = {"road": ROAD, "walkway": SHOULDER, "paved": SHOULDER, "grass": MEDIAN}
 
 
-def pavement_meshes(ground: MapGround) -> list[Mesh]:
-    """The strips of all roads outside junctions, and the areas of junctions and islands."""
-    found = []
-    for road in ground.outside:
-        for stretch in road.stretches:
-            if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
-                found += _strips(ground, stretch)
-    for area in ground.areas:
-        found += _area_meshes(ground, area)
-    near = (_near(ground, mesh) for mesh in found)
-    return [mesh for mesh in near if len(mesh.faces)]
+@dataclass(frozen=True, eq=False)
+class MapSurfaces(Surfaces):
+    """What of the ground of a map is built."""
+
+    ground: MapGround
+
+    @cached_property
+    def pavement(self) -> list[Mesh]:
+        """The strips of all roads outside junctions, and the areas of junctions and islands."""
+        found, ground = list[Mesh](), self.ground
+        for road in ground.outside:
+            for stretch in road.stretches:
+                if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
+                    found += _strips(ground, stretch)
+        for area in ground.areas:
+            found += _area_meshes(ground, area)
+        near = (_near(ground, mesh) for mesh in found)
+        return [mesh for mesh in near if len(mesh.faces)]
+
+    @property
+    def verges(self) -> list[Mesh]:
+        """None: the terrain meets the pavement."""
+        return []
+
+    @cached_property
+    def terrain(self) -> Mesh:
+        """A grid with fine cells near the host, which grow to the horizon. It is one surface: it goes on below the
+        pavement, a little lower at its edges and deeper inside, so that no gap shows the sky. Over tunnels it is the
+        ground there, which ends in steps at their edges."""
+        ground = self.ground
+        xs, ys = ground.mesh_axes
+        near = shapely.box(*ground.way_box(REACH_M - 20.0))
+        bed = intersection(outset(ground.graded_pavement, -UNDER_M), near)
+        over = difference(intersection(union(span.area for span in ground.tunnels), near), bed)
+        shapely.prepare(bed)
+        corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
+        xs, ys = (_beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
+        xy = np.stack(np.meshgrid(xs, ys), -1)
+        z, inside = ground.mesh_heights(xy), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
+        z[inside] -= PRESS_M * ground.cell_scale(xy[inside])
+        inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
+        z[inside] = ground.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
+        whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
+        rest: dict[tuple[int, int], BaseGeometry] = {}
+        cuts = [_cut(xs, ys, area) for area in (bed, over)]
+        for cut in cuts:
+            cells = list(zip(*cut.cut.tolist(), strict=True))
+            boxes = [
+                rest[i, j] if (i, j) in rest else shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in cells
+            ]
+            rest.update(zip(cells, _differences(np.array(boxes, dtype=object), cut.parts), strict=True))
+        taken = np.array([j * (len(xs) - 1) + i for i, j in rest], dtype=int)
+        vertices, faces = [whole.vertices_world], [np.delete(whole.faces, taken, axis=0)]
+        for parts, is_over in (([*rest.values(), *cuts[0].parts], False), (cuts[1].parts, True)):
+            places, quads = _merged(_triangles(parts))
+            # The corners of cells are those of the grid.
+            at = [
+                np.clip(np.searchsorted(axis, x), 0, len(axis) - 1) for axis, x in zip((xs, ys), places.T, strict=True)
+            ]
+            is_corner = (xs[at[0]] == places[:, 0]) & (ys[at[1]] == places[:, 1])
+            number, own = at[1] * len(xs) + at[0], places[~is_corner]
+            number[~is_corner] = sum(map(len, vertices)) + np.arange(len(own))
+            heights = ground.beside_tunnels(own, is_over) + ground.hills.height(own)
+            vertices.append(np.column_stack([own, heights]))
+            faces.append(number[quads])
+        points, quads = np.concatenate(vertices), np.concatenate(faces)
+        return Mesh(points, quads, points[:, :2].copy(), np.zeros(len(quads), dtype=int))
+
+    @cached_property
+    def bodies(self) -> list[Body]:
+        """The decks and tunnels."""
+        return span_bodies(self.ground)
 
 
 def _near(ground: MapGround, mesh: Mesh) -> Mesh:
@@ -141,45 +205,6 @@ def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
         corners.reshape(-1, 3)[:, :2].copy(),
         np.full(len(faces), AREA_SURFACES[area.kind]),
     )
-
-
-def terrain_mesh(ground: MapGround) -> Mesh:
-    """A grid with fine cells near the host, which grow to the horizon. It is one surface: it goes on below the
-    pavement, a little lower at its edges and deeper inside, so that no gap shows the sky. Over tunnels it is the ground
-    there, which ends in steps at their edges."""
-    xs, ys = terrain_axes(ground)
-    near = shapely.box(*ground.way_box(REACH_M - 20.0))
-    bed = intersection(outset(ground.graded_pavement, -UNDER_M), near)
-    over = difference(intersection(union(span.area for span in ground.tunnels), near), bed)
-    shapely.prepare(bed)
-    corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
-    xs, ys = (_beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
-    xy = np.stack(np.meshgrid(xs, ys), -1)
-    z, inside = terrain_heights(ground, xy), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
-    z[inside] -= PRESS_M * ground.cell_scale(xy[inside])
-    inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
-    z[inside] = ground.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
-    whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
-    rest: dict[tuple[int, int], BaseGeometry] = {}
-    cuts = [_cut(xs, ys, area) for area in (bed, over)]
-    for cut in cuts:
-        cells = list(zip(*cut.cut.tolist(), strict=True))
-        boxes = [rest[i, j] if (i, j) in rest else shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in cells]
-        rest.update(zip(cells, _differences(np.array(boxes, dtype=object), cut.parts), strict=True))
-    taken = np.array([j * (len(xs) - 1) + i for i, j in rest], dtype=int)
-    vertices, faces = [whole.vertices_world], [np.delete(whole.faces, taken, axis=0)]
-    for parts, is_over in (([*rest.values(), *cuts[0].parts], False), (cuts[1].parts, True)):
-        places, quads = _merged(_triangles(parts))
-        # The corners of cells are those of the grid.
-        at = [np.clip(np.searchsorted(axis, x), 0, len(axis) - 1) for axis, x in zip((xs, ys), places.T, strict=True)]
-        is_corner = (xs[at[0]] == places[:, 0]) & (ys[at[1]] == places[:, 1])
-        number, own = at[1] * len(xs) + at[0], places[~is_corner]
-        number[~is_corner] = sum(map(len, vertices)) + np.arange(len(own))
-        heights = ground.beside_tunnels(own, is_over) + ground.hills.height(own)
-        vertices.append(np.column_stack([own, heights]))
-        faces.append(number[quads])
-    points, quads = np.concatenate(vertices), np.concatenate(faces)
-    return Mesh(points, quads, points[:, :2].copy(), np.zeros(len(quads), dtype=int))
 
 
 def _beside(axis: Scalars, places: Float[np.ndarray, " m"]) -> Scalars:

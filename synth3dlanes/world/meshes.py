@@ -4,6 +4,7 @@ Each row is one station, shared by road, shoulders and paint.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,19 +12,17 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.roads.roads import Road, Side
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.ground import (
-    CELL_M,
     EMBANKMENT_SLOPE,
     GRASS_FROM_M,
-    GROWTH,
     HORIZON_M,
     VERGE_M,
     Ground,
     embankment_width,
     profile,
 )
-from synth3dlanes.world.horizon import far_dam, on_faces
+from synth3dlanes.world.horizon import far_dam
+from synth3dlanes.world.solids import Body
 
-BEHIND_M = 300.0
 # Where a road begins beside another, its inner edge extends a little below that one or its own verge. Their rows
 # differ, so a gap would show the ground otherwise.
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
@@ -44,24 +43,42 @@ class Mesh:
     material: Int[np.ndarray, " f"]
 
 
-def terrain_mesh(ground: Ground) -> Mesh:
-    """A grid with cells of CELL_M near the road, which grow outwards to the horizon and its hills."""
-    xs, ys = terrain_axes(ground)
-    xy = np.stack(np.meshgrid(xs, ys), -1)
-    vertices = np.concatenate([xy, terrain_heights(ground, xy)[..., None]], -1)
-    return grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """What of a ground is built; each part is made on first access and kept."""
 
+    ground: Ground
 
-def terrain_axes(ground: Ground) -> tuple[Scalars, Float[np.ndarray, " m"]]:
-    """World x of the columns of the terrain's vertices, and world y of their rows."""
-    x0, y0, x1, y1 = ground.fine
-    behind_m = HORIZON_M if ground.both_ways else BEHIND_M
-    return _axis(x0, x1, HORIZON_M, HORIZON_M), _axis(y0, y1, behind_m, HORIZON_M)
+    @cached_property
+    def pavement(self) -> list[Mesh]:
+        """The pavement of every road, of one that begins beside another outside that one's pavement."""
+        ground = self.ground
+        return [over_terrain(_pavement(ground, road, _rows(ground, road))) for road in ground.network.roads]
 
+    @cached_property
+    def verges(self) -> list[Mesh]:
+        """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
+        meshes, ground = [], self.ground
+        for road in ground.network.roads:
+            s = _rows(ground, road)
+            free = np.full(s.shape, np.inf)
+            left_m = free if road.parting is None else _gap(road, s)
+            right_m = np.where(_is_continued(ground, road, s), 0.0, np.inf)
+            meshes += [_verge(ground, road, "left", s, left_m), _verge(ground, road, "right", s, right_m)]
+        return [mesh for mesh in map(over_terrain, meshes) if len(mesh.faces)]
 
-def terrain_heights(ground: Ground, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-    """Heights of the terrain's vertices."""
-    return ground.terrain_mesh_height(xy_world) + ground.hills.height(xy_world)
+    @cached_property
+    def terrain(self) -> Mesh:
+        """A grid with cells of CELL_M near the road, which grow outwards to the horizon and its hills."""
+        xs, ys = self.ground.mesh_axes
+        xy = np.stack(np.meshgrid(xs, ys), -1)
+        vertices = np.concatenate([xy, self.ground.mesh_heights(xy)[..., None]], -1)
+        return grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
+
+    @property
+    def bodies(self) -> list[Body]:
+        """What carries or covers roads: decks and tunnels."""
+        return []
 
 
 def _rows(ground: Ground, road: Road) -> Scalars:
@@ -69,55 +86,6 @@ def _rows(ground: Ground, road: Road) -> Scalars:
     s = ground.network.stations(ground.rows_driven_m)
     inside = (s >= road.start_m) & (s <= road.end_m)
     return s if inside.all() else np.sort(s[inside])
-
-
-def lift_far(
-    ground: Ground, xy_world: Float[np.ndarray, "*n 2"], above_m: Float[np.ndarray, "*#n"], s: Float[np.ndarray, "*#n"]
-) -> Float[np.ndarray, "*n 3"]:
-    """3D points at stations, `above_m` over the terrain with its far hills; far away over the faces of its mesh."""
-    points = ground.network.lift(xy_world, above_m + ground.hills.height(xy_world))
-    share = np.broadcast_to(on_faces(s), points.shape[:-1])
-    far = share > 0
-    over_m = np.broadcast_to(above_m, share.shape)[far] + _face_height(ground, xy_world[far]) - points[far, 2]
-    points[far, 2] += share[far] * over_m
-    return points
-
-
-def _face_height(ground: Ground, xy_world: Float[np.ndarray, "n 2"]) -> Scalars:
-    """Height of the terrain mesh's faces, not pressed under pavements: of either way to split a quad into triangles the
-    higher one."""
-    axes = terrain_axes(ground)
-    cells = [
-        np.clip(np.searchsorted(axis, at) - 1, 0, len(axis) - 2) for axis, at in zip(axes, xy_world.T, strict=True)
-    ]
-    corners = np.array([[axis[cell], axis[cell + 1]] for axis, cell in zip(axes, cells, strict=True)])
-    u, v = (xy_world.T - corners[:, 0]) / (corners[:, 1] - corners[:, 0])
-
-    def height(i: int, j: int) -> Scalars:
-        xy = np.stack([corners[0, i], corners[1, j]], -1)
-        return np.asarray(ground.network.lift(xy, ground.hills.height(xy))[:, 2])
-
-    a, b, c, d = height(0, 0), height(1, 0), height(0, 1), height(1, 1)
-    one = a + np.where(u > v, (b - a) * u + (d - b) * v, (c - a) * v + (d - c) * u)
-    other = np.where(u + v < 1, a + (b - a) * u + (c - a) * v, d + (c - d) * (1 - u) + (b - d) * (1 - v))
-    return np.maximum(one, other)
-
-
-def road_meshes(ground: Ground) -> list[Mesh]:
-    """The pavement of every road, of one that begins beside another outside that one's pavement."""
-    return [over_terrain(_pavement(ground, road, _rows(ground, road))) for road in ground.network.roads]
-
-
-def verge_meshes(ground: Ground) -> list[Mesh]:
-    """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
-    meshes = []
-    for road in ground.network.roads:
-        s = _rows(ground, road)
-        free = np.full(s.shape, np.inf)
-        left_m = free if road.parting is None else _gap(road, s)
-        right_m = np.where(_is_continued(ground, road, s), 0.0, np.inf)
-        meshes += [_verge(ground, road, "left", s, left_m), _verge(ground, road, "right", s, right_m)]
-    return [mesh for mesh in map(over_terrain, meshes) if len(mesh.faces)]
 
 
 def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], column_material: np.ndarray) -> Mesh:
@@ -151,17 +119,6 @@ def over_terrain(mesh: Mesh) -> Mesh:
     """The mesh without the faces beyond the end of the terrain mesh."""
     kept = (np.abs(mesh.vertices_world[mesh.faces, :2]) < HORIZON_M).all(axis=(1, 2))
     return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
-
-
-def _axis(low: float, high: float, out_low: float, out_high: float) -> Scalars:
-    """Coordinates CELL_M apart in [low, high]; outside, cells grow by GROWTH per metre of distance."""
-    inner = np.linspace(low, high, int(np.ceil((high - low) / CELL_M)) + 1)
-
-    def outside(reach_m: float) -> Scalars:
-        n = int(np.ceil(np.log1p(reach_m * GROWTH / CELL_M) / np.log1p(GROWTH)))
-        return np.asarray(CELL_M / GROWTH * ((1 + GROWTH) ** np.arange(1, n + 1) - 1))
-
-    return np.concatenate([low - outside(out_low)[::-1], inner, high + outside(out_high)])
 
 
 def _columns(ground: Ground, road: Road) -> tuple[Scalars, Int[np.ndarray, " m"]]:
@@ -214,7 +171,7 @@ def _pavement(ground: Ground, road: Road, s: Scalars) -> Mesh:
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         guess = np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2])
         material[:, -k:][branch.in_lanes(*branch.line.project(middle, guess))] = ROAD
-    vertices = lift_far(ground, xy, road.raised(stations) + far_dam(stations), stations)
+    vertices = ground.lift_far(xy, road.raised(stations) + far_dam(stations), stations)
     if road.parting is not None:
         vertices[:, 0, 2] -= SEAM_FALL_M
     return grid(vertices, np.stack([offsets, stations], -1) * [network.rightward, network.onwards], material)
@@ -268,7 +225,7 @@ def _verge(ground: Ground, road: Road, side: Side, s: Scalars, room_m: Scalars) 
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([road.xy(s, road.edge(side, s, column * squeeze)) for column in columns], axis=1)
-    vertices = lift_far(ground, xy, profile(distance, raised[:, None], scale[:, None]), s[:, None])
+    vertices = ground.lift_far(xy, profile(distance, raised[:, None], scale[:, None]), s[:, None])
     mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
     is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)
     return replace(mesh, faces=mesh.faces[is_open], material=mesh.material[is_open])

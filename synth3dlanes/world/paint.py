@@ -16,8 +16,7 @@ from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.streams import Streams
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.horizon import far_dam
-from synth3dlanes.world.meshes import LANE_COLUMNS, Mesh, grid, is_facing_up, lift_far, over_terrain
+from synth3dlanes.world.meshes import LANE_COLUMNS, Mesh, grid, is_facing_up, over_terrain
 
 # Height of the paint over the road, by distance: more than the road's faces can rise between two rows.
 PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12, 2.0)
@@ -129,14 +128,14 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
         lift_m = np.interp(ground.away_on(curve, rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
         lift_m = lift_m + _over_hollows_m(ground, curve, rows)
         offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
-        if curve.is_measured:
-            sides, onwards = _measured_sides(curve, offsets, rows)
-        else:
-            edges = [curve.shifted(float(t)) for t in offsets]
-            sides, onwards = (_sides(ground, edges, at) for at in (rows, rows + ALONG_M))
+        # Behind its end a curve has no points.
+        step_m = np.where(rows + ALONG_M > curve.end_m, -ALONG_M, ALONG_M)
+        at = np.concatenate([rows, rows + step_m])
+        sides, beside = ground.points_beside(curve, at, offsets).reshape(2, -1, 2, 3)
+        along = np.sign(step_m)[:, None] * (beside - sides).mean(axis=1)
         middle = sides.mean(axis=1, keepdims=True)
         narrowed = middle + share[:, None, None] * (sides - middle)
-        floating = _floating(eye_world, narrowed, (onwards - sides).mean(axis=1), lift_m)
+        floating = _floating(eye_world, narrowed, along, lift_m)
         uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
         mesh = grid(floating, uv, np.zeros(1, dtype=int))
         # Where a line goes on along another road, a face of a few millimetres may fold back over the previous one.
@@ -148,7 +147,7 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
 def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     """How far the pavement of another road, which is straight between its columns, lies over hollows of the terrain
     under a line."""
-    if curve.is_measured or len(ground.network.roads) == 1:
+    if not any(road.parting for road in ground.network.roads):
         return np.zeros(len(s))
     road, xy, terrain = curve.pieces[0].road, curve.xy_world(s), ground.network.terrain
     aside = curve.shifted(road.lane_width_m / LANE_COLUMNS / 2).xy_world(s) - xy
@@ -156,24 +155,6 @@ def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     hidden = over_m > HOLLOW_M
     hidden[hidden] = ground.is_on_other(road, xy[hidden])
     return np.where(hidden, over_m, 0.0)
-
-
-Edges = Float[np.ndarray, "n 2 3"]
-
-
-def _measured_sides(curve: LaneCurve, offsets: Float[np.ndarray, "2"], rows: Scalars) -> tuple[Edges, Edges]:
-    """Points on the road along both edges of a stripe of a measured curve, and those ALONG_M farther on."""
-    # Behind its end a curve has no points.
-    is_last = rows + ALONG_M > curve.end_m
-    at = np.concatenate([rows, np.where(is_last, rows - ALONG_M, rows + ALONG_M)])
-    points = curve.points_beside(np.repeat(at, 2), np.tile(offsets, len(at))).reshape(2, -1, 2, 3)
-    sides, onwards = points
-    return sides, np.where(is_last[:, None, None], 2 * sides - onwards, onwards)
-
-
-def _sides(ground: Ground, edges: Sequence[LaneCurve], s: Scalars) -> Edges:
-    """Points on the road along both edges of a stripe."""
-    return np.stack([lift_far(ground, edge.xy_world(s), edge.raised(s) + far_dam(s), s) for edge in edges], axis=1)
 
 
 def _floating(

@@ -5,12 +5,15 @@ Along the road all of it stays inside the lanes, at least CLEAR_M from every lin
 road.
 """
 
+from collections.abc import Iterator
+from itertools import pairwise
+
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.roads import NetworkLane
+from synth3dlanes.roads.roads import NetworkLane, Offset, Road
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.streams import Streams
@@ -20,11 +23,15 @@ from synth3dlanes.world.paint import towards_eye
 
 # A line on the road: station, offset and width of each of its points.
 Trace = Float[np.ndarray, "_ 3"]
+# A road between two stations.
+Stretch = tuple[Road, float, float]
 
 # Distance from lines; up to 1 m is compared with a line's own paint.
 CLEAR_M = 1.1
-# Stations with seams. All of it lies below paint, by this share of its height over the road.
-REACH_M, LIFT_SHARE = 115.0, 0.6
+# All of it lies below paint, by this share of its height over the road; farther from the host's way there is none.
+LIFT_SHARE, SEEN_M = 0.6, 250.0
+# Along the road a lane has at most one crack in a part of this length, at a chance of 1 where tar is 1.
+PART_M = 230.0
 # Cracks across the road by the metre where tar is 1, and the share of these that cross all lanes.
 CRACKS_PER_M, ACROSS_ALL = 0.1, 0.6
 # Steps along a crack, and how far it wanders: over KNOT_M slowly, and from step to step.
@@ -35,47 +42,42 @@ OLD_ASPHALT, GHOST_SHADES = 0.6, (0.55, 1.6)
 
 
 def tar_mesh(ground: Ground, amount: float, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh | None:
-    """Cracks along and across the host's road, filled with tar; None without any."""
+    """Cracks along and across the host's roads, filled with tar; None without any."""
     network, rng = ground.network, streams("tar")
     traces = []
-    for _ in range(rng.poisson(2 * REACH_M * CRACKS_PER_M * amount)):
-        at_m = rng.uniform(-REACH_M, REACH_M)
-        low_m, width_m, lanes = _lanes_at(network, at_m)
-        first, last = (0, lanes) if rng.random() < ACROSS_ALL else sorted(rng.integers(0, lanes + 1, 2))
-        t = np.arange(low_m + first * width_m, low_m + last * width_m, STEP_M)
-        if len(t) > 1:
-            traces.append(np.column_stack([at_m + _wander(t, rng), t, _widths(t, rng)]))
-    for lane in clear_lanes(network):
-        if rng.random() < amount:
-            start, length = rng.uniform(-REACH_M, REACH_M / 2), rng.uniform(*CRACK_LENGTH_M)
-            s = np.arange(start, start + length, STEP_M)
-            t = inside_lane(lane, rng.random()) + np.clip(_wander(s, rng), -WANDER_M, WANDER_M)
-            traces.append(np.column_stack([s, t, _widths(s, rng)]))
+    for road, low_m, high_m in network.host_stretches:
+        ends = np.linspace(low_m, high_m, 1 + int(np.ceil((high_m - low_m) / PART_M)))
+        for part in pairwise(ends.tolist()):
+            traces += [(road, trace) for trace in _cracks(network, (road, *part), amount, rng)]
     return _mesh(ground, traces, eye_world)
 
 
 def ghost_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh | None:
     """Lines of an earlier layout of the lanes, beside today's."""
-    rng = streams("ghost_lines")
+    rng, traces = streams("ghost_lines"), []
     share, is_dashed, phase = rng.random(3)
-    s = np.arange(-REACH_M, REACH_M, GHOST_STEP_M)
-    is_painted = (s / markings.dash_cycle_m + phase) % 1 < (markings.dash_fraction if is_dashed < 0.5 else 1.0)
-    traces = [
-        np.column_stack(np.broadcast_arrays(s[first:last], inside_lane(lane, share), markings.width_m))
-        for lane in clear_lanes(ground.network)
-        for first, last in stretches(is_painted)
-        if last - first > 1
-    ]
+    for stretch in ground.network.host_stretches:
+        road, low_m, high_m = stretch
+        s = np.arange(low_m, high_m, GHOST_STEP_M)
+        is_painted = (s / markings.dash_cycle_m + phase) % 1 < (markings.dash_fraction if is_dashed < 0.5 else 1.0)
+        traces += [
+            (road, np.column_stack(np.broadcast_arrays(at, inside_lane(lane, share)(at), markings.width_m)))
+            for lane in clear_lanes(ground.network, stretch)
+            for at in (s[first:last] for first, last in stretches(is_painted) if last - first > 1)
+        ]
     return _mesh(ground, traces, eye_world)
 
 
 def joint(network: Network, contrast: float, streams: Streams) -> tuple[float, float]:
     """Where a joint runs, in metres right of the road's line as the host drives, and by which share the asphalt right
-    of it is darker; less than 0 where it is lighter."""
-    rng, lanes = streams("joint"), clear_lanes(network) or _same(network, -np.inf)[:1]
+    of it is darker; less than 0 where it is lighter. There is none where no place of the texture is along all roads."""
+    if not network.across.is_along:
+        return 0.0, 0.0
+    stretch = network.host_stretches[0]
+    rng, lanes = streams("joint"), clear_lanes(network, stretch) or _same(stretch[0], stretch[1])[:1]
     lane, share, side = rng.integers(0, len(lanes)), rng.random(), rng.random() < 0.5
     darker = 1 - OLD_ASPHALT**contrast
-    aside_m = inside_lane(lanes[lane], share)
+    aside_m = inside_lane(lanes[lane], share).base_m
     return network.rightward * aside_m, (darker if side else 1 - 1 / (1 - darker))
 
 
@@ -84,31 +86,49 @@ def ghost_shade(contrast: float, streams: Streams) -> float:
     return float(GHOST_SHADES[int(streams("ghost_shade").random() < 0.5)] ** contrast)
 
 
-def clear_lanes(network: Network) -> list[NetworkLane]:
-    """The lanes of the host's road and direction, as t grows, that lead to no other road."""
-    road = network.main
+def clear_lanes(network: Network, stretch: Stretch) -> list[NetworkLane]:
+    """The lanes of the host's direction of a stretch, as t grows, that are wide enough to be clear of their lines all
+    along it, and lead to no other road within it."""
+    road, low_m, high_m = stretch
+    s = np.linspace(low_m, high_m, 9)
 
     def stays(lane: NetworkLane) -> bool:
-        return all(beyond.road == road.id for beyond in network.joined_to(lane))
+        _, left, right = network.road(road.id).lines_of(lane)
+        is_whole = lane.start_m <= low_m and lane.end_m >= high_m
+        is_here = is_whole or all(beyond.road == road.id for beyond in network.joined_to(lane))
+        return bool(is_here and (right(s) - left(s)).min() > 2 * CLEAR_M)
 
-    return [lane for lane in _same(network, -np.inf) if stays(lane)]
+    return [lane for lane in _same(road, low_m) if stays(lane)]
 
 
-def inside_lane(lane: NetworkLane, share: float) -> float:
-    """An offset in a lane, clear of its lines."""
+def inside_lane(lane: NetworkLane, share: float) -> Offset:
+    """A line in a lane, clear of its lines."""
     free_m = max(lane.width_m - 2 * CLEAR_M, 0.0)
-    return lane.middle.base_m + (share - 0.5) * free_m
+    return lane.middle.shifted((share - 0.5) * free_m)
 
 
-def _same(network: Network, s: float) -> list[NetworkLane]:
-    """The lanes of the host's road and direction at a station, as t grows."""
-    return [lane for lane in network.main.lanes_at(s) if lane.direction == "same"]
+def _same(road: Road, s: float) -> list[NetworkLane]:
+    """The lanes of a road that go the host's way at a station, as t grows."""
+    return [lane for lane in road.lanes_at(s) if lane.direction == "same"]
 
 
-def _lanes_at(network: Network, s: float) -> tuple[float, float, int]:
-    """The leftmost edge, the width and the number of these lanes."""
-    lanes = _same(network, s)
-    return lanes[0].middle.base_m - lanes[0].width_m / 2, lanes[0].width_m, len(lanes)
+def _cracks(network: Network, part: Stretch, amount: float, rng: np.random.Generator) -> Iterator[Trace]:
+    """The cracks of a part of a road."""
+    road, low_m, high_m = part
+    for _ in range(rng.poisson((high_m - low_m) * CRACKS_PER_M * amount)):
+        at_m = rng.uniform(low_m, high_m)
+        lanes, s = _same(road, at_m), np.array([at_m])
+        edges = [float(line(s)[0]) for lane in lanes for line in network.road(road.id).lines_of(lane)[1:]]
+        first, last = (0, len(lanes)) if rng.random() < ACROSS_ALL else sorted(rng.integers(0, len(lanes) + 1, 2))
+        t = np.arange(edges[2 * first], edges[2 * last - 1], STEP_M) if first < last else np.zeros(0)
+        if len(t) > 1:
+            yield np.column_stack([at_m + _wander(t, rng), t, _widths(t, rng)])
+    for lane in clear_lanes(network, part):
+        if rng.random() < amount * (high_m - low_m) / PART_M:
+            start, length = rng.uniform(low_m, high_m - (high_m - low_m) / 4), rng.uniform(*CRACK_LENGTH_M)
+            s = np.arange(start, min(start + length, road.end_m), STEP_M)
+            t = inside_lane(lane, rng.random())(s) + np.clip(_wander(s, rng), -WANDER_M, WANDER_M)
+            yield np.column_stack([s, t, _widths(s, rng)])
 
 
 def _wander(along: Scalars, rng: np.random.Generator) -> Scalars:
@@ -121,16 +141,20 @@ def _widths(along: Scalars, rng: np.random.Generator) -> Scalars:
     return rng.uniform(*TAR_WIDTH_M) * rng.uniform(0.6, 1.4, len(along))
 
 
-def _mesh(ground: Ground, traces: list[Trace], eye_world: Float[np.ndarray, "3"]) -> Mesh | None:
-    """Strips along the traces on the host's road."""
-    if not traces:
+def _mesh(ground: Ground, traces: list[tuple[Road, Trace]], eye_world: Float[np.ndarray, "3"]) -> Mesh | None:
+    """Strips along traces on roads, those that are near the host."""
+    points, places = [np.zeros((0, 4, 3))], [np.zeros((0, 4, 2))]
+    for road, trace in traces:
+        if len(trace) > 1:
+            middle, steps = trace[:, :2], np.gradient(trace[:, :2], axis=0)
+            aside = steps[:, ::-1] * [1, -1] / np.linalg.norm(steps, axis=1, keepdims=True) * trace[:, 2:] / 2
+            left, right = middle - aside, middle + aside
+            corners = np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1)
+            places.append(corners)
+            points.append(road.points(corners[..., 0], corners[..., 1]))
+    xyz, st = np.concatenate(points), np.concatenate(places)
+    is_near = ground.away_at(xyz[:, 0, :2]) < SEEN_M
+    if not is_near.any():
         return None
-    corners = []
-    for trace in traces:
-        middle, steps = trace[:, :2], np.gradient(trace[:, :2], axis=0)
-        aside = steps[:, ::-1] * [1, -1] / np.linalg.norm(steps, axis=1, keepdims=True) * trace[:, 2:] / 2
-        left, right = middle - aside, middle + aside
-        corners.append(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
-    places = np.concatenate(corners).reshape(-1, 2)
-    xyz = ground.network.main.points(places[:, 0], places[:, 1])
-    return facing_up(towards_eye(ground, xyz, eye_world, LIFT_SHARE), places[:, ::-1].copy())
+    xyz, st = xyz[is_near].reshape(-1, 3), st[is_near].reshape(-1, 2)
+    return facing_up(towards_eye(ground, xyz, eye_world, LIFT_SHARE), st[:, ::-1].copy())

@@ -1,8 +1,9 @@
-"""Paint that bounds no lane: arrows, stop lines, crosswalks and the hatching of gores. World frame.
+"""Paint that bounds no lane: arrows, stop and give-way lines, crosswalks and the hatching of gores. World frame.
 
-Every symbol is a set of polygons in a frame of its own on the road. For arrows, stop lines and crosswalks its
-coordinates are metres to the right and metres ahead of the symbol's middle, as the host drives. For a gore they are the
-share of the way from the line of one road (0) to that of the road that parts from it (1), and the station.
+Every symbol is a set of polygons in a frame of its own on the road. For arrows and lines across lanes its coordinates
+are metres to the right and metres ahead of the symbol's middle, as the host or the lane's traffic drives; for a map's
+crosswalk metres along its first side and towards the third one. For a gore they are the share of the way from the line
+of one road (0) to that of the road that parts from it (1), and the station.
 """
 
 from collections.abc import Callable
@@ -13,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.roads import Offset, Road
-from synth3dlanes.scene.scene import Symbol
+from synth3dlanes.roads.roads import Road
+from synth3dlanes.scene.road_map import MapPaint
+from synth3dlanes.scene.scene import Scene, Symbol
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.schema import SymbolKind
 from synth3dlanes.world.ground import Ground
@@ -46,6 +48,8 @@ ARROWS: dict[SymbolKind, Polygon] = {
 LENGTHS_M: dict[SymbolKind, float] = {**dict.fromkeys(ARROWS, 5.0), "stop_line": 0.5, "crosswalk": 4.0}
 # Bars of a crosswalk and their gaps are about this wide.
 BAR_M = 0.55
+# A line across a lane ends this far from its edges. Teeth of a give-way line, their bases towards the junction.
+INSET_M, TOOTH_M, TOOTH_GAP_M, TOOTH_LENGTH_M = 0.1, 0.5, 0.3, 0.6
 # Chevrons of a gore, along the road: their period and the length of an arm. They begin where the gore is GORE_FROM_M
 # wide, and end GORE_GAP_M beside the lines.
 CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 1.2, 0.15
@@ -53,8 +57,6 @@ CHEVRON_PERIOD_M, CHEVRON_M, GORE_FROM_M, GORE_GAP_M = 3.0, 1.1, 1.2, 0.15
 GORE_TO_M = 100.0
 # Faces are no larger than this across and along the road, so that they follow it; steps along the outlines of labels.
 COLUMN_M, ROW_M, OUTLINE_STEP_M = 0.45, 0.5, 1.0
-# Stations around a symbol for which lengths along the road are measured.
-AROUND_M = np.arange(-10.0, 10.01, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,17 +71,34 @@ class SymbolShape:
     column: float
 
 
-def shape(ground: Ground, symbol: Symbol) -> SymbolShape:
-    """The shape of a symbol on its road."""
-    if symbol.kind == "gore":
-        return _gore(ground, symbol)
-    polygons = [ARROWS[symbol.kind]] if symbol.kind in ARROWS else _crossing(ground, symbol.kind)
-    outline = polygons[0]
-    if symbol.kind not in ARROWS:
-        (x0, y0), (x1, y1) = np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1))
-        outline = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    places = _along_road(ground.network, symbol)
-    return SymbolShape(symbol.kind, polygons, dense(outline, OUTLINE_STEP_M), places, COLUMN_M)
+def symbol_shapes(ground: Ground, scene: Scene) -> list[SymbolShape]:
+    """The shapes of all paint of a scene that bounds no lane, in the order of its labels. Paint of a map on lanes that
+    are not near is left out."""
+    if scene.map is None:
+        return [shape(ground, symbol) for symbol in scene.symbols]
+    lanes = ground.network.lanes
+    near = (at for at in scene.map.paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in lanes))
+    return [shape(ground, paint) for paint in near]
+
+
+def shape(ground: Ground, item: Symbol | MapPaint) -> SymbolShape:
+    """The shape of a symbol on its road, or of paint of a map."""
+    if isinstance(item, MapPaint) and item.kind == "crosswalk":
+        return _between(ground, np.array(item.outline, float))
+    if item.kind == "gore" and item.lane is None:
+        return _gore(ground, item.s_m)
+    if item.kind in ARROWS:
+        outline, polygons = ARROWS[item.kind], [ARROWS[item.kind]]
+    elif item.lane is None:
+        polygons = _crossing(ground, item.kind)
+        outline = _rectangle(np.min(polygons, axis=(0, 1)), np.max(polygons, axis=(0, 1)))
+    else:
+        half_m, is_line = ground.network.lanes[item.lane].width_m / 2 - INSET_M, item.kind != "give_way_line"
+        half = np.array([half_m, (LENGTHS_M["stop_line"] if is_line else TOOTH_LENGTH_M) / 2])
+        outline = _rectangle(-half, half)
+        polygons = [outline] if is_line else _teeth(half_m)
+    places = ground.network.places_around(item.lane, item.s_m)
+    return SymbolShape(item.kind, polygons, dense(outline, OUTLINE_STEP_M), places, COLUMN_M)
 
 
 def symbol_mesh(ground: Ground, form: SymbolShape, eye_world: Float[np.ndarray, "3"]) -> Mesh:
@@ -127,32 +146,41 @@ def _crossing(ground: Ground, kind: SymbolKind) -> list[Polygon]:
     return [np.array([[a, -half_m], [b, -half_m], [b, half_m], [a, half_m]]) for a, b in rights]
 
 
-def _along_road(network: Network, symbol: Symbol) -> Callable[[Polygon], Float[np.ndarray, "_ 3"]]:
-    """The places of a symbol's frame in the world: offsets from its lane's centre, or from its road's line, and lengths
-    along it."""
-    lane = None if symbol.lane is None else network.lanes[symbol.lane]
-    road, middle = (network.main, Offset(0.0)) if lane is None else (network.road(lane.road), lane.middle)
+def _rectangle(low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> Polygon:
+    (x0, y0), (x1, y1) = low, high
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
-    def offsets(s: Scalars, aside_m: Scalars | float) -> Scalars:
-        return middle(s) + aside_m * network.rightward
 
-    driven_m = symbol.s_m + AROUND_M
-    around = network.stations(driven_m)
-    steps = np.diff(road.xy(around, offsets(around, 0.0)), axis=0)
-    length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-    length_m -= np.interp(symbol.s_m, driven_m, length_m)
+def _teeth(half_m: float) -> list[Polygon]:
+    """The triangles of a give-way line across a lane."""
+    n = max(int((2 * half_m + TOOTH_GAP_M) / (TOOTH_M + TOOTH_GAP_M)), 1)
+    middles = (np.arange(n) - (n - 1) / 2) * (TOOTH_M + TOOTH_GAP_M)
+    tooth = np.array([[0.0, -TOOTH_LENGTH_M], [TOOTH_M, TOOTH_LENGTH_M], [-TOOTH_M, TOOTH_LENGTH_M]]) / 2
+    return [tooth + np.array([x, 0.0]) for x in middles]
+
+
+def _between(ground: Ground, corners: Float[np.ndarray, "4 2"]) -> SymbolShape:
+    """The bars of a crosswalk from its first side to the third one: metres along the first side and towards the third
+    one."""
+    a, b, c, d = corners
+    length_m, depth_m = float(np.hypot(*(b - a))), float(np.hypot(*(d - a)))
 
     def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
-        s = network.stations(np.interp(places[:, 1], length_m, driven_m))
-        return road.points(s, offsets(s, places[:, 0]))
+        u, v = (places / [length_m, depth_m]).T[..., None]
+        xy = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+        return np.column_stack([xy, ground.height(xy)])
 
-    return points_world
+    n = max(round(length_m / (2 * BAR_M)), 1)
+    bars = (np.arange(n)[:, None] + [0.25, 0.75]) * length_m / n
+    polygons = [_rectangle(np.array([x0, 0.0]), np.array([x1, depth_m])) for x0, x1 in bars]
+    outline = _rectangle(np.zeros(2), np.array([length_m, depth_m]))
+    return SymbolShape("crosswalk", polygons, dense(outline, OUTLINE_STEP_M), points_world, COLUMN_M)
 
 
-def _gore(ground: Ground, symbol: Symbol) -> SymbolShape:
+def _gore(ground: Ground, s_m: float) -> SymbolShape:
     """Chevrons that point to where the roads part."""
     network = ground.network
-    start_m = float(symbol.s_m * network.onwards)
+    start_m = float(s_m * network.onwards)
     gore = gore_of(network)
     end_m = gore[2] if gore else start_m
     branch = gore[0] if gore else network.roads[-1]
@@ -180,7 +208,7 @@ def _gore(ground: Ground, symbol: Symbol) -> SymbolShape:
         for side in (i, 1 - i)
     ]
     outline = np.concatenate([np.column_stack([0 * s, s]), np.column_stack([0 * s + 1, s])[::-1]])
-    return SymbolShape(symbol.kind, polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
+    return SymbolShape("gore", polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
 
 
 def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:

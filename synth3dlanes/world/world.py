@@ -16,26 +16,25 @@ from synth3dlanes.roads.map_roads import map_network
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import paper_network
 from synth3dlanes.scene.host import Camera, Lidar
-from synth3dlanes.scene.road_map import MapPaint
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
-from synth3dlanes.world import map_meshes, meshes, roadside
+from synth3dlanes.world import roadside
 from synth3dlanes.world.bonnet import cam_from_bonnet
 from synth3dlanes.world.camera import img_from_cam, project, world_from_host
-from synth3dlanes.world.decks import span_bodies
 from synth3dlanes.world.elements import TrafficElement, traffic_elements
 from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
 from synth3dlanes.world.map_ground import MapGround
-from synth3dlanes.world.map_symbols import map_symbols
+from synth3dlanes.world.map_meshes import MapSurfaces
+from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.world.paint import paint_meshes
 from synth3dlanes.world.placement import tree_positions, world_from_car
 from synth3dlanes.world.seams import ghost_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
-from synth3dlanes.world.symbols import SymbolShape, shape, symbol_mesh
+from synth3dlanes.world.symbols import SymbolShape, symbol_mesh, symbol_shapes
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
@@ -120,37 +119,21 @@ class View:
 @dataclass(frozen=True, eq=False)
 class Site:
     """What does not move: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
-    instant, so all views of a world share it. Values are computed on first access and kept. `has_seams` says whether
-    tar, removed lines and joints may show on its pavement."""
+    instant, so all views of a world share it. Values are computed on first access and kept."""
 
-    ground: Ground
+    surfaces: Surfaces
     trees: tuple[Tree, ...]
     roadside: Roadside
-    has_seams = True
+
+    @property
+    def ground(self) -> Ground:
+        """The ground as built."""
+        return self.surfaces.ground
 
     @property
     def lines(self) -> tuple[LaneCurve, ...]:
         """All centre lines and delimiters."""
         return self.ground.network.curves
-
-    def symbol_shapes(self, scene: Scene) -> list[SymbolShape]:
-        """The shapes of all symbols of a scene on it, in the order of their labels."""
-        return [shape(self.ground, symbol) for symbol in scene.symbols]
-
-    @cached_property
-    def pavement(self) -> list[meshes.Mesh]:
-        """All roads with their shoulders."""
-        return meshes.road_meshes(self.ground)
-
-    @cached_property
-    def verges(self) -> list[meshes.Mesh]:
-        """Verges and embankments along the pavement."""
-        return meshes.verge_meshes(self.ground)
-
-    @cached_property
-    def terrain(self) -> meshes.Mesh:
-        """The terrain, up to the horizon."""
-        return meshes.terrain_mesh(self.ground)
 
     @cached_property
     def trees_world(self) -> Float[np.ndarray, "n 3"]:
@@ -160,13 +143,8 @@ class Site:
     @cached_property
     def structures(self) -> list[Body]:
         """What stands beside and over the road, in the order of instance ids; traffic elements come last."""
-        own = (*roadside.bodies(self.ground, self.roadside), *self.span_bodies)
+        own = (*roadside.bodies(self.ground, self.roadside), *self.surfaces.bodies)
         return [*own, *(element.body for element in self.elements)]
-
-    @property
-    def span_bodies(self) -> list[Body]:
-        """The decks and tunnels of its roads."""
-        return []
 
     @cached_property
     def elements(self) -> list[TrafficElement]:
@@ -188,39 +166,6 @@ class Site:
     def street_lamps(self) -> Float[np.ndarray, "n 3"]:
         """Where the lamps beside the road have their light: the middles of the lower sides of their heads."""
         return roadside.lamp_heads(self.ground, self.roadside)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MapSite(Site):
-    """The site of a map: its roads, junctions and islands, and the terrain around them."""
-
-    ground: MapGround
-    paint: tuple[MapPaint, ...]
-    has_seams = False
-
-    def symbol_shapes(self, scene: Scene) -> list[SymbolShape]:
-        """The shapes of the map's paint that bounds no lane."""
-        return map_symbols(self.ground, self.paint)
-
-    @cached_property
-    def pavement(self) -> list[meshes.Mesh]:
-        """All roads, junctions and islands."""
-        return map_meshes.pavement_meshes(self.ground)
-
-    @cached_property
-    def span_bodies(self) -> list[Body]:
-        """The decks and tunnels of its roads."""
-        return span_bodies(self.ground)
-
-    @cached_property
-    def verges(self) -> list[meshes.Mesh]:
-        """None: the terrain meets the pavement."""
-        return []
-
-    @cached_property
-    def terrain(self) -> meshes.Mesh:
-        """The terrain around the pavement, up to the horizon."""
-        return map_meshes.terrain_mesh(self.ground)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,27 +202,27 @@ class World:
         """Other things on the same ground: the scene differs in what stands and drives there."""
         return World(scene, replace(self.site, trees=scene.trees, roadside=scene.roadside))
 
-    def paint(self, view: View) -> dict[str, meshes.Mesh]:
+    def paint(self, view: View) -> dict[str, Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
         return paint_meshes(self.ground, self.site.lines, view.eye_world, self.scene.stream)
 
-    def symbols(self, view: View) -> list[meshes.Mesh]:
+    def symbols(self, view: View) -> list[Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
         return [symbol_mesh(self.ground, form, view.eye_world) for form in self.symbol_shapes]
 
     @cached_property
     def symbol_shapes(self) -> list[SymbolShape]:
         """The shapes of all symbols on the road, in the order of their labels."""
-        return self.site.symbol_shapes(self.scene)
+        return symbol_shapes(self.ground, self.scene)
 
-    def tar(self, view: View) -> meshes.Mesh | None:
+    def tar(self, view: View) -> Mesh | None:
         """Cracks filled with tar, raised less than paint; None without any."""
-        amount = self.scene.surface.tar if self.site.has_seams else 0.0
+        amount = self.scene.surface.tar
         return tar_mesh(self.ground, amount, view.eye_world, self.scene.stream) if amount else None
 
-    def ghost_lines(self, view: View) -> meshes.Mesh | None:
+    def ghost_lines(self, view: View) -> Mesh | None:
         """Removed lines, raised less than paint; None without any."""
-        if not self.scene.surface.ghost_lines or not self.site.has_seams:
+        if not self.scene.surface.ghost_lines:
             return None
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
 
@@ -301,9 +246,10 @@ def resolve(scene: Scene, network: Network | None = None) -> World:
     if scene.map is not None and isinstance(network, MapNetwork):
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
         around = camera.y_m, scene.markings, replace(hills, center_world=(x, y))
-        ground = MapGround(*around, *place, network=network, islands=scene.map.islands)
-        return World(scene, MapSite(*furniture, ground=ground, paint=scene.map.paint))
-    return World(scene, Site(Ground(network, camera.y_m, scene.markings, hills, *place), *furniture))
+        map_ground = MapGround(*around, *place, network=network, islands=scene.map.islands)
+        return World(scene, Site(MapSurfaces(map_ground), *furniture))
+    ground = Ground(network, camera.y_m, scene.markings, hills, *place)
+    return World(scene, Site(Surfaces(ground), *furniture))
 
 
 def scene_network(scene: Scene) -> Network:

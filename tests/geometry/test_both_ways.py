@@ -30,11 +30,11 @@ def near_places(mesh: Mesh) -> np.ndarray:
 def test_every_surface_is_its_own_mirror():
     world = same_both_ways(markings={"dash_fraction": 1.0})
     paint = list(world.paint(world.view).values())
-    for mesh in [world.site.terrain, *world.site.verges, *world.site.pavement, *paint]:
+    for mesh in [world.site.surfaces.terrain, *world.site.surfaces.verges, *world.site.surfaces.pavement, *paint]:
         middles = near_places(mesh)
         assert len(middles) > 400
         assert cKDTree(middles).query(middles * [1, -1, 1])[0].max() < 2e-3
-    assert min(np.ptp(mesh.vertices_world[:, 1]) for mesh in [*world.site.pavement, *paint]) > 7900
+    assert min(np.ptp(mesh.vertices_world[:, 1]) for mesh in [*world.site.surfaces.pavement, *paint]) > 7900
 
 
 def test_a_camera_that_looks_back_sees_the_mirrored_lanes():

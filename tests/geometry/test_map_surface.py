@@ -48,7 +48,7 @@ def gaps(terrain: Mesh) -> Points3:
 @pytest.mark.parametrize("name", [*MAPS, *first(1, [6, 39, 1, 14, 21, 33])])
 def test_the_terrain_is_one_surface_below_the_pavement(name: str | int) -> None:
     world = world_of(name)
-    terrain = world.site.terrain
+    terrain = world.site.surfaces.terrain
     assert not len(gaps(terrain)), name
     rng, ground = np.random.default_rng(0), world.ground
     assert isinstance(ground, MapGround)
@@ -57,7 +57,7 @@ def test_the_terrain_is_one_surface_below_the_pavement(name: str | int) -> None:
     z = mesh_height([terrain], xy)
     assert np.isfinite(z).all()
     inside_m = -ground.clearance(xy)
-    over_m = mesh_height(world.site.pavement, xy) - z
+    over_m = mesh_height(world.site.surfaces.pavement, xy) - z
     assert np.nanmin(over_m[inside_m > 0.2]) > 0, f"{name}: terrain over the pavement"
     near = (inside_m < -2.0) & (ground.away_at(xy) < 60)
     assert np.abs(ground.height(xy[near]) - z[near]).max() < 0.06

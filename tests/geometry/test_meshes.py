@@ -54,7 +54,7 @@ def gaps_m(world):
     """Distances, straight up or down, of all label points from the nearest pavement; and how far they are away."""
     labels = label(world, world.view)
     points = np.concatenate([transform(labels.camera.world_from_cam, lane.xyz_cam) for lane in labels.lanes])
-    gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in world.site.pavement])
+    gaps = np.abs([heights_at(mesh, points[:, :2]) - points[:, 2] for mesh in world.site.surfaces.pavement])
     away_m = np.hypot(*(points - world.view.eye_world)[:, :2].T)
     return np.where(np.isnan(gaps), np.inf, gaps).min(axis=0), away_m
 
@@ -106,7 +106,7 @@ def test_rows_follow_a_ramp(height_m, slope):
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_every_label_point_lies_on_the_pavement(topology, flip):
     world = world_of(topology, flip_lateral=flip, flip_longitudinal=flip)
-    pavement = world.site.pavement
+    pavement = world.site.surfaces.pavement
     s = world.network.stations(np.arange(-49.0, 45, 3.7))
     for curve in world.site.lines:
         stations = s[(s > curve.start_m) & (s < curve.end_m)]
@@ -119,12 +119,12 @@ def test_every_label_point_lies_on_the_pavement(topology, flip):
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
 def test_no_terrain_comes_through_a_road(topology):
     world = world_of(topology)
-    ground, terrain = world.ground, world.site.terrain
+    ground, terrain = world.ground, world.site.surfaces.terrain
     x0, y0, x1, y1 = ground.fine
     near = ((terrain.vertices_world[:, :2] > [x0 - 3, y0]) & (terrain.vertices_world[:, :2] < [x1 + 3, y1])).all(axis=1)
     kept = near[terrain.faces].all(axis=1)
     terrain = replace(terrain, faces=terrain.faces[kept], material=terrain.material[kept])
-    for mesh in meshes.road_meshes(ground):
+    for mesh in world.site.surfaces.pavement:
         points = mesh.vertices_world[::17]
         points = points[(points[:, 1] > -50) & (points[:, 1] < 100)]
         above = points[:, 2] - heights_at(terrain, points[:, :2])
@@ -134,7 +134,7 @@ def test_no_terrain_comes_through_a_road(topology):
 @pytest.mark.parametrize("topology", [2, 3, 4])
 def test_faces_look_up_and_carry_their_material(topology):
     world = world_of(topology, flip_longitudinal=True)
-    for mesh in [*world.site.pavement, world.site.terrain]:
+    for mesh in [*world.site.surfaces.pavement, world.site.surfaces.terrain]:
         a, b, c, d = (mesh.vertices_world[mesh.faces[:, i]] for i in range(4))
         up = np.cross(c - a, d - b)[:, 2]
         assert (up > -1e-6).all()
@@ -214,7 +214,7 @@ def test_no_verge_begins_where_the_exits_pavement_meets_the_main_one(topology):
     s = s[(at > 0) & (branch.outside(at, t) < -0.5)]
     seam = main.xy(s, main.right(s) + 1e-3)
     assert len(s) > 20
-    for verge in world.site.verges:
+    for verge in world.site.surfaces.verges:
         corners = verge.vertices_world[verge.faces][..., :2]
         a, b = corners, np.roll(corners, -1, axis=1)
         side = (b - a)[:, :, 0] * (seam[:, None, None, 1] - a[..., 1]) - (b - a)[:, :, 1] * (
@@ -227,8 +227,8 @@ def test_no_verge_begins_where_the_exits_pavement_meets_the_main_one(topology):
 def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
     """Just before a merge is over the roads touch all the way; Blender cannot take an empty mesh."""
     road = {"topology": 2, "flip_lateral": True, "exit_angle_rad": 0.0175, "exit_offset_m": 0}
-    touching = resolve(changed(road=road, camera={"y_m": -5.0})).site.verges
-    apart = world_of(2).site.verges
+    touching = resolve(changed(road=road, camera={"y_m": -5.0})).site.surfaces.verges
+    apart = world_of(2).site.surfaces.verges
     assert [len(apart), len(touching)] == [4, 3]
     assert all(len(mesh.faces) for mesh in apart + touching)
 
@@ -237,10 +237,10 @@ def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
 @pytest.mark.parametrize("flip", [False, True])
 def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
     world = world_of(topology, flip_lateral=flip)
-    terrain = world.site.terrain
+    terrain = world.site.surfaces.terrain
     strips = {name: mesh for name, mesh in world.paint(world.view).items() if len(mesh.faces)}
     through = [mesh for name, mesh in strips.items() if name in ("main_line_0", "main_line_1")]
-    road, *exits = world.site.pavement
+    road, *exits = world.site.surfaces.pavement
     for mesh in [road, *through] + ([] if flip else exits):
         points = mesh.vertices_world[mesh.faces].reshape(-1, 3)
         assert np.abs(points[:, :2]).max() > 0.93 * meshes.HORIZON_M
@@ -254,7 +254,7 @@ def test_far_roads_lie_on_the_ground_and_not_above_it(index):
     world = sample_world(
         Scenes(load_params("streets", ["trees.n=0", "cars.n=0", "road.topology=1"]), 5, "train"), index
     )
-    terrain, (road,) = world.site.terrain, world.site.pavement
+    terrain, (road,) = world.site.surfaces.terrain, world.site.surfaces.pavement
     corners = road.vertices_world[road.faces]
     places = np.concatenate([corners.mean(axis=1), (corners[:, 0] + corners[:, 1]) / 2])
     away_m = np.hypot(places[:, 0], places[:, 1])
@@ -270,7 +270,7 @@ def test_far_roads_lie_on_the_ground_and_not_above_it(index):
 def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(topology):
     world = world_of(topology)
     main, branch = world.network.roads
-    road, exit_road = world.site.pavement
+    road, exit_road = world.site.surfaces.pavement
     s = exit_road.uv_m[:, 1]
     touching = (s > 1) & (s < 0.8 * branch.parting.station(0.0))
     first = np.flatnonzero(touching & (np.diff(s, prepend=-1) != 0))
@@ -286,7 +286,7 @@ def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(to
 def test_all_paint_of_an_edge_line_lies_on_the_lanes_pavement(topology, is_double):
     scene = changed(road={**CURVED, "topology": topology}, markings={"left_double": is_double, "width_m": 0.15})
     world = resolve(scene)
-    road = world.site.pavement[0]
+    road = world.site.surfaces.pavement[0]
     paved = road.uv_m[road.faces[road.material == meshes.ROAD]]
     widest = [0.0, 0.0]
     for name in ("main_line_0", f"main_line_{scene.road.n_main_after}"):

@@ -155,5 +155,5 @@ def test_paint_of_an_exit_lies_over_the_other_roads_pavement_in_a_hollow():
     for name, mesh in world.paint(world.view).items():
         painted = mesh.vertices_world[np.unique(mesh.faces)]
         near = painted[np.linalg.norm(painted[:, :2] - eye[:2], axis=1) < 30]
-        over_m = near[:, 2] - mesh_height(world.site.pavement, near[:, :2])
+        over_m = near[:, 2] - mesh_height(world.site.surfaces.pavement, near[:, :2])
         assert np.nanmean(over_m > 0) > 0.98, name

@@ -85,12 +85,12 @@ def test_the_ground_goes_on_below_a_deck(level: World) -> None:
     assert isinstance(ground, MapGround)
     (deck,) = ground.decks
     assert deck.road.id == "2"
-    assert not len(gaps(level.site.terrain))
+    assert not len(gaps(level.site.surfaces.terrain))
     assert deck.to_m - deck.from_m == pytest.approx(2 * (3.5 + 2.5 + 1.5 * 8), abs=3)
     s = np.linspace(deck.from_m + 0.3, deck.to_m - 0.3, 120)
     for t in (-3.0, 0.0, 3.0):
         top, xy = upper.points(s, np.full(len(s), t)), upper.xy(s, np.full(len(s), t))
-        terrain_m = mesh_height([level.site.terrain], xy)
+        terrain_m = mesh_height([level.site.surfaces.terrain], xy)
         assert np.isfinite(terrain_m).all()
         # At the very ends it is on its way down.
         inner = (s > deck.from_m + 2) & (s < deck.to_m - 2)
@@ -107,7 +107,7 @@ def test_the_ground_goes_on_below_a_deck(level: World) -> None:
 
 def test_a_deck_has_parapets_piers_and_abutments(level: World) -> None:
     (deck,) = level.ground.decks
-    (body,) = level.site.span_bodies
+    (body,) = level.site.surfaces.bodies
     assert any(at is body for at in level.site.structures)
     upper, lower = deck.road, level.network.road("1")
     corners = body.corners_world.reshape(-1, 3)
@@ -148,18 +148,18 @@ def test_a_tunnel_is_below_the_ground_and_open_at_both_ends() -> None:
     assert not ground.is_in(xyz + 1.5 * up).any()
     assert ground.is_in(xyz + 6.0 * up).all()
     assert not ground.is_in(xyz + 8.0 * up).any()
-    terrain_m = mesh_height([world.site.terrain], xyz[:, :2])
+    terrain_m = mesh_height([world.site.surfaces.terrain], xyz[:, :2])
     np.testing.assert_allclose(terrain_m - xyz[:, 2], CEILING_M + COVER_M, atol=0.1)
     # Just before and behind the portals the road is free.
     for s_m in (149.0, 149.9, 230.1, 231.0):
         t = np.linspace(-3.3, 3.3, 12)
         points = own.points(np.full(12, s_m), t)
-        over_m = mesh_height([world.site.terrain], points[:, :2]) - points[:, 2]
+        over_m = mesh_height([world.site.surfaces.terrain], points[:, :2]) - points[:, 2]
         assert np.nanmax(over_m) < 0, s_m
     labels = ground_truth(world.scene)
     middle = next(lane for lane in labels.lanes if lane.id == "1.0.-1")
     assert middle.terrain_visible[:-2].all(), "seen through the tunnel"
-    (body,) = world.site.span_bodies
+    (body,) = world.site.surfaces.bodies
     assert body.kind == "tunnel"
 
 
@@ -170,7 +170,7 @@ def test_bridges_of_a_file_are_decks_over_a_valley() -> None:
     (deck,) = world.ground.decks
     assert (deck.from_m, deck.to_m, deck.is_given) == (150, 190, True)
     middle = deck.road.points(np.array([170.0]), np.zeros(1))
-    assert mesh_height([world.site.terrain], middle[:, :2])[0] < middle[0, 2] - DECK_M - 3
+    assert mesh_height([world.site.surfaces.terrain], middle[:, :2])[0] < middle[0, 2] - DECK_M - 3
 
 
 def test_barriers_of_a_file_are_rails() -> None:

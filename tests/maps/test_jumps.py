@@ -17,7 +17,6 @@ from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.map_ground import MapGround
-from synth3dlanes.world.map_meshes import pavement_meshes
 from synth3dlanes.world.world import World
 from tests.maps.comparing import apart
 from tests.maps.files import PLAIN, lane, opendrive, plan, road, section
@@ -132,7 +131,7 @@ def test_small_steps_divide_nothing() -> None:
 def test_pavement_steps_where_the_labels_do(name: str) -> None:
     world, _ = scene(name)
     assert isinstance(world.ground, MapGround)
-    vertices = np.concatenate([mesh.vertices_world for mesh in pavement_meshes(world.ground)])
+    vertices = np.concatenate([mesh.vertices_world for mesh in world.site.surfaces.pavement])
     for stretch in world.ground.network.roads[0].stretches:
         (across,) = stretch.sections
         for s_m in (across.start_m, across.end_m):

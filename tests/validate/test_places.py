@@ -57,7 +57,7 @@ def is_shown_of_exit(place: RoadPlaces) -> np.ndarray:
 def test_road_and_shoulder_lie_where_the_formulas_have_them(preset):
     rng, n_known, n_exit, n_raised = np.random.default_rng(0), 0, 0, 0
     for world in worlds(preset):
-        for number, whole in enumerate(world.site.pavement):
+        for number, whole in enumerate(world.site.surfaces.pavement):
             mesh = ahead(world, whole, RANGE_M)
             if not len(mesh.faces):
                 continue
