@@ -1,6 +1,7 @@
 """Read OpenDRIVE as ASAM OpenDRIVE 1.7 states it, on a file's own numbers: where the lanes of its roads are.
 
-- 7.3.4 / 7.3.5 paramPoly3: u, v are cubics of p in the frame at (x, y) turned by hdg; p runs from 0 to length.
+- 7.3.4 / 7.3.5 paramPoly3: u, v are cubics of p in the frame at (x, y) turned by hdg; p runs evenly from 0 to 1
+  (normalized) or to the length (arcLength).
 - 8.4 elevation and 8.5 superelevation: cubics of ds from the last entry at or before s; superelevation is the roll of
   the plane about the reference line, positive with the left side higher. s is measured on the xy plane, t on the rolled
   plane, to the left.
@@ -35,8 +36,11 @@ class FileRoad:
         geometries = list(element.iter("geometry"))
         self.geometries = np.array([[number(e, key) for key in ("s", "x", "y", "hdg")] for e in geometries])
         polys = [next(e.iter("paramPoly3")) for e in geometries]
-        if any(poly.get("pRange") != "arcLength" for poly in polys):
-            raise ValueError("expected paramPoly3 by arcLength")
+        ranges = {"normalized": 0.0, "arcLength": 1.0}
+        lengths = [
+            number(e, "length") ** ranges[poly.attrib["pRange"]] for e, poly in zip(geometries, polys, strict=True)
+        ]
+        self.rates = np.array(lengths) / [number(e, "length") for e in geometries]
         self.polys = np.array([[[number(e, f"{a}{axis}") for a in "abcd"] for axis in "UV"] for e in polys])
         self.shapes: dict[float, list[Element]] = {}
         for shape in element.iter("shape"):
@@ -50,7 +54,7 @@ class FileRoad:
         """x, y and heading of the reference line."""
         i = np.clip(np.searchsorted(self.geometries[:, 0], np.asarray(s) + AT_M, side="right") - 1, 0, None)
         start, x, y, heading = np.moveaxis(self.geometries[i], -1, 0)
-        p = (np.asarray(s) - start)[..., None]
+        p = ((np.asarray(s) - start) * self.rates[i])[..., None]
         powers = np.concatenate([np.ones_like(p), p, p**2, p**3], axis=-1)
         slopes = np.concatenate([np.zeros_like(p), np.ones_like(p), 2 * p, 3 * p**2], axis=-1)
         u, v = np.moveaxis((self.polys[i] * powers[..., None, :]).sum(axis=-1), -1, 0)

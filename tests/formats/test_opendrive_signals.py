@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.draw.sample import Scenes, draw_world
-from synth3dlanes.formats.opendrive.map_write import opendrive_of_map
+from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
@@ -25,7 +25,7 @@ def test_they_come_back_at_their_places_with_their_lanes(overrides: tuple[str, .
     plain = ("trees.n=0", "town.fronts=0", "town.traffic=0", "town.turn_lanes=both", "town.n_lanes=2")
     world = draw_world(Scenes(load_params("town", (*overrides, *plain)), 5), 1)
     written = [item for item in world.scene.roadside.free_elements if item.lanes]
-    text = opendrive_of_map(world, "town")
+    text = opendrive(world, "town")
     given = read_opendrive(text.encode(), "t", "map t")
     ours = {road.get("id"): road.get("name") for road in ElementTree.fromstring(text).iter("road")}
     assert len(given.elements) == len(written) > 3

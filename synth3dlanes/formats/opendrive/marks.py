@@ -1,15 +1,16 @@
 """The paint along the edges of lanes: each is that of the delimiter which runs there."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.formats.opendrive.convention import LANE_CHANGES
+from synth3dlanes.formats.opendrive.described import PaintedMark
 from synth3dlanes.formats.opendrive.roads import OdrRoad
 from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.scene.road_map import MapMark, MapMarkKind
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world.world import World
@@ -24,75 +25,42 @@ MARK_M, LENGTH_STEP_M = 50.0, 0.5
 # From the first to the last place of a stretch that have to be near, as shares of it.
 PROBES = np.array([0.2, 0.5, 0.8])
 
-Kind = Literal["none", "solid", "double", "solid_dashed", "dashed_solid", "dashed", "dots"]
-MIRRORED: dict[Kind, Kind] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
+MIRRORED: dict[MapMarkKind, MapMarkKind] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
+DOUBLE: frozenset[MapMarkKind] = frozenset({"solid_solid", *MIRRORED})
+# The pattern of a stripe: the lengths of its dashes and gaps, and where the first dash begins.
+Pattern = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Mark:
-    """Paint from `s_m` of a road to the next mark, `length_m` away: the width of a stripe, the lengths of dashes and
-    gaps, and where the first dash begins after `s_m`. Of stripes that differ, `kind` names the left one first."""
-
-    s_m: float
-    kind: Kind = "none"
-    color: str = "standard"
-    width_m: float = 0.0
-    length_m: float = 0.0
-    dash_m: float = 0.0
-    gap_m: float = 0.0
-    first_m: float = 0.0
-
-    @property
-    def stripes(self) -> dict[float, tuple[float, float, float]]:
-        """By the t of the stripes from the edge: their dashes, gaps and first dash; a solid stripe is one dash."""
-        solid, dashes = (self.length_m, 0.0, 0.0), (self.dash_m, self.gap_m, self.first_m)
-        if self.kind == "none":
-            return {}
-        if self.is_double:
-            right, left = (dashes if self.kind == dashed else solid for dashed in ("solid_dashed", "dashed_solid"))
-            return {-self.width_m: right, self.width_m: left}
-        return {0.0: solid if self.kind == "solid" else dashes}
-
-    @property
-    def is_double(self) -> bool:
-        """Whether there are two stripes."""
-        return self.kind in ("double", *MIRRORED)
-
-    @property
-    def total_width_m(self) -> float:
-        """The width over all stripes."""
-        return 3 * self.width_m if self.is_double else self.width_m
-
-
-def marks(world: World, road: OdrRoad) -> dict[int, list[Mark]]:
+def marks(world: World, road: OdrRoad) -> dict[int, tuple[MapMark, ...]]:
     """The marks on the outer edges of all lanes by their numbers, and those of lane 0, which lies between both
     directions or at the inner edge of a road of one direction."""
     edges = {0: road.center_m, **{lane.number: lane.outer_m for lane in road.lanes}}
-    found = {number: _along(world, road, road.plane_points(t)[:, :2]) for number, t in edges.items()}
+    found = {number: tuple(_along(world, road, number, road.plane_points(t)[:, :2])) for number, t in edges.items()}
     # The line between both directions belongs to the lanes of the host's where these are another road's.
-    return found | ({0: []} if road.is_oncoming and road.in_junction else {})
+    return found | ({0: ()} if road.is_oncoming and road.in_junction else {})
 
 
-def _along(world: World, road: OdrRoad, edge_xy: Float[np.ndarray, "m 2"]) -> list[Mark]:
+def _along(world: World, road: OdrRoad, number: int, edge_xy: Float[np.ndarray, "m 2"]) -> Iterator[MapMark]:
     """All marks of an edge, and `none` between them; nothing where it is not painted at all."""
     found = sorted(
         (mark for line in world.site.lines for mark in _of(world, road, edge_xy, line)), key=lambda at: at[0].s_m
     )
-    filled, reached = [], 0.0
+    reached = 0.0
     for mark, end_m in found:
         if mark.s_m > reached + SHORT_M:
-            filled.append(Mark(reached))
-        filled.append(mark)
+            yield MapMark(s_m=reached, kind="none")
+        # From the left; on lanes to the left of lane 0 the inner stripe comes first.
+        yield mark.model_copy(update={"kind": MIRRORED.get(mark.kind, mark.kind)}) if number > 0 else mark
         reached = end_m
     if found and road.s_m[-1] > reached + SHORT_M:
-        filled.append(Mark(reached))
-    return filled
+        yield MapMark(s_m=reached, kind="none")
 
 
 def _of(
     world: World, road: OdrRoad, edge_xy: Float[np.ndarray, "m 2"], line: LaneCurve
-) -> Iterator[tuple[Mark, float]]:
-    """The marks of a delimiter along an edge, each with its end, if it runs there."""
+) -> Iterator[tuple[PaintedMark, float]]:
+    """The marks of a delimiter along an edge, each with its end, if it runs there; of stripes that differ, the left one
+    is named first."""
     at = np.flatnonzero((road.network_s >= line.start_m - 1e-6) & (road.network_s <= line.end_m + 1e-6))
     if line.kind != "delimiter" or len(at) < 2 or road.s_m[at[-1]] - road.s_m[at[0]] < SHORT_M:
         return
@@ -103,13 +71,29 @@ def _of(
     if apart_m.max() > NEAR_M:
         return
     markings = world.scene.markings
-    look = str(paint_color(line, markings)), line_width_m(line, markings)
+    width_m = line_width_m(line, markings)
+
+    def painted(kind: MapMarkKind, s_m: float, length_m: float, dashes: Pattern = (0.0, 0.0, 0.0)) -> PaintedMark:
+        solid = (length_m, 0.0, 0.0)
+        patterns: dict[float, Pattern] = {0.0: solid if kind == "solid" else dashes}
+        if kind in DOUBLE:
+            right, left = (dashes if kind == dashed else solid for dashed in ("solid_dashed", "dashed_solid"))
+            patterns = {-width_m: right, width_m: left}
+        return PaintedMark(
+            s_m=s_m,
+            kind=kind,
+            yellow=paint_color(line, markings) == "yellow",
+            width_m=width_m,
+            stripes=tuple((t_m, *pattern) for t_m, pattern in patterns.items()),
+            lane_change=LANE_CHANGES.get(kind, "none"),
+        )
+
     start_m, end_m = float(road.s_m[at[0]]), float(road.s_m[at[-1]])
     pair = pair_of(line, markings)
     if line.marking == "solid" and pair is None:
-        yield Mark(start_m, "double" if is_double(line, markings) else "solid", *look, end_m - start_m), end_m
+        yield painted("solid_solid" if is_double(line, markings) else "solid", start_m, end_m - start_m), end_m
         return
-    kind: Kind = "dots" if is_dotted(line, markings) else "dashed"
+    kind: MapMarkKind = "dots" if is_dotted(line, markings) else "dashed"
     if pair:
         kind = MIRRORED[pair] if road.is_oncoming else pair
     cycle_m, dash_m = markings.dash_cycle_m, markings.dash_fraction * markings.dash_cycle_m
@@ -123,8 +107,8 @@ def _of(
     for i, (place_m, next_m) in enumerate(pairwise(places_m)):
         scale = (next_m - place_m) / (begins_m[i + 1] - begins_m[i])
         from_m = place_m if i else start_m
-        sizes = next_m - from_m, scale * dash_m, scale * (cycle_m - dash_m), place_m - from_m
-        yield Mark(float(from_m), kind, *look, *map(float, sizes)), float(next_m)
+        dashes = float(scale * dash_m), float(scale * (cycle_m - dash_m)), float(place_m - from_m)
+        yield painted(kind, float(from_m), float(next_m - from_m), dashes), float(next_m)
 
 
 def _lengths(line: LaneCurve, network_s: Scalars) -> Scalars:

@@ -1,6 +1,6 @@
 """What lies and stands on and beside the roads, as OpenDRIVE's objects."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -38,8 +38,8 @@ RAIL_WIDTH_M = {"guardrail": 0.1, "concrete": 0.6, "noise_wall": 0.2}
 RAIL_STEP_M = 10.0
 
 
-def add_objects(world: World, roads: Sequence[OdrRoad], elements: Sequence[Element]) -> None:
-    """Add the objects of a world to the elements of its roads."""
+def add_objects(world: World, roads: Sequence[OdrRoad], elements: Mapping[str, Element]) -> None:
+    """Add the objects of a world to the elements of its roads by their names."""
     groups: list[list[Element]] = [[] for _ in roads]
     scene, ground = world.scene, world.ground
     for symbol in scene.symbols:
@@ -61,9 +61,9 @@ def add_objects(world: World, roads: Sequence[OdrRoad], elements: Sequence[Eleme
         base = on_ground(ground, frame.origin[None, :2])[0]
         _add_upright(base, roads, groups, ("building", building.kind), building.yaw_rad + np.pi / 2, **sizes)
     count = 0
-    for group, element in zip(groups, elements, strict=True):
+    for group, road in zip(groups, roads, strict=True):
         if group:
-            objects = add(element, "objects")
+            objects = add(elements[road.name], "objects")
             for found in group:
                 found.set("id", str(count))
                 objects.append(found)

@@ -16,6 +16,7 @@ from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane, Offset, Road
 from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 
 # Stations that a file reaches, at least, and the distance of the places that are fitted.
@@ -37,7 +38,7 @@ class OdrLane:
     that it is (None for a shoulder or median), and its edges as t, the inner one first."""
 
     number: int
-    kind: str
+    kind: MapLaneKind
     segment: str | None
     inner_m: Scalars
     outer_m: Scalars
@@ -115,7 +116,7 @@ class OdrRoad:
 class _Strip:
     """A strip of a road of the network: its type, its lane, its width, which may depend on the station."""
 
-    kind: str
+    kind: MapLaneKind
     segment: str | None
     width_m: float | Callable[[Scalars], Scalars]
 
