@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from synth3dlanes.formats.tusimple.convention import ABSENT, CAMERA
-from synth3dlanes.formats.tusimple.read import TusimpleSplit
-from synth3dlanes.formats.tusimple.score import TusimpleScore, mean_score, score_frame
+from synth3dlanes.formats.tusimple import ABSENT, CAMERA, TusimpleScore, TusimpleSplit, mean_score, score_frame
 from synth3dlanes.geometry.frames import project
 
 from .lanes import Detection, Prediction

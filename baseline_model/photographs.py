@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.formats.reading import read_image, read_text
-from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
+from synth3dlanes.formats.tusimple import TusimpleSplit, find_labels
 from synth3dlanes.system.arrays import RgbImage
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.words import counted

@@ -19,10 +19,10 @@ from synth3dlanes.dataset.format import Sample
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rectify import rectified_image, rectified_labels
 from synth3dlanes.dataset.splits import has_split, one_reader, only_split
-from synth3dlanes.formats.apollo.read import ApolloSplit
-from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
+from synth3dlanes.formats.apollo import ApolloSplit
+from synth3dlanes.formats.openlane import OpenLaneSplit, is_openlane
 from synth3dlanes.formats.reading import ForeignSample
-from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
+from synth3dlanes.formats.tusimple import TusimpleSplit, find_labels
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.system.arrays import RgbImage
 from synth3dlanes.system.errors import FormatError, InputError

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.reading import ForeignSample
-from synth3dlanes.formats.tusimple.read import TusimpleSplit
+from synth3dlanes.formats.tusimple import TusimpleSplit
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
 from synth3dlanes.system.errors import InputError

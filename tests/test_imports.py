@@ -12,7 +12,7 @@ PROBE = "import sys, {}; print(*sorted({} & set(sys.modules)))"
 
 
 # Those that load none of the heavy packages, and those that load pyarrow alone.
-LIGHT = ("", "_cli.main", ".roads.network", ".draw.sample", ".truth.ground_truth", ".formats.apollo.read")
+LIGHT = ("", "_cli.main", ".roads.network", ".draw.sample", ".truth.ground_truth", ".formats.apollo")
 WITH_TABLES = (".api", ".dataset.read", ".formats.export", ".dataset.scenes", ".production.run")
 
 

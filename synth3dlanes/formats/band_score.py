@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from PIL import Image, ImageDraw
-from scipy.interpolate import CubicSpline
-from scipy.optimize import linear_sum_assignment
 
 from synth3dlanes.system.arrays import MaskImage, Polyline2
 
@@ -45,7 +44,7 @@ def _matched(true: Sequence[Polyline2], predicted: Sequence[Polyline2], canvas: 
     bands_true, bands_predicted = ([_band(line, canvas) for line in lines] for lines in (true, predicted))
     overlaps = np.array([[_overlap(a, b) for b in bands_predicted] for a in bands_true])
     overlaps = overlaps.reshape(len(true), len(predicted))
-    pairs = linear_sum_assignment(overlaps, maximize=True)
+    pairs = scipy.optimize.linear_sum_assignment(overlaps, maximize=True)
     return int(np.count_nonzero(overlaps[pairs] > canvas.iou))
 
 
@@ -66,7 +65,7 @@ def _spline(line: Polyline2) -> Polyline2:
     lengths_px = np.linalg.norm(np.diff(line, axis=0), axis=1)
     knots_px = np.concatenate([[0.0], np.cumsum(lengths_px)])
     at_px = np.interp(np.arange(STEPS * len(lengths_px) + 1) / STEPS, np.arange(len(knots_px)), knots_px)
-    return np.asarray(CubicSpline(knots_px, line, bc_type="natural")(at_px))
+    return np.asarray(scipy.interpolate.CubicSpline(knots_px, line, bc_type="natural")(at_px))
 
 
 def _overlap(a: MaskImage, b: MaskImage) -> float:

@@ -8,19 +8,21 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from synth3dlanes.dataset.description import is_lifted
 from synth3dlanes.dataset.format import SCENE
-from synth3dlanes.dataset.read import Reader
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.imaging.sweep import Sweep
-from synth3dlanes.labels.labels import CameraLabel, Labels, LaneKind
-from synth3dlanes.scene import scene as scene_format
-from synth3dlanes.scene.scene import Scene
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.system.arrays import RgbImage, Scalars
+
+if TYPE_CHECKING:
+    # Who reads a format needs none of these.
+    import synth3dlanes.dataset.read
+    import synth3dlanes.imaging.sweep
+    import synth3dlanes.scene.scene
 
 Points = Float[np.ndarray, "_ d"]
 Distances = Float[np.ndarray, " _"]
@@ -41,7 +43,7 @@ ROUNDING = 1e-3
 class SourceSample:
     """The sample of the data set that a frame of an export was made from."""
 
-    def __init__(self, reader: Reader, place: int) -> None:
+    def __init__(self, reader: "synth3dlanes.dataset.read.Reader", place: int) -> None:
         self.reader, self.place = reader, place
 
     @cached_property
@@ -52,13 +54,24 @@ class SourceSample:
     @property
     def has_scene(self) -> bool:
         """Whether it was drawn: a sample that was lifted from a real drive has no scene."""
+        from synth3dlanes.dataset.description import is_lifted
+
         return not is_lifted(self.reader.description)
 
     @cached_property
-    def scene(self) -> Scene:
+    def scene(self) -> "synth3dlanes.scene.scene.Scene":
         """Its scene."""
+        from synth3dlanes.scene import scene as scene_format
+
         where = f"{self.reader.url}:{self.reader.key(self.place)}"
         return scene_format.from_json(self.reader.member(self.place, SCENE), where)
+
+    @cached_property
+    def kerbs(self) -> tuple[Lane, ...]:
+        """The kerbs that its camera sees, if it has a scene."""
+        from synth3dlanes.formats.kerbs import kerb_lanes
+
+        return kerb_lanes(self.scene, self.labels.camera) if self.has_scene else ()
 
     @cached_property
     def image(self) -> RgbImage:
@@ -71,7 +84,7 @@ class SourceSample:
         return self.reader.passes(self.place)
 
     @cached_property
-    def sweep(self) -> Sweep | None:
+    def sweep(self) -> "synth3dlanes.imaging.sweep.Sweep | None":
         """The sweep of its lidar, if it has one."""
         return self.reader.lidar(self.place) if self.reader.has_lidar else None
 
@@ -82,12 +95,12 @@ class SourceSample:
 
     def lanes(self, kind: LaneKind) -> "list[UprightLane]":
         """The lanes of a kind, upright."""
+        return self.upright(lane for lane in self.labels.lanes if lane.kind == kind)
+
+    def upright(self, lanes: Iterable[Lane]) -> "list[UprightLane]":
+        """Lanes of its labels, or its kerbs, upright."""
         camera = self.labels.camera
-        return [
-            UprightLane(camera, lane.id, upright(camera, lane.xyz_cam), lane.terrain_visible)
-            for lane in self.labels.lanes
-            if lane.kind == kind
-        ]
+        return [UprightLane(camera, of.id, upright(camera, of.xyz_cam), of.terrain_visible) for of in lanes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +160,18 @@ class ExportView:
 
     img_from_cv: Float[np.ndarray, "3 _"]
     size_px: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundLines:
+    """The lines of a frame as an export has them, in metres in the frame of its upright camera or in pixels, and what
+    it says of that camera; with the ids of our lanes, if it has these."""
+
+    points: Sequence[Points]
+    view: ExportView
+    ids: Sequence[str] | None = None
+    height_m: float | None = None
+    pitch_rad: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +280,22 @@ def compare(
             if (apart := _apart(found, line)) > MISSING[rule.unit]
         )
     return Comparison(tuple(gaps), tuple(problems), strange=Counter({rule.name: n_strange})), lanes
+
+
+def compare_lines(
+    found: FoundLines,
+    truth: SourceSample,
+    rule: Rule,
+    lanes: Sequence[UprightLane] | None = None,
+    rows_px: Sequence[int] | Int[np.ndarray, " _"] = (),
+) -> tuple[Comparison, list[str]]:
+    """Lines, in metres or at rows of the image by the rule's unit, beside these lanes (by default all delimiters), and
+    the camera beside that of the labels; and the ids of the lanes that the lines are."""
+    lanes = truth.lanes("delimiter") if lanes is None else lanes
+    in_image = rule.unit == "px"
+    ours = [lane.at_rows(found.view, rows_px) if in_image else lane.in_metres(found.view) for lane in lanes]
+    compared, ids = compare(found.points, ours, rule, found.ids)
+    return compared.because(camera_problems(truth, found.height_m, found.pitch_rad)), ids
 
 
 MISSING = {"m": 0.1, "px": 4.0}

@@ -4,15 +4,18 @@ add one."""
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
-from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import CameraLabel
-from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Passes
 from synth3dlanes.system.words import counted
+
+if TYPE_CHECKING:
+    # Who reads a format needs neither.
+    import synth3dlanes.imaging.sweep
+    import synth3dlanes.scene.scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -23,10 +26,10 @@ class SampleFrame(ExportFrame):
     of them, none for the others. `is_first` says whether it is the first exported picture of its scene. `pictures`
     gives, one after the other, those of its scene by the camera of the sample of this key."""
 
-    scene: Scene
+    scene: "synth3dlanes.scene.scene.Scene"
     passes: Passes
     image_format: str
-    sweep: Sweep | None = None
+    sweep: "synth3dlanes.imaging.sweep.Sweep | None" = None
     cameras: Mapping[str, CameraLabel] = field(default_factory=dict)
     is_first: bool = True
     pictures: Callable[[str], Iterator[SourceSample]] = lambda key: iter(())

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.optimize import linear_sum_assignment
 
 from synth3dlanes.system.arrays import Polyline3
 
@@ -31,8 +31,9 @@ class Line3d:
     probability: float = 1.0
 
 
-Frames = Sequence[tuple[Sequence[Line3d], Sequence[Line3d]]]
-"""Ground truth and prediction of every frame."""
+LinePair = tuple[Sequence[Line3d], Sequence[Line3d]]
+"""Ground truth and prediction of a frame."""
+Frames = Sequence[LinePair]
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,20 @@ class Score3d:
 @dataclass(frozen=True)
 class ScoreRules:
     """Where the two benchmarks differ: what a sample costs that neither line has, the error of a near or far part that
-    a pair does not have, and the least cost of a pair that is not identical."""
+    a pair does not have, and the least cost of a pair that is not identical; how far beside the axis true lines may be.
+    Gen-LaneNet's predictions have probabilities, which give an AP; OpenLane's are pruned like true lines."""
 
     absent_m: float
     missing_m: float
     least_cost: float
+    half_width_m: float
+    has_probabilities: bool
+
+
+GEN_LANENET = ScoreRules(MATCH_M, MATCH_M, 0.0, half_width_m=30.0, has_probabilities=True)
+OPENLANE = ScoreRules(0.0, float("nan"), 1.0, half_width_m=HALF_WIDTH_M, has_probabilities=False)
+CONFIDENT = 0.5
+THRESHOLDS = np.linspace(0.05, 0.95, 19)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,13 +112,49 @@ class LineTally:
         )
 
 
-def prune(line: Line3d, half_width_m: float) -> Line3d | None:
-    """The part of a true line that an evaluator keeps: visible, within the bounds; None if it drops the line."""
+def score(frames: Frames, rules: ScoreRules) -> Score3d:
+    """The evaluator over all frames, in the benchmark's ground frame. Where predictions have probabilities, those above
+    0.5 count, and the AP looks at 19 thresholds."""
+    if not rules.has_probabilities:
+        return _tally(frames, rules).score()
+    curve = [_tally(frames, rules, threshold).rates() for threshold in THRESHOLDS]
+    return _tally(frames, rules, CONFIDENT).score(_average_precision(curve))
+
+
+def _tally(frames: Frames, rules: ScoreRules, threshold: float = -np.inf) -> LineTally:
+    tally = LineTally()
+    for true, predicted in frames:
+        confident = [line for line in predicted if line.probability > threshold]
+        if rules.has_probabilities:
+            found = [sample_line(line) for line in confident]
+        else:
+            found = [line for line in _pruned(confident, rules) if line.seen.sum() > 1]
+        kept = [line for line in _pruned(true, rules) if rules.has_probabilities or line.seen.sum() > 1]
+        add_frame(tally, kept, found, rules)
+    return tally
+
+
+def _pruned(lines: Sequence[Line3d], rules: ScoreRules) -> list[SampledLine]:
+    return [sample_line(kept) for line in lines if (kept := prune(line, rules)) is not None]
+
+
+def _average_precision(curve: list[tuple[float, float]]) -> float:
+    # Ends fixed at (R 0, P 1) and (R 1, P 0), each after measured points of equal recall: hence 0.5 for no match
+    # at all and 1 for a perfect one.
+    ends = [(0.0, 1.0), (1.0, 0.0)]
+    recalls, precisions = np.array(sorted(curve + ends, key=lambda point: (point[0], point in ends))).T
+    below = np.searchsorted(recalls, THRESHOLDS, side="left") - 1
+    r0, r1, p0, p1 = recalls[below], recalls[below + 1], precisions[below], precisions[below + 1]
+    return float(np.mean(p0 + (p1 - p0) * (THRESHOLDS - r0) / (r1 - r0)))
+
+
+def prune(line: Line3d, rules: ScoreRules) -> Line3d | None:
+    """The part of a line that an evaluator keeps: visible, within the bounds; None if it drops the line."""
     points_ground = line.points_ground[line.visible]
     if len(points_ground) < 2 or points_ground[0, 1] >= SAMPLES_Y_M[-1] or points_ground[-1, 1] <= SAMPLES_Y_M[0]:
         return None
     x_m, y_m, _ = points_ground.T
-    points_ground = points_ground[(np.abs(x_m) < half_width_m) & (y_m > 0) & (y_m < LOADED_Y_M)].copy()
+    points_ground = points_ground[(np.abs(x_m) < rules.half_width_m) & (y_m > 0) & (y_m < LOADED_Y_M)].copy()
     if len(points_ground) < 2:
         return None
     return Line3d(points_ground, np.ones(len(points_ground), dtype=bool), line.category, line.probability)
@@ -142,7 +188,7 @@ def add_frame(
     sums_m = distances_m.sum(axis=-1)
     costs = np.where(sums_m > 0, np.maximum(np.trunc(sums_m), rules.least_cost), 0.0)
     # The tiny share of the exact sum only decides between pairings whose whole costs are equal.
-    for i, j in zip(*linear_sum_assignment(costs + 1e-6 * sums_m), strict=True):
+    for i, j in zip(*scipy.optimize.linear_sum_assignment(costs + 1e-6 * sums_m), strict=True):
         if costs[i, j] >= MATCH_M * len(SAMPLES_Y_M):
             continue
         n_matched = np.count_nonzero(both[i, j] & (distances_m[i, j] < MATCH_M))

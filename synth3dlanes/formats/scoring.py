@@ -46,6 +46,18 @@ def predicted(
             yield frames.name, both
 
 
+def scored(
+    lists: Iterable[FrameList],
+    of_frame: Callable[[ReadFrame], Prediction | None],
+    benchmark: Callable[[list[Prediction]], Any],
+    predictions: Path,
+) -> Iterator[Rates]:
+    """The rates of each list: `benchmark` makes a dataclass of numbers of what `of_frame` gives for its frames, such as
+    the true and the predicted lines; None for a frame without a prediction."""
+    for name, frames in predicted(lists, of_frame, predictions):
+        yield rates(name, frames, benchmark([found for _, found in frames]))
+
+
 def lines_by(path: Path, model: type[Line], key: str) -> dict[str, Line]:
     """The documents of a JSON-lines file of predictions, by one of their values."""
     found = [parse(model, line, f"{path}:{i}", "a prediction") for i, line in enumerate(json_lines(path), start=1)]

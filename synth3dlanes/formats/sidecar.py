@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from synth3dlanes.formats.comparing import ExportView, FoundLines, Points
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.formats.writing import PinholeFrame
 from synth3dlanes.system.errors import FormatError
@@ -35,6 +36,11 @@ class Sidecar(Excerpt):
     camera_height_m: Positive
     camera_pitch_rad: float
     lines_ids: list[str]
+
+    def found(self, lines_px: Sequence[Points], size_px: tuple[int, int]) -> FoundLines:
+        """Lines of its image, of this width and height, as they are compared."""
+        view = ExportView(self.img_from_cv, size_px)
+        return FoundLines(lines_px, view, self.lines_ids, self.camera_height_m, self.camera_pitch_rad)
 
 
 Line = TypeVar("Line", bound=Excerpt)

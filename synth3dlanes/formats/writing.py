@@ -35,6 +35,11 @@ class Pinhole:
         cy_px = self.height_px / 2 + self.below_px
         return np.array([[self.f_px, 0, self.width_px / 2], [0, self.f_px, cy_px], [0, 0, 1.0]])
 
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the image."""
+        return self.width_px, self.height_px
+
     def resized(self, width_px: int, height_px: int) -> "Pinhole":
         """The camera of another image size with the same horizontal field of view."""
         scale = width_px / self.width_px

@@ -16,8 +16,8 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import Picture, encode, member_names
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.draw.sample import Scenes, sample_scene
-from synth3dlanes.formats.apollo.read import ApolloSplit
-from synth3dlanes.formats.openlane.read import OpenLaneSplit
+from synth3dlanes.formats.apollo import ApolloSplit
+from synth3dlanes.formats.openlane import OpenLaneSplit
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan

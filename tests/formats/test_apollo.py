@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from synth3dlanes.formats.apollo import write
-from synth3dlanes.formats.apollo.convention import cam_height_m
-from synth3dlanes.formats.apollo.read import parse
+from synth3dlanes.formats import apollo
+from synth3dlanes.formats.apollo import cam_height_m, parse
 from synth3dlanes.formats.writing import CV_FROM_CAM, Pinhole
 from tests.formats import closed_form as cf
 from tests.formats.random_roads import ROUNDING_M, cameras, distance_to_lane_m, roads
@@ -18,7 +17,7 @@ FRAME = cf.frame(Pinhole(1920, 1080, 2015.0))
 
 
 def apollo_frame(labels, frame=FRAME):
-    return parse(write.annotate(replace(frame, labels=labels)).shared[0][0], "test")
+    return parse(apollo.write(replace(frame, labels=labels)).shared[0][0], "test")
 
 
 def project_as_apollo_does(points_apollo, height_m, pitch_rad):
@@ -47,7 +46,7 @@ def cv_from_apollo(points_apollo, height_m, pitch_rad):
 def test_apollo_projection_reproduces_our_pixels(pose):
     camera = cf.camera_label(*pose)
     points_cv = np.array([[2.0, 1.5, 6.0], [-3, 1, 10], [5, -2, 80]])
-    points_apollo = write.apollo_from_cv(points_cv, camera)
+    points_apollo = apollo.apollo_from_cv(points_cv, camera)
     seen_img = project_as_apollo_does(points_apollo, cam_height_m(camera.height_m, camera.pitch_rad), camera.pitch_rad)
     np.testing.assert_allclose(seen_img, pixels(points_cv), atol=1e-9)
 
@@ -69,11 +68,11 @@ def test_foot_of_camera_coordinates_would_be_off_by_many_pixels():
 def test_apollo_camera_position_and_road_plane(pose):
     camera = cf.camera_label(*pose)
     h_m, p = cam_height_m(camera.height_m, camera.pitch_rad), camera.pitch_rad
-    center_apollo = write.apollo_from_cv(np.zeros((1, 3)), camera)[0]
+    center_apollo = apollo.apollo_from_cv(np.zeros((1, 3)), camera)[0]
     np.testing.assert_allclose(center_apollo, [0, h_m * np.sin(p), h_m * np.cos(p)], atol=1e-12)
     flat = cf.lane(camera, cf.curve(2.0))
-    np.testing.assert_allclose(write.apollo_from_cv(flat.xyz_cam @ CV_FROM_CAM.T, camera)[:, 2], 0, atol=1e-12)
-    axis_apollo = write.apollo_from_cv(np.array([[0, 0, 1.0]]), camera)[0] - center_apollo
+    np.testing.assert_allclose(apollo.apollo_from_cv(flat.xyz_cam @ CV_FROM_CAM.T, camera)[:, 2], 0, atol=1e-12)
+    axis_apollo = apollo.apollo_from_cv(np.array([[0, 0, 1.0]]), camera)[0] - center_apollo
     np.testing.assert_allclose(axis_apollo, [0, np.cos(p), -np.sin(p)], atol=1e-12)
 
 
@@ -83,7 +82,7 @@ def test_apollo_lines_come_back_within_rounding(camera, plan):
     labels = cf.road(cf.camera_label(*camera), **plan)
     frame = apollo_frame(labels)
     by_id = {lane.id: lane for lane in labels.lanes}
-    ids = json.loads(write.annotate(replace(FRAME, labels=labels)).shared[2][0])
+    ids = json.loads(apollo.write(replace(FRAME, labels=labels)).shared[2][0])
     for lines_apollo, flags, names in (
         (frame.lane_lines_apollo, frame.lane_lines_visible, ids["laneLines_ids"]),
         (frame.center_lines_apollo, frame.center_lines_visible, ids["centerLines_ids"]),
@@ -128,7 +127,7 @@ def test_visibility_bridges_a_hole_between_two_visible_stretches():
 
 
 def test_apollo_line_has_every_key_on_one_physical_line_even_without_lanes():
-    annotation = write.annotate(replace(FRAME, labels=cf.labels_of(cf.camera_label())))
+    annotation = apollo.write(replace(FRAME, labels=cf.labels_of(cf.camera_label())))
     text = annotation.shared[0][0]
     assert "\n" not in text
     assert json.loads(text) == {
@@ -146,7 +145,7 @@ def test_apollo_keeps_the_six_nearest_and_says_what_it_dropped():
     camera = cf.camera_label()
     x_m = [7.0, -5.0, 1.0, -1.0, 3.0, -3.0, 5.5, 14.0]
     labels = cf.labels_of(camera, *(cf.lane(camera, cf.curve(x), f"x{x}") for x in x_m))
-    annotation = write.annotate(replace(FRAME, labels=labels))
+    annotation = apollo.write(replace(FRAME, labels=labels))
     sidecar = json.loads(annotation.shared[2][0])
     assert sidecar["laneLines_ids"] == ["x1.0", "x-1.0", "x3.0", "x-3.0", "x-5.0", "x5.5"]
     assert sum(annotation.dropped.values()) == 2
@@ -183,7 +182,7 @@ def test_two_paths_that_look_alike_are_one_centre_line():
 def test_apollo_splits_follow_the_folder_numbers(is_train, tags, illumination, folder, splits):
     part = "train" if is_train else "test"
     frame = replace(FRAME, part=part, tags=frozenset(tags), illumination=illumination)
-    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
+    annotation = apollo.write(replace(frame, labels=cf.road(cf.camera_label())))
     assert f"images/{folder}/" in annotation.image
     assert set(annotation.shared[0][1]) == {f"data_splits/{split}/{part}.json" for split in splits}
     assert set(annotation.shared[1][1]) == {f"data_lists/{split}/{part}.txt" for split in splits}

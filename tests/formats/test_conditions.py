@@ -9,14 +9,12 @@ import pytest
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.formats import openlane
 from synth3dlanes.formats.conditions import conditions
-from synth3dlanes.formats.culane.convention import SCENES, scene_list, scene_of
+from synth3dlanes.formats.culane import SCENES, scene_list, scene_of
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.kerbs import kerb_lanes
-from synth3dlanes.formats.openlane import write as openlane
-from synth3dlanes.formats.openlane.convention import WAYMO_FROM_CAM
-from synth3dlanes.formats.openlane.read import parse
-from synth3dlanes.formats.openlane.write import CASES
+from synth3dlanes.formats.openlane import CASES, WAYMO_FROM_CAM, parse
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.params.params import load_params
@@ -144,7 +142,7 @@ def test_kerbs_are_lines_of_openlane_at_the_foot_of_their_front(flips, side, kin
     np.testing.assert_allclose(points_world[:, 2], 0, atol=1e-6)
     assert (np.diff(points_world[:, 1]) > 0).all(), "near to far"
     frame = cf.frame(Pinhole(1920, 1280, 1000.0), kerbs=(kerb,))
-    (text,) = openlane.annotate(replace(frame, labels=labels)).files.values()
+    (text,) = openlane.write(replace(frame, labels=labels)).files.values()
     lines = parse(text, "test").lines
     (found,) = [line for line in lines if line.category in (20, 21)]
     assert found.category == (21 if is_right else 20)

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from PIL import Image
 
-from synth3dlanes.formats.culane import write
-from synth3dlanes.formats.culane.read import parse_entry, parse_lines
+from synth3dlanes.formats import culane
+from synth3dlanes.formats.culane import parse_entry, parse_lines
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.system.errors import FormatError
@@ -36,7 +36,7 @@ def mask_of(annotation):
 @settings(max_examples=25, deadline=None)
 def test_culane_points_lie_on_the_projected_lanes(camera, plan):
     labels = cf.road(cf.camera_label(*camera), **plan)
-    annotation = write.annotate(replace(FRAME, labels=labels))
+    annotation = culane.write(replace(FRAME, labels=labels))
     ids = json.loads(annotation.shared[2][0])["lines_ids"]
     by_id = {lane.id: lane for lane in labels.lanes}
     lines = lines_of(annotation)
@@ -57,7 +57,7 @@ def test_culane_points_lie_on_the_projected_lanes(camera, plan):
 
 def test_culane_line_by_hand():
     camera = cf.camera_label(1.5, 0.0)
-    (line,) = lines_of(write.annotate(replace(FRAME, labels=cf.labels_of(camera, cf.lane(camera, cf.curve(1.5))))))
+    (line,) = lines_of(culane.write(replace(FRAME, labels=cf.labels_of(camera, cf.lane(camera, cf.curve(1.5))))))
     # On level ground 1.5 m below and 1.5 m right of the camera: u - 820 = v - 364. At 110 m, v - 364 is 19 px.
     np.testing.assert_allclose(line[:, 0], line[:, 1] + 456, atol=0.001)
     assert line[:, 1].tolist() == list(range(590, 380, -10))
@@ -77,7 +77,7 @@ def test_culane_line_by_hand():
 def test_culane_has_the_two_nearest_lines_on_either_side_of_the_camera(x_m, flags):
     camera = cf.camera_label()
     lanes = [cf.lane(camera, cf.curve(x), f"d{i}") for i, x in enumerate(x_m)]
-    annotation = write.annotate(replace(FRAME, labels=cf.labels_of(camera, *lanes[::-1])))
+    annotation = culane.write(replace(FRAME, labels=cf.labels_of(camera, *lanes[::-1])))
     image, mask, *found = annotation.shared[1][0].split()
     assert found == flags.split()
     assert annotation.files.keys() == {image[1:-3] + "lines.txt", mask[1:]}
@@ -102,7 +102,7 @@ def test_culane_has_the_two_nearest_lines_on_either_side_of_the_camera(x_m, flag
 def test_a_line_that_begins_far_ahead_is_not_beside_the_camera():
     camera = cf.camera_label()
     lanes = [cf.lane(camera, cf.curve(1.8), "near"), cf.lane(camera, cf.curve(0.5, start_m=40), "far")]
-    annotation = write.annotate(replace(FRAME, labels=cf.labels_of(camera, *lanes)))
+    annotation = culane.write(replace(FRAME, labels=cf.labels_of(camera, *lanes)))
     assert json.loads(annotation.shared[2][0])["lines_ids"] == ["near"]
     assert sum(annotation.dropped.values()) == 1
 
@@ -127,10 +127,10 @@ def test_a_wrong_line_or_list_is_a_format_error_that_names_it():
 )
 def test_frames_are_in_the_lists_of_their_part(part, parts, lists):
     frame = replace(FRAME, part=part, parts=frozenset(parts))
-    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
+    annotation = culane.write(replace(frame, labels=cf.road(cf.camera_label())))
     listed = {path.rpartition("/")[2] for _, paths in annotation.shared for path in paths}
     assert listed == {f"{name}.txt" for name in lists} | {"sidecar.jsonl"}
-    bent = write.annotate(replace(replace(frame, tags=frozenset({"curve"})), labels=cf.road(cf.camera_label())))
+    bent = culane.write(replace(replace(frame, tags=frozenset({"curve"})), labels=cf.road(cf.camera_label())))
     assert ("list/test_split/test6_curve.txt" in bent.shared[0][1]) == ("test" in lists)
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from PIL import Image
 
-from synth3dlanes.formats.curvelanes import write
-from synth3dlanes.formats.curvelanes.read import parse
+from synth3dlanes.formats import curvelanes
+from synth3dlanes.formats.curvelanes import parse
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.system.errors import FormatError
@@ -23,7 +23,7 @@ FRAME = cf.frame(Pinhole(2560, 1440, 2217.0, 114.0))
 @settings(max_examples=25, deadline=None)
 def test_curvelanes_points_lie_on_the_projected_lanes(camera, plan):
     labels = cf.road(cf.camera_label(*camera), **plan)
-    annotation = write.annotate(replace(FRAME, labels=labels))
+    annotation = curvelanes.write(replace(FRAME, labels=labels))
     (text,) = annotation.files.values()
     ids = json.loads(annotation.shared[1][0])["lines_ids"]
     by_id = {lane.id: lane for lane in labels.lanes}
@@ -44,7 +44,7 @@ def test_curvelanes_of_half_the_size_are_the_same_lines():
     labels = cf.road(cf.camera_label(), curvature=0.002)
     half = replace(FRAME, pinhole=Pinhole(1280, 720, 2217.0 / 2, 57.0))
     assert FRAME.pinhole.resized(1280, 720) == half.pinhole
-    made = (write.annotate(replace(frame, labels=labels)) for frame in (FRAME, half))
+    made = (curvelanes.write(replace(frame, labels=labels)) for frame in (FRAME, half))
     (whole_text,), (half_text,) = (annotation.files.values() for annotation in made)
     for line, other in zip(parse(whole_text, "test"), parse(half_text, "test"), strict=True):
         found = 2 * other[(2 * other[:, 1] <= line[0, 1]) & (2 * other[:, 1] >= line[-1, 1])]
@@ -55,7 +55,7 @@ def test_curvelanes_of_half_the_size_are_the_same_lines():
 def test_curvelanes_has_all_lines():
     camera = cf.camera_label()
     lanes = [cf.lane(camera, cf.curve(x), f"d{x}") for x in (-9, -5.4, -1.8, 1.8, 5.4, 9)]
-    assert write.annotate(replace(FRAME, labels=cf.labels_of(camera, *lanes))).n_lines == 6
+    assert curvelanes.write(replace(FRAME, labels=cf.labels_of(camera, *lanes))).n_lines == 6
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"Lines": 3}', '{"Lines": [[{"x": "1"}]]}'])
@@ -74,7 +74,7 @@ def test_a_wrong_file_is_a_format_error_that_names_it(text):
     ],
 )
 def test_frames_are_in_the_folder_of_their_part(part, parts, folder):
-    annotation = write.annotate(replace(FRAME, part=part, parts=frozenset(parts), labels=cf.road(cf.camera_label())))
+    annotation = curvelanes.write(replace(FRAME, part=part, parts=frozenset(parts), labels=cf.road(cf.camera_label())))
     assert annotation.image == f"{folder}/images/train_00000017.jpg"
     assert annotation.files.keys() == {f"{folder}/labels/train_00000017.lines.json"}
     assert annotation.shared[0] == ("images/train_00000017.jpg", (f"{folder}/{folder}.txt",))

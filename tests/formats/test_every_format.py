@@ -2,12 +2,9 @@
 
 import pytest
 
-from synth3dlanes.formats.apollo import read as apollo
-from synth3dlanes.formats.apollo.convention import CAMERA
+from synth3dlanes.formats import apollo, once, openlane, tusimple
+from synth3dlanes.formats.apollo import CAMERA
 from synth3dlanes.formats.lines import scene_tags
-from synth3dlanes.formats.once import read as once
-from synth3dlanes.formats.openlane import read as openlane
-from synth3dlanes.formats.tusimple import read as tusimple
 from synth3dlanes.system.errors import FormatError
 from tests.formats import closed_form as cf
 

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from synth3dlanes.formats.apollo.read import parse as parse_apollo
-from synth3dlanes.formats.openlane.read import parse as parse_openlane
+from synth3dlanes.formats.apollo import parse as parse_apollo
+from synth3dlanes.formats.openlane import parse as parse_openlane
 from synth3dlanes.formats.reading import image_size, read_image
-from synth3dlanes.formats.tusimple.read import TusimpleSplit, find_labels
-from synth3dlanes.formats.tusimple.read import parse as parse_tusimple
+from synth3dlanes.formats.tusimple import TusimpleSplit, find_labels
+from synth3dlanes.formats.tusimple import parse as parse_tusimple
 from synth3dlanes.system.errors import FormatError
 from tests.hostile import WHERE, damaged, files, mutated, refused_or_read
 

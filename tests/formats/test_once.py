@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from synth3dlanes.formats.once import write
-from synth3dlanes.formats.once.read import parse
+from synth3dlanes.formats import once
+from synth3dlanes.formats.once import parse
 from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
 from tests.formats.random_roads import ROUNDING_M, cameras, distance_to_lane_m, roads
@@ -17,7 +17,7 @@ FRAME = cf.frame(Pinhole(1920, 1020, 2015.0))
 
 
 def once_frame(labels, frame=FRAME):
-    text, *_ = write.annotate(replace(frame, labels=labels)).files.values()
+    text, *_ = once.write(replace(frame, labels=labels)).files.values()
     return parse(text, "test")
 
 
@@ -55,7 +55,7 @@ def test_once_axes_are_right_down_forward():
 )
 def test_once_layout_is_that_of_its_loaders(part, parts, folders):
     frame = replace(FRAME, part=part, parts=frozenset(parts))
-    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
+    annotation = once.write(replace(frame, labels=cf.road(cf.camera_label())))
     # PersFormer opens train/ and test/, LATR train/ and val/: <folder>/*/*/*.json
     assert set(annotation.files) == {f"ONCE_3DLanes/{folder}/000000/cam01/00000017.json" for folder in folders}
     for path, text in annotation.files.items():
@@ -72,7 +72,7 @@ def test_once_layout_is_that_of_its_loaders(part, parts, folders):
 
 def test_once_frames_without_lanes_are_there_but_not_for_anchor3dlane_to_train_on():
     for part, n_lists in (("train", 0), ("test", 2)):
-        annotation = write.annotate(replace(replace(FRAME, part=part), labels=cf.labels_of(cf.camera_label())))
+        annotation = once.write(replace(replace(FRAME, part=part), labels=cf.labels_of(cf.camera_label())))
         for text in annotation.files.values():
             assert json.loads(text)["lanes"] == []
         # Its converter leaves out training frames without lanes; its loader opens what data_lists name.

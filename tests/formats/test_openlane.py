@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from synth3dlanes.formats.openlane import write
-from synth3dlanes.formats.openlane.convention import ground_from_waymo, vehicle_from_cam_waymo
-from synth3dlanes.formats.openlane.read import parse
+from synth3dlanes.formats import openlane
+from synth3dlanes.formats.openlane import ground_from_waymo, parse, vehicle_from_cam_waymo
 from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
 from tests.formats.random_roads import ROUNDING_M, cameras, roads
@@ -19,7 +18,7 @@ FRAME = cf.frame(Pinhole(1920, 1280, 2015.0))
 
 
 def openlane_frame(labels, frame=FRAME):
-    (text,) = write.annotate(replace(frame, labels=labels)).files.values()
+    (text,) = openlane.write(replace(frame, labels=labels)).files.values()
     return parse(text, "test")
 
 
@@ -89,7 +88,7 @@ def test_openlane_starts_at_the_image_border():
 
 def test_openlane_layout():
     frame = replace(FRAME, part="test", tags=frozenset({"curve", "steep"}))
-    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
+    annotation = openlane.write(replace(frame, labels=cf.road(cf.camera_label())))
     name = "segment-000000_with_camera_labels/train-00000017"
     assert annotation.image == f"images/validation/{name}.jpg"
     assert set(annotation.files) == {
@@ -118,7 +117,7 @@ def test_openlane_layout():
 )
 def test_openlane_names_are_those_that_loaders_look_for(part, parts, folder):
     frame = replace(FRAME, part=part, parts=frozenset(parts), number=1234)
-    annotation = write.annotate(replace(frame, labels=cf.road(cf.camera_label())))
+    annotation = openlane.write(replace(frame, labels=cf.road(cf.camera_label())))
     # PersFormer takes the segment's name by this expression, and opens every label below the folder.
     (segment,) = re.findall(r"/segment-(.*)_with_camera_labels", annotation.image)
     assert segment == "000012"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synth3dlanes.formats.apollo.read import ApolloSplit
-from synth3dlanes.formats.openlane.read import OpenLaneSplit, is_openlane
-from synth3dlanes.formats.tusimple.read import TusimpleSplit, is_tusimple
+from synth3dlanes.formats.apollo import ApolloSplit
+from synth3dlanes.formats.openlane import OpenLaneSplit, is_openlane
+from synth3dlanes.formats.tusimple import TusimpleSplit, is_tusimple
 from synth3dlanes.system.errors import FormatError
 from tests.formats import closed_form as cf
 

@@ -6,15 +6,12 @@ Commits: Gen-LaneNet 45c6cc4, OpenLane 8a0ce6b, once_3dlanes_benchmark 7582fbb, 
 import numpy as np
 import pytest
 
-from synth3dlanes.formats.apollo.score import prune
-from synth3dlanes.formats.apollo.score import score as score_apollo
+from synth3dlanes.formats import line_score
 from synth3dlanes.formats.band_score import Canvas
 from synth3dlanes.formats.band_score import score as score_bands
-from synth3dlanes.formats.line_score import Line3d
-from synth3dlanes.formats.once.score import score as score_once
-from synth3dlanes.formats.openlane.score import score as score_openlane
-from synth3dlanes.formats.tusimple.score import score as score_tusimple
-from synth3dlanes.formats.tusimple.score import score_frame
+from synth3dlanes.formats.line_score import GEN_LANENET, OPENLANE, Line3d, prune
+from synth3dlanes.formats.once import benchmark as score_once
+from synth3dlanes.formats.tusimple import mean_score, score_frame
 
 ROWS_PX = np.arange(160.0, 720.0, 10.0)
 
@@ -29,9 +26,21 @@ def line(x_m=0.0, start_m=1.0, end_m=108.0, visible_to_m=np.inf, slope=0.0, cate
 FOUR = [line(x) for x in (-5.4, -1.8, 1.8, 5.4)]
 
 
+def score_apollo(frames):
+    return line_score.score(frames, GEN_LANENET)
+
+
+def score_openlane(frames):
+    return line_score.score(frames, OPENLANE)
+
+
+def score_tusimple(frames, rows_px):
+    return mean_score([score_frame(true, predicted, rows_px) for true, predicted in frames])
+
+
 @pytest.mark.parametrize("score", [score_apollo, score_openlane])
 def test_ground_truth_is_perfect_and_two_metres_aside_is_nothing(score):
-    perfect = score([(FOUR, [prune(x) for x in FOUR])] * 3)
+    perfect = score([(FOUR, [prune(x, GEN_LANENET) for x in FOUR])] * 3)
     assert (perfect.recall, perfect.precision) == (1, 1)
     assert 0.99999 < perfect.f_score < 1
     assert (perfect.x_near_m, perfect.x_far_m, perfect.z_near_m, perfect.z_far_m) == (0, 0, 0, 0)

@@ -14,8 +14,8 @@ from synth3dlanes.formats.coco.write import run_lengths
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.formats.yolo.write import document as settings_of_yolo
-from synth3dlanes.formats.yolo.write import outline
+from synth3dlanes.formats.yolo import document as settings_of_yolo
+from synth3dlanes.formats.yolo import outline
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.system.errors import InputError
 from tests.formats.problems import problems

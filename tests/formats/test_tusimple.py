@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given, settings
 
-from synth3dlanes.formats.tusimple import write
-from synth3dlanes.formats.tusimple.format import FORMAT
-from synth3dlanes.formats.tusimple.read import parse
+from synth3dlanes.formats import tusimple
+from synth3dlanes.formats.tusimple import FORMAT, parse
 from synth3dlanes.formats.writing import Pinhole
 from tests.formats import closed_form as cf
 from tests.formats.random_roads import cameras, roads
@@ -20,7 +19,7 @@ FRAME = cf.frame(Pinhole(1280, 720, 2015 * 2 / 3))
 @settings(max_examples=25, deadline=None)
 def test_tusimple_columns_lie_on_the_projected_lanes(camera, plan):
     labels = cf.road(cf.camera_label(*camera), **plan)
-    annotation = write.annotate(replace(FRAME, labels=labels))
+    annotation = tusimple.write(replace(FRAME, labels=labels))
     frame = parse(annotation.shared[0][0], "test")
     ids = json.loads(annotation.shared[1][0])["lines_ids"]
     assert 1 <= len(frame.lanes_u_px) <= 5
@@ -41,7 +40,7 @@ def test_tusimple_columns_lie_on_the_projected_lanes(camera, plan):
 
 def test_tusimple_row_by_hand():
     camera = cf.camera_label(1.5, 0.0)
-    annotation = write.annotate(replace(FRAME, labels=cf.labels_of(camera, cf.lane(camera, cf.curve(1.5)))))
+    annotation = tusimple.write(replace(FRAME, labels=cf.labels_of(camera, cf.lane(camera, cf.curve(1.5)))))
     frame = parse(annotation.shared[0][0], "test")
     # On level ground 1.5 m below and 1.5 m right of the camera: u - 640 = v - 360.
     (lane_u_px,) = frame.lanes_u_px
@@ -52,7 +51,7 @@ def test_tusimple_row_by_hand():
 
 
 def test_tusimple_skips_frames_without_lines():
-    assert write.annotate(replace(FRAME, labels=cf.labels_of(cf.camera_label()))) is None
+    assert tusimple.write(replace(FRAME, labels=cf.labels_of(cf.camera_label()))) is None
 
 
 # What LaneATT, CLRNet and UFLD open: training on 0313 and 0601, with or without 0531; validation on 0531; test_label.
@@ -62,7 +61,7 @@ LABEL_FILES = {"label_data_0313.json", "label_data_0531.json", "label_data_0601.
 def files_of(part, parts):
     frames = (replace(FRAME, part=part, parts=frozenset(parts), key=f"{key:08d}") for key in range(20))
     road = cf.road(cf.camera_label())
-    return [write.annotate(replace(frame, labels=road)).shared[0][1][0] for frame in frames]
+    return [tusimple.write(replace(frame, labels=road)).shared[0][1][0] for frame in frames]
 
 
 def test_tusimple_label_files_are_those_that_loaders_open():
@@ -79,10 +78,10 @@ def test_tusimple_label_files_are_those_that_loaders_open():
 def test_the_list_of_test_images_has_no_lanes():
     # UFLD opens test_tasks_0627.json for the names of the test images, with these three keys.
     frame = replace(FRAME, part="test")
-    text, files = write.annotate(replace(frame, labels=cf.road(cf.camera_label()))).shared[2]
+    text, files = tusimple.write(replace(frame, labels=cf.road(cf.camera_label()))).shared[2]
     assert files == ("test_tasks_0627.json",)
     document = json.loads(text)
     assert document.keys() == {"raw_file", "h_samples", "lanes"}
     assert document["raw_file"] == "clips/train/00000017/20.jpg"
     assert document["lanes"] == []
-    assert write.annotate(replace(FRAME, labels=cf.road(cf.camera_label()))).shared[2][1] == ()
+    assert tusimple.write(replace(FRAME, labels=cf.road(cf.camera_label()))).shared[2][1] == ()

@@ -3,8 +3,7 @@
 from synth3dlanes.formats.coco.verify import read, verify
 from synth3dlanes.formats.coco.write import README, annotate, document
 from synth3dlanes.formats.format import SampleFormat
-from synth3dlanes.formats.segments import PASSES
-from synth3dlanes.formats.things import LIMIT_PX
+from synth3dlanes.formats.segments import LIMIT_PX, PASSES
 
 FORMAT = SampleFormat(
     title="COCO: instances and panoptic segments",

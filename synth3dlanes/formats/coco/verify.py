@@ -12,8 +12,7 @@ from pydantic import Field
 from synth3dlanes.formats.comparing import Comparison, SourceSample
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_mask
-from synth3dlanes.formats.segments import STUFF
-from synth3dlanes.formats.things import PixelNumbers, compare_masks, most_shared, things
+from synth3dlanes.formats.segments import STUFF, PixelNumbers, compare_masks, most_shared, things
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.json_arrays import Row3, Row4

@@ -11,10 +11,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from synth3dlanes.formats.culane.read import lines_path, parse_lines
+from synth3dlanes.formats.culane import lines_path, parse_lines
 from synth3dlanes.formats.reading import read_text
-from synth3dlanes.formats.tusimple.read import is_tusimple
-from synth3dlanes.formats.tusimple.read import parse as parse_tusimple
+from synth3dlanes.formats.tusimple import is_tusimple
+from synth3dlanes.formats.tusimple import parse as parse_tusimple
 from synth3dlanes.recorded.drives.tables import MAX_TEXT_BYTES, read_bytes
 from synth3dlanes.system.arrays import Polyline2
 from synth3dlanes.system.errors import FormatError

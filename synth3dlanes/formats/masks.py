@@ -1,5 +1,14 @@
-"""Read an export of masks back and compare it with the passes and the labels of our samples."""
+"""Plain masks: semantic classes, instances and lines as PNG, the lines also as text.
 
+| theirs | ours | unit |
+|---|---|---|
+| `semantic/`, `instance/` | the passes | ids |
+| `lines/*.png` | 1 + i at the visible paint of delimiter i | |
+| `lines/*.lines.txt`: x and y in turn | delimiters on ground that is seen, near to far | px |
+| `lines/*.json` | number, id, marking and colour of each of these | |
+"""
+
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
@@ -8,20 +17,80 @@ import numpy as np
 from pydantic import Field, RootModel
 
 from synth3dlanes.formats.comparing import Comparison, Gap, OurLine, Rule, SourceSample, compare
-from synth3dlanes.formats.format import FrameList, ReadFrame
-from synth3dlanes.formats.masks.write import LEAST_POINTS
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.reading import image_size, listed_files, numbers, read_mask, read_text
-from synth3dlanes.formats.things import compare_masks
+from synth3dlanes.formats.segments import (
+    PASSES,
+    compare_masks,
+    delimiter_numbers,
+    file_name,
+    image_path,
+    line_pixels,
+    png,
+)
+from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.instance_ids import END, numbers_of
+from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import Excerpt, parse
 
+CLASSES_FILE = "classes.json"
+LEAST_POINTS = 2
 # Points have two decimals and lie on straight pieces of a decimetre, which a lens bends.
 RULE = Rule("px", 0.05, spacing=12.0)
 MODES = {"semantic": ("L",), "instance": ("I;16",), "lines": ("L", "I;16")}
 STEP_M, NEAREST_M, BORDER_PX = 0.05, 1.0, 2.0
+
+README = """Masks as PNG files without palette, of the images' size.
+
+- `images/*`: as in the data set. `lists/{train,val,test}.txt`: the names of the images of each part.
+- `semantic/*.png` (8 bits): the classes of `classes.json`.
+- `instance/*.png` (16 bits): the ids of the data set's instance pass (docs/format.md), 0 for what has none.
+- `lines/*.png` (8 bits; 16 where a number is beyond 255): 1 + i at the visible paint of delimiter i of the labels,
+  gaps between dashes not included. Numbers beyond the labels' are lines that begin more than 110 m ahead.
+- `lines/*.lines.txt`, as in CULane: a line of text for each delimiter, x and y in turn, from near to far, about every
+  8 pixels, also under cars. `lines/*.json`: the number of each of these lines in `lines/*.png`, its id, its marking and
+  its colour. Pixel corners are at whole numbers.
+"""
+
+
+def write(frame: SampleFrame) -> FrameAnnotation:
+    """The frame's masks and lines."""
+    name, texts, about = file_name(frame), [], []
+    delimiters = [lane for lane in frame.labels.lanes if lane.kind == "delimiter"]
+    for index, lane in enumerate(delimiters):
+        points = line_pixels(lane, frame.labels.camera)
+        if len(points) >= LEAST_POINTS:
+            texts.append(" ".join(f"{x:.2f} {y:.2f}" for x, y in points.tolist()))
+            about.append({"number": index + 1, "id": lane.id, "marking": lane.marking, "color": lane.color})
+    return FrameAnnotation(
+        image_path(frame),
+        len(texts),
+        files={
+            f"semantic/{name}.png": png(frame.passes["semantic"]),
+            f"instance/{name}.png": png(frame.passes["instance"]),
+            f"lines/{name}.png": png(delimiter_numbers(frame.passes["instance"])),
+            f"lines/{name}.lines.txt": "\n".join(texts),
+            f"lines/{name}.json": json.dumps(about),
+        },
+        shared=(
+            (
+                image_path(frame).removeprefix("images/"),
+                tuple(f"lists/{part}.txt" for part in PARTS if frame.serves_as(part)),
+            ),
+            ("", (CLASSES_FILE,)),
+        ),
+    )
+
+
+def document(path: str, lines: Path) -> Iterator[str]:
+    """The lists as they are, and the classes."""
+    if path == CLASSES_FILE:
+        yield json.dumps(SEMANTIC_IDS, indent=1) + "\n"
+    else:
+        yield lines.read_text()
 
 
 class _Line(Excerpt):
@@ -99,3 +168,15 @@ def _in_image(lane: Lane, camera: CameraLabel) -> OurLine:
     with np.errstate(invalid="ignore"):
         sure = ((own > BORDER_PX) & (own < np.array([camera.width_px, camera.height_px]) - BORDER_PX)).all(axis=1)
     return OurLine(lane.id, uv, own[sure & lane.terrain_visible & (lane.xyz_cam[:, 1] > NEAREST_M)])
+
+
+FORMAT = SampleFormat(
+    title="PNG masks of classes, instances and lines",
+    readme=README,
+    write=write,
+    read=read,
+    verify=verify,
+    tolerances={RULE.unit: RULE.limit},
+    document=document,
+    passes=PASSES,
+)

@@ -1,0 +1,385 @@
+"""Apollo Sim-3D, of Gen-LaneNet: lane lines and centre lines in 3D, JSON lines, image 1920x1080.
+
+| theirs | ours | unit, frame |
+|---|---|---|
+| `laneLines`, `centerLines` | delimiters, centre lines, near to far | m, their ground frame (`_apollo`) |
+| `laneLines_visibility` and the same of centre lines | up to the last point that terrain does not hide | 0 or 1 |
+| `cam_height`, `cam_pitch` | height over the road / cos(pitch), pitch | m, rad, positive = down |
+
+The ground frame is x right, y forward, z up, but its origin is not the camera's foot: the projection that all tools of
+the format share puts the camera at (0, h sin p, h cos p), where h is the field `cam_height` and p the pitch.
+"""
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Bool, Float
+from pydantic import Field, model_validator
+
+from synth3dlanes.formats import line_score
+from synth3dlanes.formats.comparing import Comparison, ExportView, OurLine, Rule, SourceSample, camera_problems, compare
+from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
+from synth3dlanes.formats.line_score import GEN_LANENET, Line3d, LinePair
+from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead
+from synth3dlanes.formats.reading import ForeignLane, ForeignSample, first_lines, json_lines, labels_of, read_image
+from synth3dlanes.formats.scoring import EVERY, lines_by, predicted, rates
+from synth3dlanes.formats.sidecar import Sidecars
+from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
+from synth3dlanes.geometry.frames import invert, road_from_cam, transform
+from synth3dlanes.labels.labels import CameraLabel, Labels, LaneKind
+from synth3dlanes.system import schema
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import JsonPoints
+from synth3dlanes.system.schema import Excerpt, Metres, Number, PathBelow, Unit
+
+CAMERA = Pinhole(1920, 1080, 2015.0)
+"""The tools of the format assume it; its files do not carry intrinsics."""
+ROOT = "Apollo_Sim_3D_Lane_Release"
+MAX_LINES = 6
+HALF_WIDTH_M = 10.0
+EVALUATED_Y_M = np.arange(3.0, 103.0)
+HELD_OUT_ILLUMINATION = 0
+# Coordinates have six decimals, those of the labels four.
+LINES, CENTERS = (Rule("m", 0.001, most=most, name=name) for most, name in ((6, "lane line"), (np.inf, "center line")))
+# The evaluator looks at lines in this band only, of which a line may have little.
+ASIDE_M, NEAR_M, FAR_M = 9.0, 5.0, 95.0
+
+README = f"""Apollo Sim-3D / Gen-LaneNet layout.
+
+- `{ROOT}/` is the `dataset_dir`; `images/NN/` holds 1920x1080 images at fx = fy = 2015, cx = 960, cy = 540
+  (pixel corners at whole numbers), which their tools hard-code.
+- NN = 6 steep + 2 illumination + bent: steep = 1 where the road rises above the camera (their flat-ground
+  coordinates are singular there); illumination 0 (dark) to 2 (bright); bent = 1 on curves, exits and merges.
+- `data_splits/standard`: everything. `rare_subset`: the same training set, tested on NN >= 06.
+  `illus_chg`: trained without illumination 0 (NN 00, 01, 06, 07), tested on it alone.
+- `data_lists/<split>/*.txt`: the same frames by name. Files begin with frames that have lanes.
+- `cam_pitch` in radians, positive = down. `cam_height` = true height / cos(pitch), which makes their projection
+  exact and z = 0 the local road plane; `sidecar.jsonl` holds the true height, road_from_cam, the intrinsics, our
+  keys and lane ids, and `max_z_over_h`.
+- Visibility is a prefix: terrain hides lanes, cars do not. Lines are ordered from the car outwards.
+- The evaluator charges 1.5 m where a line has no near (to 40 m) or no far part: so ground truth as prediction has F = 1
+  but errors of some centimetres near and decimetres far.
+- LATR explodes the lists into its own folders: delete those after exporting again.
+"""
+
+
+def cam_height_m(height_m: float, pitch_rad: float) -> float:
+    """The field `cam_height` of a camera `height_m` above the road: with it the road plane is z = 0."""
+    return float(height_m / np.cos(pitch_rad))
+
+
+def apollo_from_cam(cam_height_m: float, pitch_rad: float) -> Matrix4:
+    """From our camera frame to their ground frame."""
+    moved = road_from_cam(cam_height_m * float(np.cos(pitch_rad)), pitch_rad)
+    moved[1, 3] = cam_height_m * np.sin(pitch_rad)
+    return moved
+
+
+def write(frame: PinholeFrame) -> FrameAnnotation:
+    """The frame's label line, the lists that it belongs to and its sidecar line."""
+    labels, camera, dropped = frame.labels, frame.labels.camera, Counter[str]()
+    raw_file = image_path(frame)
+    lines = {
+        "laneLines": _kept(labels, "delimiter", MAX_LINES, dropped),
+        "centerLines": _kept(labels, "centerline", len(labels.lanes), dropped),
+    }
+    document: dict[str, object] = {
+        "raw_file": raw_file,
+        "cam_height": cam_height_m(camera.height_m, camera.pitch_rad),
+        "cam_pitch": camera.pitch_rad,
+    }
+    for name, kept in lines.items():
+        points = [np.round(apollo_from_cv(line.points_cv, camera), DECIMALS).tolist() for line in kept]
+        document |= {name: points, f"{name}_visibility": [line.visible.astype(float).tolist() for line in kept]}
+    is_rare, is_held_out = "steep" in frame.tags, frame.illumination == HELD_OUT_ILLUMINATION
+    splits = ["standard"]
+    splits += ["rare_subset"] if frame.is_train or is_rare else []
+    splits += ["illus_chg"] if frame.is_train != is_held_out else []
+    # Tools open train and test; val is for people.
+    parts = sorted({frame.part, "test"} if frame.serves_as("test") else {frame.part})
+    lists = [f"{split}/{part}" for split in splits for part in parts]
+    return FrameAnnotation(
+        image=f"{ROOT}/{raw_file}",
+        n_lines=len(lines["laneLines"]),
+        dropped=dropped,
+        shared=(
+            (json.dumps(document), tuple(f"data_splits/{name}.json" for name in lists)),
+            (raw_file, tuple(f"data_lists/{name}.txt" for name in lists)),
+            (_sidecar(frame, raw_file, **lines), ("sidecar.jsonl",)),
+        ),
+    )
+
+
+def image_path(frame: PinholeFrame) -> str:
+    """`images/NN/name.jpg`: exactly three components, unique over all splits."""
+    bent = not frame.tags.isdisjoint(("curve", "merge_split"))
+    folder = 6 * ("steep" in frame.tags) + 2 * frame.illumination + bent
+    return f"images/{folder:02d}/{frame.split}_{frame.key}.jpg"
+
+
+def apollo_from_cv(points_cv: Float[np.ndarray, "n 3"], camera: CameraLabel) -> Float[np.ndarray, "n 3"]:
+    """Their ground coordinates: the inverse of their own projection."""
+    ground_from_cam = apollo_from_cam(cam_height_m(camera.height_m, camera.pitch_rad), camera.pitch_rad)
+    return transform(ground_from_cam, points_cv @ CV_FROM_CAM)
+
+
+def _kept(labels: Labels, kind: LaneKind, most: int, dropped: Counter[str]) -> tuple[LaneAhead, ...]:
+    near = []
+    for line in lines_ahead(labels, CAMERA, kind):
+        if line.visible.sum() >= 2 and not _is_evaluated(apollo_from_cv(line.points_cv[line.visible], labels.camera)):
+            dropped["its visible part is never within 10 m beside the camera's axis, 3 to 102 m ahead"] += 1
+        else:
+            near.append(line)
+    return keep_lines(near, dropped, most, f"beyond the {most} nearest (cap of LATR, PersFormer, Anchor3DLane)")
+
+
+def _is_evaluated(points_apollo: Float[np.ndarray, "n 3"]) -> bool:
+    # The evaluator counts a line that it cannot match, so at least two of its own samples must be on the line,
+    # and the loaders want two of the line's points in the same band.
+    x_m, y_m, _ = points_apollo.T
+    start_m, end_m = y_m[0], y_m[-1]
+    sampled_y_m = EVALUATED_Y_M[(start_m <= EVALUATED_Y_M) & (end_m >= EVALUATED_Y_M)]
+    in_band = np.abs(np.interp(sampled_y_m, y_m, x_m)) <= HALF_WIDTH_M
+    return bool(np.count_nonzero(in_band) >= 2 and np.count_nonzero(np.abs(x_m) < HALF_WIDTH_M) >= 2)
+
+
+def _sidecar(
+    frame: PinholeFrame, raw_file: str, laneLines: tuple[LaneAhead, ...], centerLines: tuple[LaneAhead, ...]
+) -> str:
+    camera = frame.labels.camera
+    heights_m = [apollo_from_cv(line.points_cv[line.visible], camera)[:, 2] for line in (*laneLines, *centerLines)]
+    highest_m = float(np.max(np.concatenate(heights_m))) if heights_m else 0.0
+    document = {
+        "raw_file": raw_file,
+        "source": f"{frame.split}/{frame.key}",
+        "tags": sorted(frame.tags),
+        "cv_img_from_cam": CAMERA.img_from_cv.tolist(),
+        "camera_height_m": camera.height_m,
+        "camera_pitch_rad": camera.pitch_rad,
+        "road_from_cam": camera.road_from_cam.tolist(),
+        "max_z_over_h": round(highest_m / camera.height_m, 4),
+        "laneLines_ids": [line.id for line in laneLines],
+        "centerLines_ids": [line.id for line in centerLines],
+        "starts_beyond_20_m": [bool(line.points_cv[0, 2] > NEAR_START_M) for line in laneLines],
+    }
+    return json.dumps(document)
+
+
+PointLists = tuple[Float[np.ndarray, "_ 3"], ...]
+FlagLists = tuple[Bool[np.ndarray, " _"], ...]
+
+
+class _Line(Excerpt):
+    raw_file: PathBelow
+    cam_height: Metres
+    cam_pitch: Annotated[float, Field(gt=-math.pi / 2, lt=math.pi / 2)]
+    laneLines: list[JsonPoints]
+    laneLines_visibility: list[list[Number]]
+    centerLines: list[JsonPoints]
+    centerLines_visibility: list[list[Number]]
+
+    @model_validator(mode="after")
+    def _every_point_has_a_visibility(self) -> "_Line":
+        for name in ("laneLines", "centerLines"):
+            lines, seen = getattr(self, name), getattr(self, f"{name}_visibility")
+            if list(map(len, lines)) != list(map(len, seen)):
+                raise ValueError(f"{name}_visibility: expected a value for every point of {name}")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class ApolloFrame:
+    """One line of a label file as plain arrays; visibilities as flags."""
+
+    raw_file: str
+    cam_height_m: float
+    cam_pitch_rad: float
+    lane_lines_apollo: PointLists
+    lane_lines_visible: FlagLists
+    center_lines_apollo: PointLists
+    center_lines_visible: FlagLists
+
+    @property
+    def height_m(self) -> float:
+        """How far the camera is above the plane z = 0."""
+        return self.cam_height_m * float(np.cos(self.cam_pitch_rad))
+
+    def in_camera(self, lines_apollo: PointLists) -> PointLists:
+        """Lines in our camera frame."""
+        cam_from_apollo = invert(apollo_from_cam(self.cam_height_m, self.cam_pitch_rad))
+        return tuple(transform(cam_from_apollo, points_apollo) for points_apollo in lines_apollo)
+
+    def labels(self) -> Labels:
+        """The lanes in our camera frame."""
+        groups: tuple[tuple[LaneKind, PointLists, FlagLists], ...] = (
+            ("delimiter", self.lane_lines_apollo, self.lane_lines_visible),
+            ("centerline", self.center_lines_apollo, self.center_lines_visible),
+        )
+        lanes = [
+            ForeignLane(kind, points_cam, visible)
+            for kind, lines, flags in groups
+            for points_cam, visible in zip(self.in_camera(lines), flags, strict=True)
+        ]
+        return labels_of(CAMERA.size_px, CAMERA.img_from_cv @ CV_FROM_CAM, self.height_m, self.cam_pitch_rad, lanes)
+
+
+def parse(line: str | bytes, where: str) -> ApolloFrame:
+    """One line of a label file; FormatErrors begin with `where`."""
+    found = schema.parse(_Line, line, where, "a frame of Apollo Sim-3D")
+    return ApolloFrame(
+        found.raw_file,
+        found.cam_height,
+        found.cam_pitch,
+        tuple(found.laneLines),
+        tuple(np.array(seen) > 0 for seen in found.laneLines_visibility),
+        tuple(found.centerLines),
+        tuple(np.array(seen) > 0 for seen in found.centerLines_visibility),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ApolloSplit:
+    """`data_splits/standard/train.json`; its images lie below the nearest folder above that has them."""
+
+    path: Path
+
+    @cached_property
+    def lines(self) -> Sequence[bytes]:
+        """One document per line."""
+        return json_lines(self.path)
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def __getitem__(self, index: int, /) -> ForeignSample:
+        frame = self.frame(index)
+        roots = [root for root in self.path.parents if (root / frame.raw_file).is_file()]
+        if not roots:
+            where = f"{self.path}:{index + 1}"
+            raise FormatError(f"{where}: expected an image {frame.raw_file} in a folder above, got none")
+        return ForeignSample(frame.raw_file, read_image(roots[0] / frame.raw_file), frame.labels())
+
+    def frame(self, index: int) -> ApolloFrame:
+        """One line of the file."""
+        return parse(self.lines[index], f"{self.path}:{index + 1}")
+
+    def key(self, index: int) -> str:
+        """`raw_file`."""
+        return self.frame(index).raw_file
+
+    def labels(self, index: int) -> Labels:
+        """The labels alone."""
+        return self.frame(index).labels()
+
+
+class _Sidecar(Excerpt):
+    raw_file: str
+    laneLines_ids: list[str]
+    centerLines_ids: list[str]
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """Every list."""
+    ids = Sidecars(out, _Sidecar, "raw_file")
+    for path in sorted((out / "data_splits").glob("*/*.json")):
+        yield FrameList(str(path.relative_to(out)), _frames(path, most_frames, ids))
+
+
+def _frames(path: Path, most_frames: int, ids: Sidecars[_Sidecar]) -> Iterator[ReadFrame]:
+    for number, line in enumerate(first_lines(path, most_frames), start=1):
+        where = f"{path}:{number}"
+        frame = parse(line, where)
+        image = f"{ROOT}/{frame.raw_file}"
+        yield ReadFrame(image, where, image, (frame, ids[frame.raw_file]))
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """Lane lines and centre lines in metres."""
+    found, ids = frame.content
+    view = ExportView(CAMERA.img_from_cv, CAMERA.size_px)
+    compared = Comparison(problems=tuple(camera_problems(truth, found.height_m, found.cam_pitch_rad)))
+    for rule, lanes, lines, seen, names in (
+        (LINES, truth.lanes("delimiter"), found.lane_lines_apollo, found.lane_lines_visible, ids.laneLines_ids),
+        (
+            CENTERS,
+            truth.lanes("centerline"),
+            found.center_lines_apollo,
+            found.center_lines_visible,
+            ids.centerLines_ids,
+        ),
+    ):
+        ours = [_in_band(lane.in_metres(view)) for lane in lanes]
+        compared += compare(found.in_camera(lines), ours, rule, names)[0].because(
+            f"{rule.name} {i}: expected visible points first, got a hidden one before them"
+            for i, visible in enumerate(seen)
+            if (np.diff(visible.astype(int)) > 0).any()
+        )
+    return compared
+
+
+def _in_band(line: OurLine) -> OurLine:
+    x, y, _ = line.wanted.T
+    in_band = (np.abs(x) < ASIDE_M) & (y > NEAR_M) & (y < FAR_M)
+    return line if in_band.sum() >= 3 else OurLine(line.id, line.points, line.wanted[:0])
+
+
+class _Prediction(Excerpt):
+    raw_file: str
+    laneLines: tuple[JsonPoints, ...]
+    laneLines_prob: tuple[Unit, ...]
+    centerLines: tuple[JsonPoints, ...] = ()
+    centerLines_prob: tuple[Unit, ...] = ()
+
+
+def score(out: Path, predictions: Path) -> Iterator[Rates]:
+    """A file of JSON lines with `raw_file`, `laneLines`, `laneLines_prob`, and the same of centre lines."""
+    by_image = lines_by(predictions, _Prediction, "raw_file")
+
+    def of_frame(frame: ReadFrame) -> tuple[LinePair, LinePair] | None:
+        true = frame.content[0]
+        found = by_image.get(true.raw_file)
+        if found is None:
+            return None
+        where = f"{predictions}: {found.raw_file}"
+        lanes = _found(found.laneLines, found.laneLines_prob, where)
+        centers = _found(found.centerLines, found.centerLines_prob, where)
+        return (
+            (list(map(Line3d, true.lane_lines_apollo, true.lane_lines_visible)), lanes),
+            (list(map(Line3d, true.center_lines_apollo, true.center_lines_visible)), centers),
+        )
+
+    for name, frames in predicted(read(out, EVERY), of_frame, predictions):
+        lanes, centers = zip(*(both for _, both in frames), strict=True)
+        yield rates(f"{name}, lane lines", frames, line_score.score(lanes, GEN_LANENET))
+        if any(found for _, found in centers):
+            yield rates(f"{name}, center lines", frames, line_score.score(centers, GEN_LANENET))
+
+
+def _found(lines: PointLists, shares: tuple[float, ...], where: str) -> list[Line3d]:
+    if len(lines) != len(shares) or any(len(points) < 2 for points in lines):
+        raise FormatError(f"{where}: expected lines of two points or more with a probability each, got others")
+    every = (np.ones(len(points), dtype=bool) for points in lines)
+    return [Line3d(points, all_, 0, share) for points, all_, share in zip(lines, every, shares, strict=True)]
+
+
+FORMAT = PinholeFormat(
+    title="Apollo Sim-3D (Gen-LaneNet): lane lines and centre lines in 3D",
+    readme=README,
+    write=write,
+    read=read,
+    verify=verify,
+    score=score,
+    tolerances={LINES.unit: LINES.limit},
+    camera=CAMERA,
+    is_f_free=False,
+    is_size_free=False,
+    links={"images": f"{ROOT}/images"},
+)

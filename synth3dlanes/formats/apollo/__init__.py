@@ -1,1 +1,0 @@
-"""Apollo Sim-3D / Gen-LaneNet."""

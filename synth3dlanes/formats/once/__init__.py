@@ -1,1 +1,0 @@
-"""ONCE-3DLanes."""
