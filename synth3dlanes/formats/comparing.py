@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
-from synth3dlanes.system.arrays import RgbImage, Scalars
+from synth3dlanes.system.arrays import Matrix4, RgbImage, Scalars
 
 if TYPE_CHECKING:
     # Who reads a format needs none of these.
@@ -38,6 +38,10 @@ LEAST_M = 0.5
 MOST_LEVEL = 15.0
 ANGLE_RAD, HEIGHT_M = 1e-6, 1e-6
 ROUNDING = 1e-3
+# Where cameras are compared: shares of the image, and depths.
+SHARES, DEPTHS_M = (0.1, 0.5, 0.9), (5.0, 50.0)
+# How far a boundary may be from half a lane's width.
+SIDE_M = 0.05
 
 
 class SourceSample:
@@ -415,6 +419,58 @@ def _feet(points: Points, line: Points) -> tuple[Distances, Int[np.ndarray, " _"
     at = apart.argmin(axis=1)
     every = np.arange(len(points))
     return apart[every, at], at, share[every, at]
+
+
+def compare_camera(
+    name: str,
+    camera: CameraLabel,
+    project: Callable[[Points], Points],
+    limit_px: float,
+    shares: Sequence[float] = SHARES,
+) -> Comparison:
+    """How far places that a camera of the labels sees, at these shares of its width and height, are from its pixels by
+    the camera of an export. `project` takes points in our camera frame; pixels count from the corner of the first."""
+    grid = np.array([(u, v, depth_m) for u in shares for v in shares for depth_m in DEPTHS_M])
+    uv = grid[:, :2] * (camera.width_px, camera.height_px)
+    points_cam = camera.points(uv, grid[:, 2])
+    known = np.isfinite(points_cam).all(axis=1)
+    apart = np.linalg.norm(project(points_cam[known]) - uv[known], axis=1)
+    return Comparison.within([Gap.of(f"camera {name}", "px", apart, "camera")], {"px": limit_px})
+
+
+def pinhole_pixels(img_from_cv: Float[np.ndarray, "3 3"], cv_from_cam: Matrix4, points_cam: Points) -> Points:
+    """Where a pinhole of this matrix K and place sees points of our camera frame; infinite for those behind it."""
+    x, y, z = img_from_cv @ transform(cv_from_cam, points_cam).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where((z > 0)[:, None], np.column_stack([x / z, y / z]), np.inf)
+
+
+def compare_sweep(found_cam: Points | None, truth: SourceSample, limit_m: float) -> Comparison:
+    """Points of the lidar, in our camera frame, beside those of the sweep; None for an export that has no file of
+    them."""
+    ours = np.zeros((0, 3)) if truth.sweep is None else truth.sweep.points().xyz_cam
+    found = np.zeros((0, 3)) if found_cam is None else found_cam
+    if (found_cam is None and truth.sweep is not None) or len(found) != len(ours):
+        return Comparison(problems=(f"expected {len(ours)} points of the lidar, got {len(found)}",))
+    if not len(ours):
+        return Comparison()
+    apart = np.linalg.norm(found - ours, axis=1)
+    return Comparison.within([Gap.of("points of the lidar", "m", apart, "sweep")], {"m": limit_m})
+
+
+def side_problems(
+    name: str, middle: Points, sides: Mapping[str, Points], halves_m: tuple[float, float]
+) -> Iterator[str]:
+    """Findings where the left or right boundary of a lane is on the other side, or not half its least to half its
+    greatest width from its middle, seen from above; each point of one is beside a point of the other."""
+    least_m, most_m = halves_m
+    dx, dy = np.gradient(middle[:, :2], axis=0).T
+    for side, line in sides.items():
+        x, y = (line - middle)[:, :2].T
+        to_left_m = float(np.median((dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
+        got_m = to_left_m if side == "left" else -to_left_m
+        if not least_m - SIDE_M <= got_m <= most_m + SIDE_M:
+            yield f"lane {name}: expected its {side} boundary {most_m:.3f} m on that side, got {got_m:.3f} m"
 
 
 def compare_map(

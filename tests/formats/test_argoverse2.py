@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats import export
-from synth3dlanes.formats.argoverse2.convention import RING_CAMERAS, mark_type
-from synth3dlanes.formats.argoverse2.verify import _runs_along
-from synth3dlanes.formats.argoverse2.write import annotate
+from synth3dlanes.formats.argoverse2.format import RING_CAMERAS
+from synth3dlanes.formats.argoverse2.format import write as annotate
+from synth3dlanes.formats.argoverse2.maps import _runs_along, mark_type
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.verify import verify

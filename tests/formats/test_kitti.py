@@ -12,9 +12,9 @@ from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import ReadFrame, SampleFrame
-from synth3dlanes.formats.kitti.convention import occlusion, parse_line
-from synth3dlanes.formats.kitti.verify import verify as of_frame
-from synth3dlanes.formats.kitti.write import annotate, kitti_object
+from synth3dlanes.formats.kitti import kitti_object, occlusion, parse_line
+from synth3dlanes.formats.kitti import verify as of_frame
+from synth3dlanes.formats.kitti import write as annotate
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.lens import Lens

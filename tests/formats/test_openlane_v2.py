@@ -11,9 +11,9 @@ from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import ReadFrame, SampleFrame
-from synth3dlanes.formats.openlane_v2.read import frames, parse
-from synth3dlanes.formats.openlane_v2.verify import verify as verify_frame
-from synth3dlanes.formats.openlane_v2.write import annotate
+from synth3dlanes.formats.openlane_v2 import frames, parse
+from synth3dlanes.formats.openlane_v2 import verify as verify_frame
+from synth3dlanes.formats.openlane_v2 import write as annotate
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.lens import Lens

@@ -8,9 +8,8 @@ import pytest
 
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.format import ReadFrame, SampleFrame
-from synth3dlanes.formats.openlane_v2.read import parse
-from synth3dlanes.formats.openlane_v2.verify import verify
-from synth3dlanes.formats.openlane_v2.write import annotate
+from synth3dlanes.formats.openlane_v2 import parse, verify
+from synth3dlanes.formats.openlane_v2 import write as annotate
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.formats.element_score import MapFrame, map_score
 from tests.signals import signals_scene

@@ -10,7 +10,7 @@ import yaml
 from PIL import Image, ImageDraw
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.formats.coco.write import run_lengths
+from synth3dlanes.formats.coco import run_lengths
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.verify import verify

@@ -1,13 +1,442 @@
-"""The format argoverse2."""
+"""Argoverse 2's sensor data set: for each picture its image, for each instant a sweep and rows of the log's tables, and
+with the first picture of a log its calibration and its map.
 
-from synth3dlanes.formats.argoverse2.verify import LIMIT_PX, RULE, read, verify
-from synth3dlanes.formats.argoverse2.write import README, annotate, document
-from synth3dlanes.formats.format import SampleFormat
+| theirs | ours | unit, frame |
+|---|---|---|
+| `annotations` | all objects of the labels, with the points of the lidar on them | m, `_ego` |
+| `city_SE3_egovehicle` | world from vehicle at each instant | m |
+| `calibration/*` | cameras (OpenCV's axes) and lidar in `_ego`; K, pixels from the middle of the first | m, px |
+| `sensors/lidar/*` | points of the sweep, with the number of their beam | m, `_ego` |
+
+The vehicle frame (`_ego`) is x forward, y left, z up, its origin in the middle of the rear axle; the city frame is our
+world frame.
+"""
+
+import io
+import json
+import re
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+from pyarrow import feather
+
+from synth3dlanes.formats.argoverse2.maps import PIECE_M, RULE, LogMap, compare_log_map, map_files, read_map
+from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, compare_camera, compare_sweep, pinhole_pixels
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, world_from_host
+from synth3dlanes.geometry.frames import from_axes, invert, quaternion, rotation, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_arrow
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.world.world import resolve
+
+FRONT_CAMERA = "ring_front_center"
+RING_CAMERAS = (
+    FRONT_CAMERA, "ring_front_left", "ring_front_right", "ring_rear_left", "ring_rear_right", "ring_side_left",
+    "ring_side_right",
+)  # fmt: skip
+CAMERAS = (*RING_CAMERAS, "stereo_front_left", "stereo_front_right")
+LIDARS = ("up_lidar", "down_lidar")
+"""The original has two on top of each other; readers want a pose of each."""
+HOST_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+"""The rear axle in our host's road frame, as in the rig argoverse2."""
+_LIDAR_FROM_AV2 = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+HALF_PX = 0.5
+CATEGORIES: dict[VehicleClass, str] = {
+    "car": "REGULAR_VEHICLE", "van": "REGULAR_VEHICLE", "truck": "TRUCK", "bus": "BUS", "trailer": "TRUCK"
+}  # fmt: skip
+"""A tractor with its semitrailer is one truck."""
+START_NS, ROOM_NS = 10**18, 4 * 10**9
+"""The first timestamp of an export, and how much later the next picture's log begins at least: tools name frames by
+timestamps alone, which must differ between logs and have equal numbers of digits."""
+CITY = "SYN"
+POSE = {name: pa.float64() for name in ("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")}
+ANNOTATIONS = pa.schema(
+    {
+        "timestamp_ns": pa.int64(), "track_uuid": pa.string(), "category": pa.string(), "length_m": pa.float64(),
+        "width_m": pa.float64(), "height_m": pa.float64(), **POSE, "num_interior_pts": pa.int64(),
+    }
+)  # fmt: skip
+POSES = pa.schema({"timestamp_ns": pa.int64(), **POSE})
+SENSORS = pa.schema({"sensor_name": pa.string(), **POSE})
+INTRINSICS = pa.schema(
+    {
+        "sensor_name": pa.string(), **{name: pa.float64() for name in ("fx_px", "fy_px", "cx_px", "cy_px")},
+        **{name: pa.float64() for name in ("k1", "k2", "k3")}, "height_px": pa.uint16(), "width_px": pa.uint16(),
+    }
+)  # fmt: skip
+POINTS = pa.schema(
+    {
+        **{name: pa.float32() for name in "xyz"}, "intensity": pa.uint8(), "laser_number": pa.uint8(),
+        "offset_ns": pa.int32(),
+    }
+)  # fmt: skip
+# A point takes 24 bytes, a box 130; files with boxes have few rows.
+BOUNDS = TableBounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
+IMAGE = re.compile(r"(?P<timestamp>\d{1,19})\.jpg")
+Columns = dict[str, np.ndarray]
+# Labels of boxes and points are rounded.
+LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
+
+README = f"""Argoverse 2's sensor data set: a log for each scene, its frames those of the clip.
+
+- `{{train,val,test}}/LOG/sensors/cameras/CAMERA/TIMESTAMP.jpg`, `sensors/lidar/TIMESTAMP.feather`,
+  `annotations.feather`, `city_SE3_egovehicle.feather`, `calibration/*.feather`, `map/*`. Timestamps (ns) differ between
+  logs too. Tools of map learners drop frames without one of the seven cameras `ring_*`: generate with
+  `--rig argoverse2`. A camera without such a rig is `{FRONT_CAMERA}`.
+- Vehicle frame: x forward, y left, z up, from the rear axle, {-HOST_FROM_EGO[1, 3]:g} m behind the middle of the host
+  and {HOST_FROM_EGO[2, 3]:g} m over the road. City frame: the scene's world. Pixels count from the middle of the first
+  one. All sensors of an instant measure at once, so `offset_ns` is 0. There is no intensity.
+- Without a lidar, sweeps have no points: tools step through their timestamps. One lidar is both `up_lidar` and
+  `down_lidar`; points have 4 bytes a coordinate, where the original has 2.
+- Boxes are those of all cars of the labels, seen or not, with the points of the sweep on them. The API's evaluation
+  leaves out those without points from the truth, but not from detections, where a found one is a false alarm: without
+  a lidar nothing is left of the truth. Take detections without points out as well, or those that are far away.
+- Lane segments are those of the lane graph, cut into pieces of at most {PIECE_M:g} m: ids count the segment from 1 and
+  its pieces from 0, as 2003. Boundaries are half a lane's width beside the middle; their mark type is the paint along
+  most of the segment. An oncoming lane across one line is a neighbour.
+"""
+
+
+@dataclass(frozen=True)
+class LogFiles:
+    """The paths of a log's files in an export."""
+
+    part: str
+    log: str
+
+    def __str__(self) -> str:
+        return f"{self.part}/{self.log}"
+
+    @property
+    def annotations(self) -> str:
+        """Boxes at all instants."""
+        return f"{self}/annotations.feather"
+
+    @property
+    def poses(self) -> str:
+        """City from vehicle at all instants."""
+        return f"{self}/city_SE3_egovehicle.feather"
+
+    @property
+    def sensors(self) -> str:
+        """Vehicle from sensors."""
+        return f"{self}/calibration/egovehicle_SE3_sensor.feather"
+
+    @property
+    def intrinsics(self) -> str:
+        """Lenses of the cameras."""
+        return f"{self}/calibration/intrinsics.feather"
+
+    @property
+    def map(self) -> tuple[str, str, str]:
+        """Lanes, areas and crossings; heights of the ground by cells; which cell a place is in."""
+        return (
+            f"{self}/map/log_map_archive_{self.log}____{CITY}_city_0.json",
+            f"{self}/map/{self.log}_ground_height_surface____{CITY}.npy",
+            f"{self}/map/{self.log}___img_Sim2_city.json",
+        )
+
+    def image(self, camera: str, timestamp_ns: int) -> str:
+        """A picture."""
+        return f"{self}/sensors/cameras/{camera}/{timestamp_ns}.jpg"
+
+    def sweep(self, timestamp_ns: int) -> str:
+        """The points of the lidar at an instant."""
+        return f"{self}/sensors/lidar/{timestamp_ns}.feather"
+
+
+def log_name(first: int) -> str:
+    """The log whose first picture has this number in the export."""
+    return f"{first:09d}"
+
+
+def write(frame: SampleFrame) -> FrameAnnotation:
+    """The files of a picture; with the first of an instant also its sweep and rows, with the first of a log its
+    calibration and map."""
+    labels, shot, where = frame.labels, frame.scene.shot, f"{frame.split}:{frame.key}"
+    if labels.objects is None:
+        raise InputError(f"{where}: expected labels with objects, got older ones; generate the data set again")
+    name = _name(labels.camera, shot.n_cameras, where)
+    first = frame.number - shot.frame * shot.n_cameras - shot.camera
+    files = LogFiles(frame.part, log_name(first))
+    timestamp_ns = START_NS + first * ROOM_NS + round(shot.time_s * 1e9)
+    image = files.image(name, timestamp_ns)
+    if not frame.cameras:
+        return FrameAnnotation(image, 0)
+    world_from_ego = ego_frame(frame)
+    ego_from_cam = invert(world_from_ego) @ labels.camera.world_from_cam
+    own: dict[str, str | bytes] = {files.sweep(timestamp_ns): _sweep(frame, ego_from_cam)}
+    n_lanes = 0
+    if frame.is_first:
+        own |= _calibration(frame, files, world_from_ego)
+        mapped, n_lanes = map_files(resolve(frame.scene), labels.graph)
+        own |= dict(zip(files.map, mapped, strict=True))
+    boxes = [_box(item, ego_from_cam, files.log, timestamp_ns) for item in labels.objects]
+    rows = (
+        (json.dumps([{"timestamp_ns": timestamp_ns, **_pose(world_from_ego)}]), (files.poses,)),
+        (json.dumps(boxes), (files.annotations,)),
+    )
+    return FrameAnnotation(image, n_lanes, files=own, shared=rows)
+
+
+def document(path: str, lines: Path) -> Iterator[bytes]:
+    """A table of a log from its rows, which are those of an instant in each line."""
+    rows = [row for line in lines.read_text().splitlines() for row in json.loads(line)]
+    schema = ANNOTATIONS if PurePath(path).stem == "annotations" else POSES
+    yield _table(sorted(rows, key=lambda row: row["timestamp_ns"]), schema)
+
+
+def ego_frame(frame: SampleFrame) -> Matrix4:
+    """World from the vehicle frame, in which sensors keep their places through a clip."""
+    mounted = frame.scene.camera
+    return world_from_host(frame.labels.camera, mounted.right_m, mounted.forward_m) @ HOST_FROM_EGO
+
+
+def _name(camera: CameraLabel, n_cameras: int, where: str) -> str:
+    if not camera.lens.is_pinhole:
+        raise InputError(f"{where}: expected a camera without distortion, got {camera.lens}")
+    if camera.name in CAMERAS:
+        return camera.name
+    if n_cameras > 1:
+        names = ", ".join(RING_CAMERAS)
+        raise InputError(f"{where}: expected a rig with cameras of Argoverse 2 ({names}), got {camera.name}")
+    return FRONT_CAMERA
+
+
+def _sweep(frame: SampleFrame, ego_from_cam: Matrix4) -> bytes:
+    """The points of the lidar, in the vehicle frame."""
+    if frame.sweep is None:
+        return _table([], POINTS)
+    points = frame.sweep.points()
+    xyz_ego, zeros = transform(ego_from_cam, points.xyz_cam), np.zeros(len(points.beam), int)
+    columns = [*xyz_ego.T, zeros, points.beam, zeros]
+    return _bytes(pa.table([pa.array(c).cast(t) for c, t in zip(columns, POINTS.types, strict=True)], schema=POINTS))
+
+
+def _calibration(frame: SampleFrame, files: LogFiles, world_from_ego: Matrix4) -> dict[str, bytes]:
+    ego_from_world, n_cameras = invert(world_from_ego), frame.scene.shot.n_cameras
+    sensors, lenses = list[dict[str, Any]](), list[dict[str, Any]]()
+    for key, camera in frame.cameras.items():
+        name = _name(camera, n_cameras, f"{frame.split}:{key}")
+        ego_from_cv = ego_from_world @ camera.world_from_cam
+        ego_from_cv[:3, :3] = ego_from_cv[:3, :3] @ CV_FROM_CAM.T
+        (fx, _, cx), (_, fy, cy), _ = camera.img_from_cam @ CV_FROM_CAM.T
+        lens = {"fx_px": fx, "fy_px": fy, "cx_px": cx - HALF_PX, "cy_px": cy - HALF_PX}
+        sensors.append({"sensor_name": name, **_pose(ego_from_cv)})
+        size = {"height_px": camera.height_px, "width_px": camera.width_px}
+        lenses.append({"sensor_name": name, **lens, **dict.fromkeys(("k1", "k2", "k3"), 0.0), **size})
+    ego_from_lidar, labels = np.eye(4), frame.labels
+    if labels.lidar is not None:
+        ego_from_lidar = ego_from_world @ labels.camera.world_from_cam @ labels.lidar.cam_from_lidar @ _LIDAR_FROM_AV2
+    sensors += ({"sensor_name": name, **_pose(ego_from_lidar)} for name in LIDARS)
+    return {files.sensors: _table(sensors, SENSORS), files.intrinsics: _table(lenses, INTRINSICS)}
+
+
+def _box(item: ObjectLabel, ego_from_cam: Matrix4, log: str, timestamp_ns: int) -> dict[str, Any]:
+    """A row of the annotations. The box's own frame is x forward, y left, z up."""
+    pose = ego_from_cam @ item.cam_from_object
+    x, y, z = pose[:3, :3].T
+    width_m, length_m, height_m = item.size_m.tolist()
+    return {
+        "timestamp_ns": timestamp_ns,
+        "track_uuid": str(uuid.uuid5(uuid.NAMESPACE_OID, f"{log}/{item.id}")),
+        "category": CATEGORIES[item.category],
+        "length_m": length_m,
+        "width_m": width_m,
+        "height_m": height_m,
+        **_pose(from_axes(y, -x, z, pose[:3, 3])),
+        "num_interior_pts": item.lidar_points or 0,
+    }
+
+
+def _pose(pose: Float[np.ndarray, "4 4"]) -> dict[str, float]:
+    wxyz = quaternion(pose[:3, :3]).tolist()
+    return dict(zip(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), [*wxyz, *pose[:3, 3].tolist()], strict=True))
+
+
+def _table(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> bytes:
+    return _bytes(pa.Table.from_pylist(rows, schema=schema))
+
+
+def _bytes(table: pa.Table) -> bytes:
+    stream = io.BytesIO()
+    feather.write_feather(table, stream)
+    return stream.getvalue()
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A log below the folder of an export; its files are read when they are asked for."""
+
+    out: Path
+    files: LogFiles
+
+    @cached_property
+    def annotations(self) -> Columns:
+        """Boxes at all instants, in the vehicle frame."""
+        return self._table(self.files.annotations, ANNOTATIONS)
+
+    @cached_property
+    def poses(self) -> dict[int, Float[np.ndarray, "4 4"]]:
+        """City from vehicle by timestamp."""
+        table = self._table(self.files.poses, POSES)
+        return dict(zip(table["timestamp_ns"].tolist(), matrices(table), strict=True))
+
+    @cached_property
+    def sensors(self) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Vehicle from sensor by name."""
+        table = self._table(self.files.sensors, SENSORS)
+        return dict(zip(table["sensor_name"].tolist(), matrices(table), strict=True))
+
+    @cached_property
+    def lenses(self) -> dict[str, tuple[Float[np.ndarray, "3 3"], tuple[int, int]]]:
+        """Matrix K, and width and height of the image, by camera."""
+        table = self._table(self.files.intrinsics, INTRINSICS)
+        found = {}
+        for i, name in enumerate(table["sensor_name"].tolist()):
+            fx, fy, cx, cy = (float(table[key][i]) for key in ("fx_px", "fy_px", "cx_px", "cy_px"))
+            size = int(table["width_px"][i]), int(table["height_px"][i])
+            found[name] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), size
+        return found
+
+    def sweep(self, timestamp_ns: int) -> Float[np.ndarray, "n 3"]:
+        """Points of the lidar, in the vehicle frame."""
+        table = self._table(self.files.sweep(timestamp_ns), POINTS)
+        return np.column_stack([table[axis] for axis in "xyz"]).astype(float)
+
+    @cached_property
+    def map(self) -> LogMap:
+        """Its map."""
+        return read_map(*(self.out / path for path in self.files.map))
+
+    def _table(self, path: str, wanted: pa.Schema) -> Columns:
+        where = self.out / path
+        data = read_file(where)
+        try:
+            table = read_arrow(data, str(where), BOUNDS, wanted.names).cast(wanted)
+            if any(column.null_count for column in table.columns):
+                raise ValueError("missing values")
+            return {name: table[name].to_numpy() for name in wanted.names}
+        except FormatError:
+            raise
+        except DAMAGED as error:
+            reason = " ".join(str(error).split())[:120]
+            raise FormatError(f"{where}: expected a table of {', '.join(wanted.names)}, got {reason}") from None
+
+
+def matrices(table: Columns) -> Float[np.ndarray, "n 4 4"]:
+    """Poses of a table's rows."""
+    found = np.tile(np.eye(4), (len(table["qw"]), 1, 1))
+    wxyz = np.column_stack([table[key] for key in ("qw", "qx", "qy", "qz")])
+    found[:, :3, 3] = np.column_stack([table[key] for key in ("tx_m", "ty_m", "tz_m")])
+    for pose, row in zip(found, wxyz, strict=True):
+        pose[:3, :3] = rotation(row) if np.isfinite(row).all() and row.any() else np.nan
+    return found
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """The pictures of each part."""
+    for part in PARTS:
+        if (out / part).is_dir() and not (out / part).is_symlink():
+            yield FrameList(part, _frames(out, part, most_frames), "picture")
+
+
+def _frames(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
+    for folder in sorted(path for path in (out / part).iterdir() if path.is_dir()):
+        log = Log(out, LogFiles(part, folder.name))
+        found = [(int(match["timestamp"]), path) for path in folder.glob("sensors/cameras/*/*")
+                 if (match := IMAGE.fullmatch(path.name))]  # fmt: skip
+        cameras = list(log.lenses)
+        for timestamp_ns, path in sorted(found, key=lambda pair: (pair[0], pair[1].parent.name)):
+            if most == 0:
+                return
+            most -= 1
+            camera = path.parent.name
+            if camera not in log.lenses or camera not in log.sensors:
+                raise FormatError(f"{out / log.files.intrinsics}: expected a row of {camera}, got none")
+            name = str(path.relative_to(out))
+            yield ReadFrame(name, str(path), name, (log, camera, timestamp_ns, camera == cameras[0]))
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """The camera of every picture; of an instant the boxes, the sweep and the map."""
+    log, camera, timestamp_ns, is_first = frame.content
+    if timestamp_ns not in log.poses:
+        raise FormatError(f"{log.out / log.files.poses}: expected a pose at {timestamp_ns}, got none")
+    cam_from_ego = invert(truth.labels.camera.world_from_cam) @ log.poses[timestamp_ns]
+    compared = _camera(log, camera, cam_from_ego, truth.labels.camera)
+    if not is_first:
+        return compared
+    compared += _boxes(log, timestamp_ns, cam_from_ego, truth) + _lidar(log, timestamp_ns, cam_from_ego, truth)
+    return compared + compare_log_map(log.map, truth)
+
+
+def _camera(log: Log, name: str, cam_from_ego: Matrix4, camera: CameraLabel) -> Comparison:
+    """How far places that a camera sees are from their pixels."""
+    k, size_px = log.lenses[name]
+    if size_px != (camera.width_px, camera.height_px):
+        text = f"camera {name}: expected a size of {camera.width_px}x{camera.height_px}, got {size_px[0]}x{size_px[1]}"
+        return Comparison(problems=(text,))
+    img_from_cv = k + np.array([[0, 0, HALF_PX], [0, 0, HALF_PX], [0, 0, 0]])
+    cv_from_cam = invert(cam_from_ego @ log.sensors[name])
+    return compare_camera(name, camera, partial(pinhole_pixels, img_from_cv, cv_from_cam), LIMIT_PX)
+
+
+def _boxes(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSample) -> Comparison:
+    """Corners of boxes in metres, their class, points and track."""
+    table = log.annotations
+    rows = np.flatnonzero(table["timestamp_ns"] == timestamp_ns)
+    poses, items = matrices({key: table[key][rows] for key in table}), list(truth.labels.objects or ())
+    problems, gaps, tracks, left = list[str](), list[Gap](), dict[str, str](), {item.id: item for item in items}
+    for row, pose in zip(rows.tolist(), poses, strict=True):
+        size = np.array([table[key][row] for key in ("length_m", "width_m", "height_m")])
+        found = transform(cam_from_ego @ pose, CORNERS[:, [1, 0, 2]] * [1, -1, 1] * size / 2)
+        middle = found.mean(axis=0)
+        if not left:
+            problems.append(f"object {table['track_uuid'][row]}: expected one of the labels, got none left")
+            continue
+        ours = {item: one.corners_cam for item, one in left.items()}
+        nearest = min(ours, key=lambda item: float(np.linalg.norm(ours[item].mean(axis=0) - middle)))
+        item = left.pop(nearest)
+        gaps.append(Gap.of(f"object {item.id}", "m", np.linalg.norm(found - ours[item.id], axis=1), "box"))
+        tracks[str(table["track_uuid"][row])] = f"object {item.id} of {log.files}"
+        if table["category"][row] != CATEGORIES[item.category]:
+            problems.append(f"object {item.id}: expected {CATEGORIES[item.category]}, got {table['category'][row]}")
+        if table["num_interior_pts"][row] != (item.lidar_points or 0):
+            expected, got = item.lidar_points or 0, table["num_interior_pts"][row]
+            problems.append(f"object {item.id}: expected {expected} points of the lidar on it, got {got}")
+    problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
+    return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(tracks=tracks)
+
+
+def _lidar(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSample) -> Comparison:
+    """Points of the lidar beside those of our sweep, and its place."""
+    compared = compare_sweep(transform(cam_from_ego, log.sweep(timestamp_ns)), truth, POINT_M)
+    lidar = truth.labels.lidar
+    if not compared.gaps or lidar is None:
+        return compared
+    place = (cam_from_ego @ log.sensors["up_lidar"])[:3, 3] if "up_lidar" in log.sensors else np.full(3, np.nan)
+    off_m = float(np.linalg.norm(place - lidar.cam_from_lidar[:3, 3]))
+    problems = [] if off_m <= POINT_M else [f"expected the lidar at its place, got it {off_m:.3g} m off"]
+    return compared.because(problems)
+
 
 FORMAT = SampleFormat(
     title="Argoverse 2: cameras, lidar, boxes and the map of a log",
     readme=README,
-    write=annotate,
+    write=write,
     read=read,
     verify=verify,
     tolerances={RULE.unit: RULE.limit, "px": LIMIT_PX},

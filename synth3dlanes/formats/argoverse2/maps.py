@@ -1,20 +1,45 @@
-"""The map of a log: lane segments, drivable areas and crossings as one JSON document, the ground by cells."""
+"""The map of a log of Argoverse 2, in the world frame: written, read, and compared with the labels.
+
+| theirs | ours | unit |
+|---|---|---|
+| `lane_segments` | pieces of the segments of the lane graph; `id` is (segment + 1) * 1000 + piece | m |
+| `*_lane_mark_type` | the paint along most of the segment (`mark_type`) | |
+| `successors`, `predecessors`, `*_neighbor_id` | links and neighbours of the lane graph | |
+| `drivable_areas` | strips of the pavement | m |
+| `pedestrian_crossings` | crosswalks, by both of their edges | m |
+| ground height surface | heights of the ground by cells, NaN far from the pavement | m |
+"""
 
 import io
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+import shapely
 from jaxtyping import Float
 
-from synth3dlanes.formats.argoverse2.convention import CELL_M, MARGIN_M, LogFiles, mark_type, piece_id
-from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
-from synth3dlanes.geometry.polylines import thinned
-from synth3dlanes.labels.labels import LaneGraph
+from synth3dlanes.formats.comparing import (
+    Comparison,
+    Rule,
+    SourceSample,
+    compare_map,
+    distances,
+    is_beside,
+    side_problems,
+)
+from synth3dlanes.formats.lane_map import LaneSegment, half_widths, lane_segments, link_gaps
+from synth3dlanes.formats.reading import read_file
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.polylines import resampled, thinned
+from synth3dlanes.labels.labels import Lane, LaneGraph, Marking, PaintColor, Pair, Segment
+from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Points3
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.schema import Excerpt, Number
 from synth3dlanes.world.motion import host_driven
 from synth3dlanes.world.world import World
 
@@ -22,14 +47,59 @@ REACH_M = 150.0
 """How far the map reaches beyond all places of the host in the clip, and as far the other way."""
 PIECE_M = 30.0
 """The API draws the middle of a lane segment with ten points, however long it is."""
+MOST_PIECES = 1000
+CELL_M, MARGIN_M = 0.3, 5.0
+"""Size of the cells of the ground's heights, and how far beyond the pavement there are any."""
 LINE_M, DECIMALS = 0.005, 3
 """How far written lines may be from those with all points."""
 SAME_LINE_M = 0.2
-
+# Lanes are within this of the labels from above; heights within the slack.
+RULE = Rule("m", 0.05, name="lane", slack=0.3)
+GAP_M, GROUND_M = 0.005, 0.2
+# Drivable areas have seams where one begins at the end of another.
+SEAM_M = 0.01
+# A boundary has the paint of a delimiter if the share ON_LINE of its points that the labels reach, and at least
+# LEAST_POINTS, are within ON_LINE_M of it.
+ON_LINE_M, ON_LINE, LEAST_POINTS = 0.05, 0.9, 10
+# A map's boundary is compared if the labels reach more than this share of it, of which ON_LINE is more than half.
+MOST = 0.6
 Sides = Float[np.ndarray, "_ k 3"]
 
 
-def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str, str | bytes], int]:
+def piece_id(segment: int, number: int) -> int:
+    """The id of a piece of a lane segment by its place in the lane graph, from 0, and its number along it."""
+    return (segment + 1) * MOST_PIECES + number
+
+
+def place_of(lane_id: int) -> tuple[int, int]:
+    """The inverse of `piece_id`."""
+    segment, number = divmod(lane_id, MOST_PIECES)
+    return segment - 1, number
+
+
+def mark_type(marking: Marking, color: PaintColor | None, double: bool | None, pair: Pair | None = None) -> str:
+    """The code of paint; a pair is named from the left, as the lane's traffic drives."""
+    if marking == "none":
+        return "NONE"
+    if pair is not None:
+        pattern = "SOLID_DASH" if pair == "solid_dashed" else "DASH_SOLID"
+    elif double:
+        pattern = "DOUBLE_SOLID" if marking == "solid" else "DOUBLE_DASH"
+    else:
+        pattern = "SOLID" if marking == "solid" else "DASHED"
+    return f"{pattern}_{(color or 'white').upper()}"
+
+
+class MapFiles(NamedTuple):
+    """The files of a map: lanes, areas and crossings as JSON; heights of the ground as an array of numpy, and the cell
+    of a place as JSON."""
+
+    vectors: str
+    heights: bytes
+    cells: str
+
+
+def map_files(world: World, graph: LaneGraph) -> tuple[MapFiles, int]:
     """The files of the map of a world, and how many lane segments are in it."""
     place, shot = world.view.world_from_host[:3, 3], world.scene.shot
     reach_m = REACH_M + host_driven(shot, shot.duration_s)
@@ -45,12 +115,7 @@ def map_files(world: World, graph: LaneGraph, files: LogFiles) -> tuple[dict[str
     cells = {"R": [1.0, 0.0, 0.0, 1.0], "t": (-west_south).tolist(), "s": 1 / CELL_M}
     stream = io.BytesIO()
     np.save(stream, heights)
-    own: dict[str, str | bytes] = {
-        files.vector_map: json.dumps(vectors),
-        files.heights: stream.getvalue(),
-        files.cells: json.dumps(cells),
-    }
-    return own, len(rows)
+    return MapFiles(json.dumps(vectors), stream.getvalue(), json.dumps(cells)), len(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,3 +226,261 @@ def _heights(
 
 def _points(points: Points3) -> list[dict[str, float]]:
     return [dict(zip("xyz", row, strict=True)) for row in (np.round(points, DECIMALS) + 0.0).tolist()]
+
+
+class _Point(Excerpt):
+    x: Number
+    y: Number
+    z: Number
+
+
+class LogLane(Excerpt):
+    """A lane segment as its file says."""
+
+    id: int
+    is_intersection: bool
+    left_lane_boundary: list[_Point]
+    right_lane_boundary: list[_Point]
+    left_lane_mark_type: str
+    right_lane_mark_type: str
+    successors: list[int]
+    predecessors: list[int]
+    left_neighbor_id: int | None
+    right_neighbor_id: int | None
+
+    @property
+    def left(self) -> Float[np.ndarray, "n 3"]:
+        """Its left boundary."""
+        return _array(self.left_lane_boundary)
+
+    @property
+    def right(self) -> Float[np.ndarray, "n 3"]:
+        """Its right boundary."""
+        return _array(self.right_lane_boundary)
+
+
+class _Area(Excerpt):
+    area_boundary: list[_Point]
+
+
+class _Crossing(Excerpt):
+    edge1: list[_Point]
+    edge2: list[_Point]
+
+
+class _Vectors(Excerpt):
+    lane_segments: dict[str, LogLane]
+    drivable_areas: dict[str, _Area]
+    pedestrian_crossings: dict[str, _Crossing]
+
+
+class _Cells(Excerpt):
+    R: tuple[Number, Number, Number, Number]
+    t: tuple[Number, Number]
+    s: Number
+
+
+@dataclass(frozen=True, eq=False)
+class LogMap:
+    """The map of a log. Heights are NaN where there are none."""
+
+    lanes: tuple[LogLane, ...]
+    areas: tuple[Float[np.ndarray, "_ 3"], ...]
+    crossings: tuple[Float[np.ndarray, "_ 3"], ...]
+    heights: Float[np.ndarray, "rows columns"]
+    cell_from_city: Float[np.ndarray, "2 3"]
+
+    def height(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        """Height of the ground in the cells of places, NaN outside."""
+        columns, rows = np.floor(xy @ self.cell_from_city[:, :2].T + self.cell_from_city[:, 2]).T
+        found = np.full(len(xy), np.nan)
+        inside = (rows >= 0) & (rows < self.heights.shape[0]) & (columns >= 0) & (columns < self.heights.shape[1])
+        found[inside] = self.heights[rows[inside].astype(int), columns[inside].astype(int)]
+        return found
+
+
+def read_map(vectors: Path, heights: Path, cells: Path) -> LogMap:
+    """The map of a log by its three files."""
+    found = schema.parse(_Vectors, read_file(vectors), str(vectors), "a map of Argoverse 2", 1 << 28)
+    lanes = tuple(found.lane_segments.values())
+    areas = tuple(_array(area.area_boundary) for area in found.drivable_areas.values())
+    crossings = tuple(_array([*c.edge1, *c.edge2]) for c in found.pedestrian_crossings.values())
+    if any(min(len(lane.left), len(lane.right)) < 2 for lane in lanes) or any(len(area) < 3 for area in areas):
+        raise FormatError(f"{vectors}: expected boundaries of two points and areas of three or more, got fewer")
+    similar = schema.parse(_Cells, read_file(cells), str(cells), "a similarity")
+    cell_from_city = similar.s * np.column_stack([np.array(similar.R).reshape(2, 2), similar.t])
+    return LogMap(lanes, areas, crossings, _read_heights(heights), cell_from_city)
+
+
+def _read_heights(path: Path) -> Float[np.ndarray, "rows columns"]:
+    try:
+        heights = np.load(io.BytesIO(read_file(path)), allow_pickle=False)
+    except (ValueError, EOFError, OSError, MemoryError) as error:
+        raise FormatError(f"{path}: expected heights as an array of numpy, got {str(error)[:80]}") from None
+    if not isinstance(heights, np.ndarray) or heights.ndim != 2 or heights.dtype.kind != "f":
+        raise FormatError(f"{path}: expected heights in rows and columns, got something else")
+    return heights.astype(float)
+
+
+def _array(points: list[_Point]) -> Float[np.ndarray, "n 3"]:
+    return np.array([(point.x, point.y, point.z) for point in points]).reshape(-1, 3)
+
+
+# The pieces of each segment, in order, and half its least and its greatest width.
+PiecesOf = dict[str, list[LogLane]]
+HalvesOf = dict[str, tuple[float, float]]
+
+
+def compare_log_map(found: LogMap, truth: SourceSample) -> Comparison:
+    """Lanes in metres; sides, links, neighbours and paint; crossings, areas and heights."""
+    segments = truth.labels.graph.segments
+    pieces = {place_of(lane.id): lane for lane in found.lanes}
+    if any(not 0 <= i < len(segments) for i, _ in pieces) or len(pieces) < len(found.lanes):
+        text = f"expected ids of lanes of their own, those of {len(segments)} segments, got {[*pieces][:20]}"
+        return Comparison(problems=(text,))
+    lanes: PiecesOf = {}
+    for i, number in sorted(pieces):
+        lanes.setdefault(segments[i].id, []).append(pieces[i, number])
+    middles = [(name, np.concatenate([_middle(piece) for piece in lane])) for name, lane in lanes.items()]
+    halves_m = dict(zip(lanes, half_widths(truth.scene, list(lanes)), strict=True))
+    problems = list[str]()
+    for name, lane in ((name, piece) for name, own in lanes.items() for piece in own):
+        middle = _middle(lane)
+        sides = {"left": lane.left, "right": lane.right}
+        beside = {side: line for side, line in sides.items() if len(line) == len(middle)}
+        problems += side_problems(name, middle, beside, halves_m[name])
+    problems += [*_link_problems(lanes, truth), *_neighbour_problems(lanes, truth, halves_m)]
+    problems += [*_paint_problems(lanes, truth), *_crossing_problems(found, truth), *_ground_problems(found, truth)]
+    return compare_map(middles, truth, RULE).because(problems)
+
+
+def _middle(lane: LogLane) -> Float[np.ndarray, "n 3"]:
+    """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
+    left, right = lane.left, lane.right
+    if len(left) != len(right):
+        left, right = (resampled(line, 100) for line in (left, right))
+    return (left + right) / 2
+
+
+def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
+    """Findings where links are not those of the lane graph and between pieces, or lanes do not meet."""
+    graph = truth.labels.graph
+    links = [pair for pieces in lanes.values() for pair in pairwise(pieces)]
+    links += (
+        (pieces[-1], lanes[after][0])
+        for name, pieces in lanes.items()
+        for after in graph.successors.get(name, ())
+        if after in lanes
+    )
+    pairs = [(a, b) for a, after in graph.successors.items() for b in after if a in lanes and b in lanes]
+    gaps_m = {(lanes[a][-1].id, lanes[b][0].id): gap_m for (a, b), gap_m in link_gaps(truth.scene, pairs).items()}
+    for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
+        after = {to.id for one, to in links if one is lane}
+        before = {one.id for one, to in links if to is lane}
+        for word, got, expected in (("follow", lane.successors, after), ("precede", lane.predecessors, before)):
+            if sorted(got) != sorted(expected):
+                yield f"lane {name}: expected {sorted(expected) or 'none'} to {word} {lane.id}, got {got or 'none'}"
+        for other in (to for one, to in links if one is lane):
+            gap_m = float(np.linalg.norm(_middle(lane)[-1] - _middle(other)[0]))
+            if not gap_m <= GAP_M + gaps_m.get((lane.id, other.id), 0.0):
+                yield f"lane {name}: expected {other.id} to begin where {lane.id} ends, got it {gap_m:.3f} m away"
+
+
+def _neighbour_problems(lanes: PiecesOf, truth: SourceSample, halves_m: HalvesOf) -> Iterator[str]:
+    """Findings where a lane has another neighbour than in the lane graph: to the left it may have an oncoming one,
+    across a line that both share."""
+    owner = {piece.id: (name, piece) for name, pieces in lanes.items() for piece in pieces}
+    by_id = {segment.id: segment for segment in truth.labels.graph.segments}
+    for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
+        segment, is_oncoming = by_id[name], _is_oncoming(by_id[name])
+        # On a map left and right are those of the lane's traffic.
+        swaps = is_oncoming and truth.scene.map is None
+        sides = (segment.right, segment.left) if swaps else (segment.left, segment.right)
+        for side, number, wanted in zip(
+            ("left", "right"), (lane.left_neighbor_id, lane.right_neighbor_id), sides, strict=True
+        ):
+            got, other = (None, None) if number is None else owner.get(number, (str(number), None))
+            apart_m = 0.0 if got is None else np.inf
+            if other is not None:
+                own, its = (lane.left, other.left if wanted is None else other.right)
+                own, its = (own, its) if side == "left" else (lane.right, other.left)
+                apart_m = float(distances(own, its).min())
+            is_across = wanted is None and side == "left" and got in lanes
+            is_across = is_across and is_oncoming != _is_oncoming(by_id[str(got)])
+            # Where a lane opens, it is beside its neighbour only farther on.
+            most_m = RULE.slack if is_across else 2 * halves_m[name][1]
+            if not (got == (wanted if wanted in lanes else None) or is_across) or not apart_m <= most_m:
+                yield f"lane {name}: expected {wanted} on its {side}, got {got}, {apart_m:.3g} m off"
+
+
+def _is_oncoming(segment: Segment) -> bool:
+    return segment.s_start_m > segment.s_end_m
+
+
+def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
+    """Findings where a boundary has other paint than the delimiter along which it runs where the labels reach it."""
+    world = {lane.id: transform(truth.labels.camera.world_from_cam, lane.xyz_cam) for lane in truth.labels.lanes}
+    ours = [(lane, world[lane.id]) for lane in truth.labels.lanes
+            if lane.kind == "delimiter" and len(lane.xyz_cam) > 1]  # fmt: skip
+    by_id = {segment.id: segment for segment in truth.labels.graph.segments}
+    for name, pieces in lanes.items():
+        is_oncoming = _is_oncoming(by_id[name])
+        paths = [world[path] for path in by_id[name].centerlines if len(world.get(path, ())) > 1]
+        for side in ("left", "right"):
+            fine = resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
+            reached = np.any([is_beside(fine, path) for path in paths], axis=0) if paths else np.zeros(len(fine), bool)
+            # Along the paper's lanes paint does not change; on a map the labels may not reach what most of it is.
+            if truth.scene.map is not None and np.count_nonzero(reached) <= MOST * len(fine):
+                continue
+            fine = fine[reached]
+            close = [paint for paint, points in ours if _runs_along(fine, points)]
+            expected = _mark_type(close[0], is_oncoming) if len(close) == 1 else ""
+            got = {getattr(piece, f"{side}_lane_mark_type") for piece in pieces}
+            if expected and got != {expected}:
+                told = ", ".join(sorted(got))
+                yield f"lane {name}: expected {expected} on its {side}, as {close[0].id} is painted, got {told}"
+
+
+def _runs_along(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]) -> bool:
+    """Whether most of the points are on a line; most lines are too far away to be asked point by point."""
+    low, high = line.min(axis=0) - ON_LINE_M, line.max(axis=0) + ON_LINE_M
+    around = points[((points > low) & (points < high)).all(axis=1)]
+    least = max(LEAST_POINTS, ON_LINE * len(points))
+    return len(around) >= least and int((distances(around, line) < ON_LINE_M).sum()) >= least
+
+
+def _mark_type(paint: Lane, is_oncoming: bool) -> str:
+    pair = paint.pair
+    if pair is not None and is_oncoming:
+        pair = "dashed_solid" if pair == "solid_dashed" else "solid_dashed"
+    return mark_type(paint.marking, paint.color, paint.double, pair)
+
+
+def _crossing_problems(found: LogMap, truth: SourceSample) -> Iterator[str]:
+    """Findings where crossings are not the crosswalks of the labels."""
+    pose = truth.labels.camera.world_from_cam
+    ours = [transform(pose, symbol.xyz_cam) for symbol in truth.labels.symbols if symbol.kind == "crosswalk"]
+    if len(ours) != len(found.crossings):
+        yield f"expected {len(ours)} pedestrian crossings, got {len(found.crossings)}"
+    for corners in found.crossings:
+        apart = [float(distances(corners, np.concatenate([line, line[:1]])).max()) for line in ours]
+        if len(corners) != 4 or not min(apart, default=np.inf) <= RULE.limit:
+            yield f"expected a pedestrian crossing on a crosswalk, got it {min(apart, default=np.inf):.3g} m away"
+
+
+def _ground_problems(found: LogMap, truth: SourceSample) -> Iterator[str]:
+    """Findings where lanes are not in a drivable area or not on the ground's heights."""
+    outlines = [shapely.make_valid(shapely.Polygon(outline[:, :2])) for outline in found.areas if len(outline) > 2]
+    area = shapely.buffer(shapely.union_all(outlines), SEAM_M)
+    shapely.prepare(area)
+    for lane in truth.labels.lanes:
+        if lane.kind != "centerline":
+            continue
+        points = transform(truth.labels.camera.world_from_cam, lane.xyz_cam)
+        inside = shapely.contains_xy(area, points[:, 0], points[:, 1])
+        if not inside.all():
+            yield f"lane {lane.id}: expected it in the drivable areas, got {int((~inside).sum())} points outside"
+        over_m = np.abs(found.height(points[:, :2]) - points[:, 2])
+        # Where a ramp leaves a road, the higher one is the ground.
+        if not np.median(over_m) <= GROUND_M:
+            yield f"lane {lane.id}: expected the ground at its height, got it {np.median(over_m):.3g} m away"

@@ -1,1 +1,0 @@
-"""COCO: panoptic and instance segmentation."""

@@ -1,0 +1,376 @@
+"""KITTI's object detection: 3D boxes of cars, and the points of a lidar; a text file for each image.
+
+| theirs | ours | unit, frame |
+|---|---|---|
+| `type` | the class of an object (TYPES); `DontCare` for what is hardly seen | |
+| `truncated`, `occluded` | the share of the box outside the image, a level of what is seen | |
+| `bbox` | the box of the 3D box in the image | px, from the middle of the first one |
+| `dimensions` | height, width, length | m |
+| `location` | the middle of the lower side | m, camera (`_cv`: x right, y down, z forward) |
+| `rotation_y`, `alpha` | the heading, 0 where the front looks along x; as seen from the camera | rad |
+| `P2`, `Tr_velo_to_cam` | the camera's matrix; camera from lidar, which looks along x | px, m |
+
+A box stands upright in the camera's frame: the slope of a car against the camera's plane is lost.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, compare_sweep
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.one_frame import FRAMES_PER_SPLIT
+from synth3dlanes.formats.reading import first_lines, numbers, read_file, read_text
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel, Labels
+from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.system.errors import FormatError, InputError
+
+TRAINING, LISTS = "training", "ImageSets"
+"""All frames are in one folder, as KITTI's own training and validation frames are."""
+FOLDERS = {"image": "image_2", "label": "label_2", "calib": "calib", "points": "velodyne"}
+ENDINGS = {"image": "png", "label": "txt", "calib": "txt", "points": "bin"}
+TYPES: dict[VehicleClass, str] = {"car": "Car", "van": "Van", "truck": "Truck", "bus": "Misc", "trailer": "Truck"}
+"""KITTI has no buses; a tractor with its semitrailer is a truck."""
+DONT_CARE = "DontCare"
+HALF_PX = 0.5
+VELO_FROM_LIDAR = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""KITTI's lidar looks along x, y is to its left; ours looks along y, x is to its right."""
+SEEN_BY_LEVEL = (0.9, 0.5)
+"""Levels of occlusion 0, 1 and 2: seen to so much at least, or less."""
+LEAST_SEEN = 0.05
+"""Objects of which less is seen are regions that detectors need not care about."""
+N_FIELDS = 15
+NOT_SEEN, OUT = "hidden", "out of the image"
+# Names of six digits, as KITTI's tools take them, in data sets of up to ten splits of 100,000 samples.
+SHORT = 100_000
+# Places and sizes have four decimals, pixels two; labels are rounded as much.
+LIMIT_M, LIMIT_PX = 0.001, 0.02
+# Truncation has two decimals.
+TRUNCATION, ANGLE_RAD = 0.006, 2e-4
+SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
+# How far objects of equal types may be, for the nearest to be the same.
+SAME_M = 2.0
+# Pixels count less of what is nearer than this.
+NEAR_M = 10.0
+
+README = f"""KITTI's object detection layout.
+
+- `training/image_2/*.png`, `label_2/*.txt`, `calib/*.txt`, and `velodyne/*.bin` of data sets with a lidar. All frames
+  are in `training`, as KITTI's testing frames have no labels; `ImageSets/{{train,val,trainval,test}}.txt` divide them.
+- Types are Car (with pickups), Van, Truck (with tractors and their semitrailers) and Misc (buses). A car of which less
+  than {100 * LEAST_SEEN:.0f} % is seen is a region DontCare; one that is not seen at all is left out. A frame without
+  objects has one region DontCare without a size, as no label file of the original is empty and OpenPCDet fails on one.
+- Occlusion is 0 if {100 * 0.9:.0f} % or more of the object's pixels are seen, 1 from 50 %, else 2. Truncation is the
+  share of the 3D box that is outside the image.
+- The 2D box is that of the 3D box in the image. Pixels count from the middle of the first one, so the principal point
+  is half a pixel less than in the data set.
+- Boxes stand upright in the camera's frame, as KITTI's format has them: place (the middle of the lower side), size and
+  heading are exact, the slope of a car against the camera's plane is lost. It is the camera's pitch on a level road.
+- There is one camera: P0 to P3 are alike. R0_rect is the identity, reflectance is 0. Without a lidar, Tr_velo_to_cam is
+  from the camera's foot on the road.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class KittiObject:
+    """A line of `label_2`: pixels (left, top, right, bottom), metres and radians; -1, -10 and -1000 for what a region
+    `DontCare` does not have."""
+
+    type: str
+    truncated: float
+    occluded: int
+    alpha_rad: float
+    box_px: Float[np.ndarray, "4"]
+    height_width_length_m: Float[np.ndarray, "3"]
+    location_cv: Float[np.ndarray, "3"]
+    rotation_y_rad: float
+
+    def line(self) -> str:
+        """Its text."""
+        box, size, place = (" ".join(f"{value:.{decimals}f}" for value in values) for values, decimals in self._arrays)
+        angle = f"{self.alpha_rad:.4f}"
+        return (
+            f"{self.type} {self.truncated:.2f} {self.occluded} {angle} {box} {size} {place} {self.rotation_y_rad:.4f}"
+        )
+
+    @property
+    def _arrays(self) -> tuple[tuple[Float[np.ndarray, " _"], int], ...]:
+        return (self.box_px, 2), (self.height_width_length_m, 4), (self.location_cv, 4)
+
+
+def dont_care(box_px: Float[np.ndarray, "4"]) -> KittiObject:
+    """A region in which there is something that detectors need not find."""
+    return KittiObject(DONT_CARE, -1, -1, -10, box_px, np.full(3, -1.0), np.full(3, -1000.0), -10)
+
+
+NOTHING = dont_care(np.zeros(4))
+"""What the label file of a frame without objects has: all files of the original have lines, and OpenPCDet fails on one
+that has none. A region without a size hides no detection."""
+
+
+def path_of(what: str, name: str) -> str:
+    """The place of a frame's file in an export."""
+    return f"{TRAINING}/{FOLDERS[what]}/{name}.{ENDINGS[what]}"
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle between -pi and pi."""
+    return float((angle_rad + np.pi) % (2 * np.pi) - np.pi)
+
+
+def occlusion(visible_fraction: float) -> int:
+    """The level of occlusion: 0 seen, 1 partly hidden, 2 largely hidden."""
+    return next((level for level, least in enumerate(SEEN_BY_LEVEL) if visible_fraction >= least), len(SEEN_BY_LEVEL))
+
+
+def write(frame: SampleFrame) -> FrameAnnotation:
+    """The frame's files."""
+    where, labels = f"{frame.split}:{frame.key}", frame.labels
+    if labels.objects is None:
+        raise InputError(f"{where}: expected labels with objects, got older ones; generate the data set again")
+    if not labels.camera.lens.is_pinhole:
+        raise InputError(f"{where}: expected a camera without distortion, got {labels.camera.lens}")
+    name, dropped, lines = _name(frame), Counter[str](), list[str]()
+    for item in labels.objects:
+        reason = OUT if item.box_px is None else NOT_SEEN if item.seen_box_px is None else ""
+        if reason:
+            dropped[reason] += 1
+        else:
+            lines.append(kitti_object(labels.camera, item).line())
+    files: dict[str, str | bytes] = {
+        path_of("label", name): "\n".join(lines or [NOTHING.line()]),
+        path_of("calib", name): _calib(labels),
+    }
+    if frame.sweep is not None:
+        xyz_velo = frame.sweep.points().xyz_lidar @ VELO_FROM_LIDAR[:3, :3].T
+        files[path_of("points", name)] = np.column_stack([xyz_velo, np.zeros(len(xyz_velo))]).astype("<f4").tobytes()
+    lists: list[str] = [part for part in PARTS if frame.serves_as(part)]
+    if {"train", "val"} & {*lists}:
+        lists.append("trainval")
+    shared = ((name, tuple(f"{LISTS}/{part}.txt" for part in lists)),)
+    return FrameAnnotation(path_of("image", name), len(lines), dropped, files, shared)
+
+
+def kitti_object(camera: CameraLabel, item: ObjectLabel) -> KittiObject:
+    """An object of which something is in the image and seen."""
+    assert item.box_px is not None
+    size_px = np.array([camera.width_px, camera.height_px])
+    box_px = np.clip(item.box_px - HALF_PX, 0, np.tile(size_px - 1, 2))
+    seen = item.visible_fraction or 0.0
+    if seen < LEAST_SEEN:
+        return dont_care(box_px)
+    width_m, length_m, height_m = item.size_m
+    pose = item.cam_from_object
+    location_cv = CV_FROM_CAM @ (pose[:3, 3] - pose[:3, 2] * height_m / 2)
+    ahead_x, _, ahead_z = CV_FROM_CAM @ pose[:3, 1]
+    rotation_y_rad = float(np.arctan2(-ahead_z, ahead_x))
+    alpha_rad = wrapped(rotation_y_rad - float(np.arctan2(location_cv[0], location_cv[2])))
+    size_m = np.array([height_m, width_m, length_m])
+    return KittiObject(
+        TYPES[item.category], item.truncation, occlusion(seen), alpha_rad, box_px, size_m, location_cv, rotation_y_rad
+    )
+
+
+def _name(frame: SampleFrame) -> str:
+    split, key = divmod(frame.number, FRAMES_PER_SPLIT)
+    return f"{split * SHORT + key:06d}" if key < SHORT and split < 10 else f"{frame.number:09d}"
+
+
+def _calib(labels: Labels) -> str:
+    """The text of a calibration: matrices row by row."""
+    camera = labels.camera
+    img_from_cv = camera.img_from_cam @ CV_FROM_CAM.T
+    img_from_cv[:2, 2] -= HALF_PX
+    cam_from_velo = (invert(camera.road_from_cam) if labels.lidar is None else labels.lidar.cam_from_lidar) @ invert(
+        VELO_FROM_LIDAR
+    )
+    cv_from_velo = CV_FROM_CAM @ cam_from_velo[:3]
+    projection = np.column_stack([img_from_cv, np.zeros(3)])
+    matrices = {**{f"P{i}": projection for i in range(4)}, "R0_rect": np.eye(3)}
+    matrices |= {"Tr_velo_to_cam": cv_from_velo, "Tr_imu_to_velo": np.eye(4)[:3]}
+    return "\n".join(f"{name}: {_row(matrix)}" for name, matrix in matrices.items())
+
+
+def _row(matrix: Float[np.ndarray, "..."]) -> str:
+    return " ".join(f"{value:.12e}" for value in (matrix + 0.0).ravel())
+
+
+Content = tuple[list[KittiObject], dict[str, Float[np.ndarray, "r c"]], Float[np.ndarray, "n 4"] | None]
+
+
+def parse_line(text: str, where: str) -> KittiObject:
+    """A line of `label_2`; raise FormatError for another."""
+    words = text.split()
+    try:
+        values = [float(word) for word in words[1:]]
+    except ValueError:
+        values = []
+    if len(words) != N_FIELDS or len(values) != N_FIELDS - 1 or not np.isfinite(values).all():
+        raise FormatError(f"{where}: expected a type and {N_FIELDS - 1} numbers, got {text[:60]!r}")
+    box, size, place = np.array(values[3:7]), np.array(values[7:10]), np.array(values[10:13])
+    return KittiObject(words[0], values[0], int(values[1]), values[2], box, size, place, values[13])
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """Every list."""
+    for path in sorted((out / LISTS).glob("*.txt")):
+        yield FrameList(path.stem, (_frame(out, name) for name in first_lines(path, most_frames)))
+
+
+def _frame(out: Path, name: str) -> ReadFrame:
+    if not name.isdecimal():
+        raise FormatError(f"{out / LISTS}: expected names of frames, which are numbers, got {name[:60]!r}")
+    where = str(out / path_of("label", name))
+    lines = [line for line in read_text(Path(where)).splitlines() if line.strip()]
+    objects = [parse_line(line, f"{where}:{number}") for number, line in enumerate(lines, start=1)]
+    points = out / path_of("points", name)
+    content = objects, _matrices(out / path_of("calib", name)), _points(points) if points.exists() else None
+    return ReadFrame(path_of("image", name), where, path_of("image", name), content)
+
+
+def _matrices(path: Path) -> dict[str, Float[np.ndarray, "r c"]]:
+    rows = dict(line.split(":", 1) for line in read_text(path).splitlines() if ":" in line)
+    matrices = {}
+    for name, shape in SHAPES.items():
+        matrix = numbers(rows.get(name, ""), f"{path}: {name}", 1) if rows.get(name, "").strip() else np.zeros((0, 1))
+        if matrix.size != shape[0] * shape[1]:
+            raise FormatError(f"{path}: {name}: expected {shape[0] * shape[1]} numbers, got {matrix.size}")
+        matrices[name] = matrix.reshape(shape)
+    return matrices
+
+
+def _points(path: Path) -> Float[np.ndarray, "n 4"]:
+    data = read_file(path)
+    if len(data) % 16:
+        raise FormatError(f"{path}: expected four numbers of 4 bytes for each point, got {len(data)} bytes")
+    return np.frombuffer(data, "<f4").reshape(-1, 4).astype(float)
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """Each object of a frame beside the one of the labels that it is, those that it lacks, and the points."""
+    content: Content = frame.content
+    objects, calib, points = content
+    camera, items = truth.labels.camera, truth.labels.objects or ()
+    sides = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px], float)
+    wanted = [item for item in items if item.box_px is not None and item.seen_box_px is not None]
+    gaps, problems, left = list[Gap](), list[str](), {item.id: item for item in wanted}
+    strange = Counter[str]()
+    if not objects:
+        problems.append("expected a line, also without objects, because tools fail on an empty file; got none")
+    for number, found in enumerate(objects):
+        if not wanted and found.type == DONT_CARE and not found.box_px.any():
+            continue
+        item = _nearest(found, list(left.values()), sides)
+        if item is None:
+            problems.append(f"object {number}: expected one of the labels, got {found.type} far from any of that kind")
+            strange["object"] += 1
+            continue
+        del left[item.id]
+        gaps.append(Gap.of(f"object {item.id}", "px", np.abs(found.box_px - _box(item, sides)), "object"))
+        if found.type != DONT_CARE:
+            gaps += _gaps(found, item, calib, truth)
+            problems += _problems(found, item)
+    problems += (f"expected {item.category} {item.id}, got it in no line" for item in left.values())
+    return (
+        Comparison.within(gaps, {"m": LIMIT_M, "px": LIMIT_PX})
+        + Comparison((), tuple(problems), strange=strange)
+        + _of_points(points, calib, truth)
+    )
+
+
+def _nearest(found: KittiObject, items: list[ObjectLabel], sides: Float[np.ndarray, "4"]) -> ObjectLabel | None:
+    """The object of the labels that a line is about: of those of its type the nearest, in space or in the image."""
+    is_region = found.type == DONT_CARE
+    alike = [
+        item
+        for item in items
+        if ((item.visible_fraction or 0.0) < LEAST_SEEN if is_region else TYPES[item.category] == found.type)
+    ]
+    if not alike:
+        return None
+    if is_region:
+        return min(alike, key=lambda item: float(np.abs(found.box_px - _box(item, sides)).max()))
+    apart_m = [float(np.linalg.norm(found.location_cv - _foot_cv(item))) for item in alike]
+    at = int(np.argmin(apart_m))
+    return alike[at] if apart_m[at] < SAME_M else None
+
+
+def _foot_cv(item: ObjectLabel) -> Float[np.ndarray, "3"]:
+    """The middle of the four lower corners, in the axes of the format."""
+    x, y, z = item.corners_cam[CORNERS[:, 2] < 0].mean(axis=0)
+    return np.array([x, -z, y])
+
+
+def _box(item: ObjectLabel, sides: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
+    """The rectangle of an object, where pixels count from the middle of the first one."""
+    assert item.box_px is not None
+    return np.clip(item.box_px - HALF_PX, 0, sides - 1)
+
+
+def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], truth: SourceSample) -> Iterator[Gap]:
+    """Distances of corners in space, but for the slope that the format does not have; and of the foot in the image."""
+    corners_cv = item.corners_cam[:, [0, 2, 1]] * [1, -1, 1]
+    foot_cv, size_m = _foot_cv(item), item.size_m
+    along = corners_cv[:4].mean(axis=0) - corners_cv[4:].mean(axis=0)
+    heading = np.array([along[0], 0, along[2]]) / np.hypot(along[0], along[2])
+    right = np.array([heading[2], 0, -heading[0]])
+    half = CORNERS * size_m / 2
+    ours = (
+        foot_cv + half[:, :1] * right + half[:, 1:2] * heading - np.array([0, 1.0, 0]) * (half[:, 2:] + size_m[2] / 2)
+    )
+    height_m, width_m, length_m = found.height_width_length_m
+    c, s = np.cos(found.rotation_y_rad), np.sin(found.rotation_y_rad)
+    turned = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    own = np.column_stack(
+        [CORNERS[:, 1] * length_m / 2, (CORNERS[:, 2] + 1) * -height_m / 2, -CORNERS[:, 0] * width_m / 2]
+    )
+    theirs = own @ turned.T + found.location_cv
+    yield Gap.of(f"object {item.id}", "m", np.linalg.norm(theirs - ours, axis=1), "object")
+    foot = calib["R0_rect"] @ found.location_cv
+    u, v, w = calib["P2"] @ [*foot, 1.0]
+    expected = truth.labels.camera.project(np.array([foot_cv[0], foot_cv[2], -foot_cv[1]])) - 0.5
+    if np.isfinite(expected).all() and foot_cv[2] > 1.0:
+        off_px = np.abs([u / w, v / w] - expected) * min(1.0, foot_cv[2] / NEAR_M)
+        yield Gap.of(f"object {item.id}", "px", off_px, "object")
+
+
+def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
+    seen = item.visible_fraction or 0.0
+    if found.occluded != occlusion(seen):
+        yield f"object {item.id}: expected the occlusion of {seen:.2f} seen, {occlusion(seen)}, got {found.occluded}"
+    if not abs(found.truncated - item.truncation) <= TRUNCATION:
+        yield f"object {item.id}: expected the truncation {item.truncation:.2f}, got {found.truncated:.2f}"
+    looks = found.rotation_y_rad - np.arctan2(found.location_cv[0], found.location_cv[2])
+    off_rad = abs((found.alpha_rad - looks + np.pi) % (2 * np.pi) - np.pi)
+    if not off_rad <= ANGLE_RAD:
+        yield f"object {item.id}: expected alpha as it is seen from the camera, got it {off_rad:.4f} rad off"
+
+
+def _of_points(
+    points: Float[np.ndarray, "n 4"] | None, calib: dict[str, np.ndarray], truth: SourceSample
+) -> Comparison:
+    """The points of the lidar beside those of the sweep."""
+    if points is None:
+        return compare_sweep(None, truth, LIMIT_M)
+    cv_from_velo = np.vstack([calib["Tr_velo_to_cam"], [0, 0, 0, 1]])
+    return compare_sweep(transform(cv_from_velo, points[:, :3]) @ CV_FROM_CAM, truth, LIMIT_M)
+
+
+FORMAT = SampleFormat(
+    title="KITTI: 3D boxes of cars, with the points of a lidar",
+    readme=README,
+    write=write,
+    read=read,
+    verify=verify,
+    tolerances={"m": LIMIT_M, "px": LIMIT_PX},
+    lists=tuple(f"ImageSets/{part}.txt" for part in ("train", "val", "trainval", "test")),
+    takes_sweeps=True,
+    counted="objects",
+)

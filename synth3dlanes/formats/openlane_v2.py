@@ -1,0 +1,618 @@
+"""OpenLane-V2: lanes as a map and which follows which, two JSONs a frame, in the vehicle frame.
+
+| theirs | ours | unit, frame |
+|---|---|---|
+| `lane_centerline`, `lane_segment` | segments of the lane graph near the host, their paint (LINE_TYPES) | m, `_ego` |
+| `id` | the segment's place in the lane graph; NEXT_PART more for each time that it comes back | |
+| `topology_lclc`, `topology_lsls` | successors | 0 or 1 |
+| `traffic_element`, `topology_lcte`, `topology_lste` | signals and signs that the first camera sees; their lanes | px |
+| `area` | crosswalks; edges of the pavement | m, `_ego` |
+| `sensor`, `pose` | cameras: vehicle from camera with OpenCV's axes, K; world from vehicle | m, px |
+
+The vehicle frame (`_ego`) is x forward, y left, z up, its origin at the foot of the first camera, on the road.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+from pydantic import Field, RootModel
+
+from synth3dlanes.formats.comparing import (
+    Comparison,
+    Rule,
+    SourceSample,
+    compare_camera,
+    compare_map,
+    pinhole_pixels,
+    side_problems,
+)
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, half_widths, lane_segments, link_gaps
+from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_text
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.polylines import resampled, stretches
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import CameraLabel, Marking
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.traffic_elements import ElementKind, ElementState
+from synth3dlanes.system import schema
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.json_arrays import JsonMatrix3, JsonPoints, Row3
+from synth3dlanes.system.schema import Excerpt, Number, PathBelow
+from synth3dlanes.world.world import World, resolve
+
+ROOT = "OpenLane-V2"
+COLLECTIONS = ("data_dict_subset_A", "data_dict_subset_B")
+FRONT_CAMERA = "ring_front_center"
+"""Loaders expect it to be the first camera."""
+ROAD_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""Our ego frame has its origin at the foot of the first camera, on the road."""
+AHEAD_M, ASIDE_M = 50.0, 25.0
+"""Half the size of the area that is labelled and scored."""
+CENTERLINE_POINTS, POINTS = 201, 51
+"""Points of a centre line; the devkit keeps every 20th for validation. Points of a lane segment's lines."""
+NEXT_PART = 1_000_000
+"""A lane that leaves the area and comes back has a part of its own for each time, whose ids are this much apart."""
+LINE_TYPES: dict[Marking, int] = {"none": 0, "solid": 1, "dashed": 2}
+LEAST_PX, LEAST_SEEN = 3.0, 0.1
+"""The shorter side of the rectangle of a traffic element, and the share of it that must be seen."""
+PEDESTRIAN_CROSSING, ROAD_BOUNDARY = 1, 2
+TRAFFIC_LIGHT, ROAD_SIGN = 1, 2
+UNKNOWN = 0
+"""The attribute of what the benchmark has no attribute for."""
+STATE_ATTRIBUTES: dict[ElementState, int] = {
+    "red": 1, "red_cross": 1, "red_amber": 1, "green": 2, "green_arrow": 2,
+    "amber": 3, "amber_left": 3, "amber_right": 3
+}  # fmt: skip
+"""Of signals the colour, whatever the form of their lenses; those that are off have none."""
+SIGN_ATTRIBUTES: dict[ElementKind, int] = {
+    "ahead_only": 4, "direction_ahead": 4, "left_only": 5, "right_only": 6, "no_left_turn": 7, "no_right_turn": 8,
+    "no_u_turn": 10, "exit_left": 11, "direction_left": 11, "exit_right": 12, "direction_right": 12
+}  # fmt: skip
+"""Of signs the direction that they order, forbid or point to; 9 (turn back) is on none of ours."""
+DECIMALS = 4
+LEAST_LENGTH_M = 2.0
+SHORT = f"less than {LEAST_LENGTH_M:g} m of it in the area"
+OUTSIDE = f"outside the area ({AHEAD_M:g} m ahead, {ASIDE_M:g} m to each side)"
+LEAST_POINTS = 11  # what the benchmark compares
+# A curve that is sampled every metre and one that is sampled every half are some millimetres apart.
+RULE = Rule("m", 0.05, name="lane", slack=0.3)
+LIMIT_PX = 0.02
+GAP_M = 1e-3
+# What is this near to the area's border may be out of it.
+BORDER_M = 2.0
+# Rectangles are rounded. What must be in an export: so much of it seen, of so many pixels, at less than 84 degrees.
+BOX_PX, CLEAR, CLEAR_PX, CLEAR_COS = 0.2, 0.3, 4.0, 0.1
+
+README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A otherwise.
+
+- `{ROOT}/{{train,val,test}}/<segment>/info/<timestamp>.json` (centre lines) and `<timestamp>-ls.json` (lane segments,
+  areas), images in `<segment>/image/<camera>/<timestamp>.jpg`, `{ROOT}/{COLLECTIONS[0]}.json` (or `B`: the frames
+  of each part).
+- Loaders read pickle files, which the devkit makes: run its `preprocess.py` and `preprocess-ls.py` (in its folder
+  `data/OpenLane-V2`) in this folder. That makes `{COLLECTIONS[0]}_train.pkl`,
+  `{COLLECTIONS[0]}_train_ls.pkl` and so on.
+- Frame: x forward, y left, z up, metres; the origin is on the road below the (first) camera. Every scene is a segment,
+  every frame of a clip a timestamp (ns). The one camera is `{FRONT_CAMERA}`, those of a rig have its names. Tell
+  your training code their number, and do not let it crop the front image as that of the original (which is upright).
+- A lane that leaves the area and comes back has a part for each time: {NEXT_PART} is added to the id of the next.
+- Labels cover {AHEAD_M:g} m ahead (and behind, with a camera that looks back) and {ASIDE_M:g} m to each side, also
+  what the ground or cars hide, as in the original. Lines have the extra keys `left_laneline_color`,
+  `left_laneline_double` and the same of the right.
+- Traffic elements are the signals and signs that the first camera sees from their front: rectangles in its image, and
+  ids that are the same in all frames of a clip.
+"""
+
+
+def category_and_attribute(item: ElementLabel) -> tuple[int, int]:
+    """The codes of a traffic element."""
+    if item.state is None:
+        return ROAD_SIGN, SIGN_ATTRIBUTES.get(item.kind, UNKNOWN)
+    return TRAFFIC_LIGHT, STATE_ATTRIBUTES.get(item.state, UNKNOWN)
+
+
+def collection(first_camera: str) -> str:
+    """The list of all frames: subset B has the cameras of nuScenes, CAM_FRONT first."""
+    return COLLECTIONS[first_camera.startswith("CAM_")]
+
+
+@dataclass(frozen=True, eq=False)
+class _Lane:
+    """A part of a lane segment in the area, and whether its first and its last point are still those of the lane."""
+
+    id: int
+    segment: LaneSegment
+    middle_ego: Float[np.ndarray, "n 3"]
+    left_ego: Float[np.ndarray, "n 3"]
+    right_ego: Float[np.ndarray, "n 3"]
+    has_start: bool
+    has_end: bool
+
+
+def write(frame: SampleFrame) -> FrameAnnotation | None:
+    """The two label files of a moment, with its first picture; None without any lane in the area."""
+    if not frame.labels.camera.lens.is_pinhole:
+        raise InputError(
+            f"{frame.split}:{frame.key}: expected a camera without distortion, got {frame.labels.camera.lens}"
+        )
+    shot = frame.scene.shot
+    segment, timestamp = f"{frame.number - shot.frame * shot.n_cameras - shot.camera:08d}", round(shot.time_s * 1e9)
+    image = f"{frame.part}/{segment}/image/{_name(frame.labels.camera)}/{timestamp}.jpg"
+    if not frame.cameras:
+        return FrameAnnotation(f"{ROOT}/{image}", 0)
+    world, world_from_ego = resolve(frame.scene), ego_frame(frame.labels.camera)
+    behind_m = AHEAD_M if any(_looks_back(camera, world_from_ego) for camera in frame.cameras.values()) else 0.0
+    dropped = Counter[str]()
+    lanes = _lanes(frame, world, world_from_ego, behind_m, dropped)
+    if not lanes:
+        return None
+    topology = _topology(lanes, frame.labels.graph.successors)
+    common = {
+        "version": "2.1",
+        "segment_id": segment,
+        "meta_data": {"source": "synth3dlanes", "source_id": f"{frame.split}/{frame.key}"},
+        "timestamp": timestamp,
+        "sensor": {
+            _name(camera): _sensor(
+                camera, world_from_ego, f"{frame.part}/{segment}/image/{_name(camera)}/{timestamp}.jpg"
+            )
+            for camera in frame.cameras.values()
+        },
+        "pose": _pose(world_from_ego),
+    }
+    elements = [item for item in frame.labels.traffic_elements or () if _is_seen(item)]
+    governed = [[int(lane.segment.id in item.lanes) for item in elements] for lane in lanes]
+    traffic_elements = [_element_document(item) for item in elements]
+    centerlines = {
+        "lane_centerline": [
+            {"id": lane.id, "points": _rounded(resampled(lane.middle_ego, CENTERLINE_POINTS))} for lane in lanes
+        ],
+        "traffic_element": traffic_elements,
+        "topology_lclc": topology,
+        "topology_lcte": governed,
+    }
+    segments = {
+        "lane_segment": [_segment_document(lane) for lane in lanes],
+        "traffic_element": traffic_elements,
+        "area": list(_areas(world, frame, world_from_ego, behind_m)),
+        "topology_lsls": topology,
+        "topology_lste": governed,
+    }
+    parts = [part for part in PARTS if frame.serves_as(part)]
+    return FrameAnnotation(
+        f"{ROOT}/{image}",
+        len(lanes),
+        dropped,
+        {
+            f"{ROOT}/{part}/{segment}/info/{timestamp}{suffix}.json": json.dumps({**common, "annotation": annotation})
+            for part in parts
+            for suffix, annotation in (("", centerlines), ("-ls", segments))
+        },
+        tuple(
+            (
+                json.dumps([part, segment, f"{timestamp}.json"]),
+                (f"{ROOT}/{collection(_name(frame.labels.camera))}.json",),
+            )
+            for part in parts
+        ),
+    )
+
+
+def ego_frame(camera: CameraLabel) -> Matrix4:
+    """World from the vehicle frame, given the first camera."""
+    return np.asarray(camera.world_from_cam @ invert(camera.road_from_cam) @ ROAD_FROM_EGO)
+
+
+def _name(camera: CameraLabel) -> str:
+    return camera.name or FRONT_CAMERA
+
+
+def _looks_back(camera: CameraLabel, world_from_ego: Matrix4) -> bool:
+    return bool((invert(world_from_ego) @ camera.world_from_cam)[0, 1] < 0)
+
+
+def _sensor(camera: CameraLabel, world_from_ego: Matrix4, image: str) -> dict[str, Any]:
+    """A camera: `extrinsic` is the vehicle frame from OpenCV's camera frame."""
+    ego_from_cam = invert(world_from_ego) @ camera.world_from_cam
+    return {
+        "image_path": image,
+        "extrinsic": {
+            "rotation": (ego_from_cam[:3, :3] @ CV_FROM_CAM.T).tolist(),
+            "translation": ego_from_cam[:3, 3].tolist(),
+        },
+        "intrinsic": {"K": (camera.img_from_cam @ CV_FROM_CAM.T).tolist(), "distortion": [0.0, 0.0, 0.0]},
+    }
+
+
+def _pose(world_from_ego: Matrix4) -> dict[str, Any]:
+    return {"rotation": world_from_ego[:3, :3].tolist(), "translation": world_from_ego[:3, 3].tolist()}
+
+
+def _lanes(
+    frame: SampleFrame, world: World, world_from_ego: Matrix4, behind_m: float, dropped: Counter[str]
+) -> list[_Lane]:
+    ego_from_world, lanes = invert(world_from_ego), []
+    for segment in lane_segments(world, frame.labels.graph.segments, world_from_ego[:3, 3]):
+        middle_ego = transform(ego_from_world, segment.points_world)
+        inside = list(stretches(_in_area(middle_ego, behind_m)))
+        parts = [ends for ends in inside if _length_m(middle_ego[slice(*ends)]) >= LEAST_LENGTH_M]
+        if not parts:
+            dropped[SHORT if inside else OUTSIDE] += 1
+        for number, (first, last) in enumerate(parts):
+            left_ego, right_ego = (
+                transform(ego_from_world, side.points_world[first:last]) for side in (segment.left, segment.right)
+            )
+            is_whole = first == 0, last == len(middle_ego)
+            id_ = segment.index + number * NEXT_PART
+            lanes.append(_Lane(id_, segment, middle_ego[first:last], left_ego, right_ego, *is_whole))
+    return lanes
+
+
+def _in_area(points_ego: Float[np.ndarray, "n 3"], behind_m: float) -> Bool[np.ndarray, " n"]:
+    x_m, y_m, _ = points_ego.T
+    return np.asarray((x_m >= -behind_m) & (x_m <= AHEAD_M) & (np.abs(y_m) <= ASIDE_M))
+
+
+def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) -> list[list[int]]:
+    return [
+        [int(b.segment.id in successors.get(a.segment.id, ()) and a.has_end and b.has_start) for b in lanes]
+        for a in lanes
+    ]
+
+
+def _is_seen(item: ElementLabel) -> bool:
+    """Whether the first camera sees the front of an element, and enough of it."""
+    if item.box_px is None or item.normal_cam @ item.center_cam >= 0:
+        return False
+    is_large = min(item.box_px[2:] - item.box_px[:2]) >= LEAST_PX
+    return bool(is_large) and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN)
+
+
+def _element_document(item: ElementLabel) -> dict[str, Any]:
+    assert item.box_px is not None, "only those that are seen"
+    category, attribute = category_and_attribute(item)
+    corners_px = np.round(item.box_px.reshape(2, 2), 1).tolist()
+    return {"id": item.id, "category": category, "attribute": attribute, "points": corners_px}
+
+
+def _segment_document(lane: _Lane) -> dict[str, Any]:
+    document = {
+        "id": lane.id,
+        "centerline": _rounded(resampled(lane.middle_ego, POINTS)),
+        "is_intersection_or_connector": lane.segment.is_connector,
+    }
+    for name, points_ego, side in (
+        ("left", lane.left_ego, lane.segment.left),
+        ("right", lane.right_ego, lane.segment.right),
+    ):
+        document |= _side_document(f"{name}_laneline", points_ego, side)
+    return document
+
+
+def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Boundary) -> dict[str, Any]:
+    return {
+        name: _rounded(resampled(points_ego, POINTS)),
+        f"{name}_type": LINE_TYPES[side.marking],
+        f"{name}_color": side.color,
+        f"{name}_double": side.double,
+    }
+
+
+def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float) -> Iterator[dict[str, Any]]:
+    """Crosswalks as closed quads, one of whose long sides comes first; edges of the pavement in the area."""
+    ego_from_world, index = invert(world_from_ego), len(frame.labels.graph.segments)
+    for form in world.symbol_shapes:
+        if form.kind == "crosswalk":
+            (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
+            corners = form.points_world(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]))
+            quad_ego = transform(ego_from_world, corners)
+            if _in_area(quad_ego, behind_m).all():
+                yield {"id": index, "category": PEDESTRIAN_CROSSING, "points": _rounded(quad_ego)}
+                index += 1
+    for edge_world in world.ground.pavement_edges(world_from_ego[:2, 3], REACH_M):
+        edge_ego = transform(ego_from_world, edge_world)
+        for first, end in stretches(_in_area(edge_ego, behind_m)):
+            run = edge_ego[first:end]
+            if _length_m(run) >= LEAST_LENGTH_M:
+                yield {"id": index, "category": ROAD_BOUNDARY, "points": _rounded(resampled(run, POINTS))}
+                index += 1
+
+
+def _length_m(points: Float[np.ndarray, "n 3"]) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def _rounded(points: Float[np.ndarray, "n 3"]) -> list[list[float]]:
+    return np.asarray(np.round(points, DECIMALS) + 0.0).tolist()
+
+
+def document(path: str, lines: Path) -> Iterator[str]:
+    """The frames of each part by segment, as the devkit's `collect` takes them."""
+    frames: dict[str, dict[str, list[str]]] = {}
+    for line in lines.read_text().splitlines():
+        part, segment, name = json.loads(line)
+        frames.setdefault(part, {}).setdefault(segment, []).append(name)
+    yield json.dumps(frames, indent=1) + "\n"
+
+
+class _Collection(RootModel[dict[PathBelow, dict[PathBelow, list[PathBelow]]]]):
+    """Names of label files by part and segment."""
+
+
+Row2 = tuple[Number, Number]
+
+
+class _Element(Excerpt):
+    id: int
+    category: Literal[1, 2]
+    attribute: Annotated[int, Field(ge=0, le=12)]
+    points: tuple[Row2, Row2]
+
+
+class _Centerline(Excerpt):
+    id: int
+    points: JsonPoints
+
+
+class _Centerlines(Excerpt):
+    lane_centerline: list[_Centerline]
+    topology_lclc: list[list[Literal[0, 1]]]
+    traffic_element: list[_Element]
+    topology_lcte: list[list[Literal[0, 1]]]
+
+
+class _Segment(Excerpt):
+    id: int
+    centerline: JsonPoints
+    left_laneline: JsonPoints
+    right_laneline: JsonPoints
+
+
+class _Segments(Excerpt):
+    lane_segment: list[_Segment]
+    topology_lsls: list[list[Literal[0, 1]]]
+    traffic_element: list[_Element]
+    topology_lste: list[list[Literal[0, 1]]]
+
+
+class _Pose(Excerpt):
+    rotation: JsonMatrix3
+    translation: Row3
+
+
+class _Intrinsic(Excerpt):
+    K: JsonMatrix3
+
+
+class _Sensor(Excerpt):
+    image_path: PathBelow
+    extrinsic: _Pose
+    intrinsic: _Intrinsic
+
+
+class _Frame(Excerpt):
+    pose: _Pose
+    sensor: dict[str, _Sensor]
+    annotation: _Segments | _Centerlines
+
+
+@dataclass(frozen=True, eq=False)
+class FoundElement:
+    """A traffic element of a label file: its codes, and left, top, right and bottom in the first image."""
+
+    id: int
+    category: int
+    attribute: int
+    box_px: Float[np.ndarray, "4"]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCamera:
+    """A camera of a label file: its image, its place in the vehicle frame with the axes of OpenCV, and its matrix K."""
+
+    image: str
+    ego_from_cv: Float[np.ndarray, "4 4"]
+    img_from_cv: Float[np.ndarray, "3 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class TopologyFrame:
+    """One label file: the cameras by name, the ids of the lanes, the polylines of each (the centre line, and in `-ls`
+    files left and right boundary) in the vehicle frame, which lane (column) follows which (row), the vehicle's pose;
+    the traffic elements, and which of them (column) governs which lane (row).
+    """
+
+    cameras: dict[str, FoundCamera]
+    ids: tuple[int, ...]
+    lanes_ego: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
+    follows: Float[np.ndarray, "n n"]
+    world_from_ego: Float[np.ndarray, "4 4"]
+    elements: tuple[FoundElement, ...]
+    governs: Float[np.ndarray, "n t"]
+
+
+def parse(text: str, where: str) -> TopologyFrame:
+    """One label file, of centre lines or of lane segments; FormatErrors begin with `where`."""
+    found = schema.parse(_Frame, text, where, "a frame of OpenLane-V2")
+    annotation = found.annotation
+    lanes: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
+    ids: tuple[int, ...]
+    if isinstance(annotation, _Segments):
+        ids = tuple(lane.id for lane in annotation.lane_segment)
+        lanes = tuple((lane.centerline, lane.left_laneline, lane.right_laneline) for lane in annotation.lane_segment)
+        follows, governs = annotation.topology_lsls, annotation.topology_lste
+    else:
+        ids = tuple(lane.id for lane in annotation.lane_centerline)
+        lanes = tuple((lane.points,) for lane in annotation.lane_centerline)
+        follows, governs = annotation.topology_lclc, annotation.topology_lcte
+    if {len(lanes)} != {len(follows), *map(len, follows)} and (lanes or follows):
+        raise FormatError(f"{where}: topology: expected a row and a column for each of {len(lanes)} lanes, got others")
+    if any(len(line) < LEAST_POINTS for lane in lanes for line in lane):
+        raise FormatError(f"{where}: expected lanes of {LEAST_POINTS} points or more, got fewer")
+    elements = tuple(
+        FoundElement(item.id, item.category, item.attribute, np.array(item.points).ravel())
+        for item in annotation.traffic_element
+    )
+    if len(governs) != len(lanes) or any(len(row) != len(elements) for row in governs):
+        raise FormatError(
+            f"{where}: topology: expected {len(lanes)} rows of {len(elements)} traffic elements, got others"
+        )
+    cameras = {
+        name: FoundCamera(sensor.image_path, _matrix(sensor.extrinsic), np.array(sensor.intrinsic.K))
+        for name, sensor in found.sensor.items()
+    }
+    follows_of = np.array(follows, dtype=float).reshape(len(lanes), len(lanes))
+    governs_of = np.array(governs, dtype=float).reshape(len(lanes), len(elements))
+    return TopologyFrame(cameras, ids, lanes, follows_of, _matrix(found.pose), elements, governs_of)
+
+
+def _matrix(pose: _Pose) -> Float[np.ndarray, "4 4"]:
+    return np.vstack([np.column_stack([pose.rotation, pose.translation]), [0, 0, 0, 1]])
+
+
+def frames(out: Path) -> dict[str, list[Path]]:
+    """The label files of centre lines of each part."""
+    root = out / ROOT
+    paths = [root / f"{name}.json" for name in COLLECTIONS]
+    path = next((path for path in paths if path.exists()), paths[0])
+    listed = schema.parse(_Collection, read_file(path), str(path), "a collection of OpenLane-V2", MOST_BYTES).root
+    return {
+        part: [root / part / segment / "info" / name for segment, names in segments.items() for name in names]
+        for part, segments in listed.items()
+    }
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """The frames of every part: their centre lines, then their lane segments."""
+    for part, paths in frames(out).items():
+        for name, suffix in ((part, ""), (f"{part}, lane segments", "-ls")):
+            files = (path.with_name(f"{path.stem}{suffix}.json") for path in paths[:most_frames])
+            yield FrameList(name, _frames(out, files))
+
+
+def _frames(out: Path, files: Iterator[Path]) -> Iterator[ReadFrame]:
+    for path in files:
+        frame = parse(read_text(path), str(path))
+        image, *others = (f"{ROOT}/{camera.image}" for camera in frame.cameras.values())
+        problems = tuple(_image_problems(out, others))
+        yield ReadFrame(str(path.relative_to(out)), str(path), image, (frame, problems), tuple(others))
+
+
+def _image_problems(out: Path, images: list[str]) -> Iterator[str]:
+    for image in images:
+        try:
+            image_size(out / image)
+        except FormatError as error:
+            yield f"expected the image {image}: {error}"
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """Cameras in pixels; lanes in metres, in the world frame; boundaries by their side and distance; what follows
+    what."""
+    found, problems = frame.content
+    graph = truth.labels.graph
+    numbers = [i % NEXT_PART for i in found.ids]
+    if any(i >= len(graph.segments) for i in numbers) or len({*found.ids}) < len(found.ids):
+        text = f"expected ids of their own, those of {len(graph.segments)} segments, got {list(found.ids)}"
+        return Comparison(problems=(*problems, text))
+    names = [graph.segments[i].id for i in numbers]
+    lanes = [[transform(found.world_from_ego, line) for line in lines] for lines in found.lanes_ego]
+    cameras = (picture.labels.camera for picture in truth.moment)
+    by_name = {name: camera for camera in cameras if (name := _name(camera)) in found.cameras}
+    behind_m = AHEAD_M if any(_looks_back(camera, found.world_from_ego) for camera in by_name.values()) else 0.0
+
+    def is_in_area(points_world: Float[np.ndarray, "n 3"]) -> np.ndarray:
+        x, y, _ = transform(invert(found.world_from_ego), points_world).T
+        return np.asarray((x > BORDER_M - behind_m) & (x < AHEAD_M - BORDER_M) & (np.abs(y) < ASIDE_M - BORDER_M))
+
+    middles = [(name, lines[0]) for name, lines in zip(names, lanes, strict=True)]
+    compared = compare_map(middles, truth, RULE, is_in_area) + _compared_cameras(found, by_name)
+    sides = (
+        problem
+        for name, (middle, *edges), halves_m in zip(names, lanes, half_widths(truth.scene, names), strict=True)
+        for problem in side_problems(name, middle, dict(zip(("left", "right"), edges, strict=False)), halves_m)
+    )
+    elements = _element_problems(found, names, truth.labels.traffic_elements or ())
+    topology = _topology_problems(found, names, graph.successors, truth.scene)
+    return compared.because([*problems, *sides, *topology, *elements])
+
+
+def _compared_cameras(found: TopologyFrame, cameras: dict[str, CameraLabel]) -> Comparison:
+    """How far places that cameras see are from their pixels."""
+    compared = Comparison()
+    for name, camera in cameras.items():
+        theirs = found.cameras[name]
+        cv_from_cam = invert(found.world_from_ego @ theirs.ego_from_cv) @ camera.world_from_cam
+        compared += compare_camera(name, camera, partial(pinhole_pixels, theirs.img_from_cv, cv_from_cam), LIMIT_PX)
+    unknown = (f"camera {name}: expected one of the labels, got none" for name in found.cameras if name not in cameras)
+    return compared.because(unknown)
+
+
+def _topology_problems(
+    found: TopologyFrame, names: list[str], successors: dict[str, tuple[str, ...]], scene: Scene
+) -> Iterator[str]:
+    gaps_m = link_gaps(scene, [(a, b) for a in {*names} for b in successors.get(a, ()) if b in names])
+    for i, lane in enumerate(names):
+        for j, other in enumerate(names):
+            gap_m = float(np.linalg.norm(found.lanes_ego[i][0][-1] - found.lanes_ego[j][0][0]))
+            follows = other in successors.get(lane, ())
+            is_near = gap_m <= GAP_M + gaps_m.get((lane, other), 0.0)
+            if found.follows[i, j] and not (follows and is_near):
+                yield f"lane {other}: expected it not to follow {lane}, got it {gap_m:.3f} m from its end"
+            if not found.follows[i, j] and follows and gap_m <= GAP_M:
+                yield f"lane {other}: expected it to follow {lane}, whose end it touches, got it not to"
+
+
+def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[ElementLabel]) -> Iterator[str]:
+    """Findings about traffic elements that are not those of the labels, or govern other lanes than these say."""
+    ours, there = {item.id: item for item in items}, [element.id for element in found.elements]
+    if len({*there, *found.ids}) < len(there) + len(found.ids):
+        yield f"traffic elements: expected ids of their own, got {there}"
+    for id_, item in ours.items():
+        if is_clear(item) and id_ not in there:
+            yield f"traffic element {id_}: expected it, because {item.visible_fraction:.0%} of it are seen, got none"
+    for j, element in enumerate(found.elements):
+        own = ours.get(element.id)
+        if own is None or own.box_px is None:
+            yield f"traffic element {element.id}: expected one of the labels in the image, got another"
+            continue
+        codes, expected = (element.category, element.attribute), category_and_attribute(own)
+        if codes != expected:
+            yield f"traffic element {element.id}: expected category and attribute {expected}, got {codes}"
+        off_px = float(np.abs(element.box_px - own.box_px).max())
+        if not off_px <= BOX_PX:
+            yield f"traffic element {element.id}: expected its rectangle within {BOX_PX} px, got it {off_px:.1f} px off"
+        for i, lane in enumerate(names):
+            if bool(found.governs[i, j]) != (lane in own.lanes):
+                words = ("it to govern", "got it not to") if lane in own.lanes else ("it not to govern", "got it to")
+                yield f"traffic element {element.id}: expected {words[0]} {lane}, {words[1]}"
+
+
+def is_clear(item: ElementLabel) -> bool:
+    """Whether an element must be in an export: the first camera sees most of it, from its front, and not too small."""
+    if item.box_px is None or item.visible_fraction is None or item.visible_fraction < CLEAR:
+        return False
+    width_px, height_px = item.box_px[2:] - item.box_px[:2]
+    away_m = float(np.linalg.norm(item.center_cam))
+    return min(width_px, height_px) >= CLEAR_PX and bool(item.normal_cam @ item.center_cam < -CLEAR_COS * away_m)
+
+
+FORMAT = SampleFormat(
+    title="OpenLane-V2: lanes as a map, and which follows which",
+    readme=README,
+    write=write,
+    read=read,
+    verify=verify,
+    tolerances={RULE.unit: RULE.limit, "px": LIMIT_PX},
+    document=document,
+    counted="lane segments",
+)
