@@ -17,12 +17,10 @@ from scipy.spatial.transform import Rotation
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.comparing import SourceSample
-from synth3dlanes.formats.cosmos import verify as of_tables
-from synth3dlanes.formats.cosmos.controls import depth_picture, edges, nearness_span
-from synth3dlanes.formats.cosmos.convention import FOLDERS, ClipFiles, line_style
-from synth3dlanes.formats.cosmos.ftheta import fitted
-from synth3dlanes.formats.cosmos.read import CosmosClip
-from synth3dlanes.formats.cosmos.verify_videos import video_problems
+from synth3dlanes.formats.cosmos import format as of_tables
+from synth3dlanes.formats.cosmos.clip import FOLDERS, ClipFiles, CosmosClip
+from synth3dlanes.formats.cosmos.format import fitted, line_style
+from synth3dlanes.formats.cosmos.videos import depth_picture, edges, nearness_span, video_problems
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.lens import Lens

@@ -3,6 +3,8 @@
 import json
 import sys
 import threading
+import tomllib
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -12,52 +14,9 @@ from synth3dlanes.formats.registry import format_names, open_format
 from synth3dlanes.system.errors import ClaimedError, InputError
 from tests.formats.problems import problems
 
-CODE = '''
-"""Centres of lanes as JSON."""
-
-import json
-
-import numpy as np
-
-from synth3dlanes.formats.comparing import Rule, ExportView, compare
-from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat
-from synth3dlanes.formats.writing import FrameAnnotation
-
-RULE = Rule("m", 0.001)
-
-
-def write(frame):
-    lanes = [lane.xyz_cam.tolist() for lane in frame.labels.lanes if lane.kind == "delimiter"]
-    name = f"{frame.split}-{frame.key}"
-    image = f"images/{name}.{frame.image_format}"
-    return FrameAnnotation(image, len(lanes), files={f"{name}.json": json.dumps(lanes)}, shared=((name, ("all.txt",)),))
-
-
-def read(out, most_frames):
-    def frames():
-        for name in (out / "all.txt").read_text().split()[:most_frames]:
-            lanes = [np.array(lane) for lane in json.loads((out / f"{name}.json").read_text())]
-            yield ReadFrame(f"{name}.json", name, f"images/{name}.jpg", lanes)
-
-    yield FrameList("all", frames())
-
-
-def verify(frame, truth):
-    camera = truth.labels.camera
-    k = np.array([[400.0, 0, camera.width_px / 2], [0, 400.0, camera.height_px / 2], [0, 0, 1]])
-    ours = [lane.in_metres(ExportView(k, (camera.width_px, camera.height_px))) for lane in truth.lanes("delimiter")]
-    return compare(frame.content, ours, RULE)[0]
-
-
-FORMAT = SampleFormat(
-    title="Acme: lane lines before the camera",
-    readme="Acme's lines.",
-    write=write,
-    read=read,
-    verify=verify,
-    tolerances={"m": RULE.limit},
-)
-'''
+NEWCOMER = Path(__file__).parents[2] / "examples/own_format"
+CODE = (NEWCOMER / "acme_lanes.py").read_text()
+ENTRY_POINTS = tomllib.loads((NEWCOMER / "pyproject.toml").read_text())["project"]["entry-points"]
 
 
 @pytest.fixture
@@ -96,7 +55,8 @@ def command(*options):
 
 
 def test_a_format_of_another_package_is_listed_written_and_verified(install, dataset, tmp_path):
-    install("acme_lanes", CODE, acme="acme_lanes:FORMAT")
+    install("acme_lanes", CODE, **ENTRY_POINTS["synth3dlanes.formats"])
+    assert sum(len(path.read_text().splitlines()) for path in NEWCOMER.iterdir() if path.is_file()) < 60
     assert format_names()[-1] == "acme"
     shown = listed()
     assert shown["acme"] == "Acme: lane lines before the camera"
@@ -111,8 +71,9 @@ def test_a_format_of_another_package_is_listed_written_and_verified(install, dat
     assert document["lines"] > 30
     assert verified["measures"]["m"]["worst"] < 1e-3
     path = out / "train-00000003.json"
-    lanes = json.loads(path.read_text())
-    path.write_text(json.dumps([[[x + 0.3, y, z] for x, y, z in lane] for lane in lanes]))
+    written = json.loads(path.read_text())
+    moved = [[[x + 0.3, y, z] for x, y, z in lane] for lane in written["lanes"]]
+    path.write_text(json.dumps({**written, "lanes": moved}))
     told = problems(dataset, out, "acme")
     assert all(problem.startswith("train-00000003: line ") for problem in told)
     assert any("within 0.001 m of the labels, got it 0.3" in problem for problem in told)

@@ -1,8 +1,535 @@
-"""The format cosmos."""
+"""Cosmos: control videos of clips, and their world scenarios as ClipGT tables; a scene is a clip.
 
-from synth3dlanes.formats.cosmos.verify import LIMIT_PX, RULE, read, verify
-from synth3dlanes.formats.cosmos.write import README, annotate
-from synth3dlanes.formats.format import SampleFormat
+| theirs | ours | unit, frame |
+|---|---|---|
+| `egomotion_estimate`, `calibration_estimate` | the host's poses; cameras as f-theta polynomials | m, `_clip`, `_rig` |
+| `obstacle`; `traffic_light`, `traffic_sign` | objects; traffic elements | m, `_clip` |
+| `lane`, `lane_line` | segments of the lane graph, delimiters with their paint (`line_style`) | m, `_clip` |
+| `road_boundary` | edges of the pavement | m, `_clip` |
+| `crosswalk`, `wait_line`, `road_marking` | symbols | m, `_clip` |
+| `map_id`, `trackline_id` | ids of the labels | |
+
+`clip` has the files, tables and frames, and reads them; `scenario` what stands still around a clip; `videos` makes and
+compares the control videos.
+"""
+
+import io
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+from pyarrow import parquet
+
+from synth3dlanes.formats.comparing import (
+    Comparison,
+    Gap,
+    Rule,
+    SourceSample,
+    compare_camera,
+    compare_map,
+    distances,
+    stations,
+)
+from synth3dlanes.formats.cosmos.clip import (
+    FOLDERS,
+    FRONT_VIEW,
+    TABLES,
+    VERSION,
+    Box,
+    ClipFiles,
+    CosmosClip,
+    CosmosView,
+)
+from synth3dlanes.formats.cosmos.scenario import Scenario, scenario
+from synth3dlanes.formats.cosmos.videos import (
+    depth_picture,
+    edge_picture,
+    lane_map_picture,
+    nearness_span,
+    seg_picture,
+    video_problems,
+)
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.lane_map import Boundary
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, world_from_host
+from synth3dlanes.geometry.frames import invert, quaternion, transform
+from synth3dlanes.imaging.video import mp4
+from synth3dlanes.labels.labels import CameraLabel, Marking, Pair, SymbolLabel
+from synth3dlanes.labels.object_labels import CORNERS
+from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.traffic_elements import SignKind
+from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.world.world import resolve
+
+CAM_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+HOST_FROM_RIG = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""The rear axle in our host's road frame, as for argoverse2, but on the road."""
+CATEGORIES: dict[VehicleClass, str] = {
+    "car": "automobile", "van": "automobile", "truck": "heavy_truck", "bus": "bus", "trailer": "heavy_truck"
+}  # fmt: skip
+"""A tractor with its semitrailer is one truck."""
+CRF = 12
+"""Finer than a film's: the greys of depth and the edges are data."""
+NAME = re.compile("[A-Za-z0-9_-]{1,80}")
+MOVING = ("calibration_estimate", "egomotion_estimate", "obstacle")
+NO_TIME = {"timestamp_micros": -1}
+WAIT_CATEGORIES = {"stop_line": "STOP", "give_way_line": "YIELD"}
+ARROW_CATEGORIES = {
+    "arrow_straight": "ROI_POLYGON_DIRECTION_PAINT_FORWARD",
+    "arrow_left": "ROI_POLYGON_DIRECTION_PAINT_LEFT",
+    "arrow_right": "ROI_POLYGON_DIRECTION_PAINT_RIGHT",
+    "arrow_straight_left": "ROI_POLYGON_DIRECTION_PAINT_FORWARD_LEFT",
+    "arrow_straight_right": "ROI_POLYGON_DIRECTION_PAINT_FORWARD_RIGHT",
+}
+SIGN_CATEGORIES = {"stop": "TRAFFIC_SIGN_REGULATORY_R1_STOP", "give_way": "TRAFFIC_SIGN_REGULATORY_R1_YIELD"}
+SIGN_CATEGORIES |= {
+    kind: "TRAFFIC_SIGN_REGULATORY_R2_SPEED_LIMIT" for kind in get_args(SignKind) if kind.startswith("speed_")
+}
+DEGREE = 5
+LIMIT_PX = 1.0
+"""How far the polynomial may be from the camera: 0.4 px for a pinhole of 110 degrees and 1600 columns."""
+GRID, ROUNDS = (41, 31), 30
+# Lanes are within this of the labels from above, heights within the slack; painted lines in space.
+RULE = Rule("m", 0.05, name="lane", slack=0.3)
+BOX_M = 0.002
+# Points of a line are this far back at most: labels are rounded.
+BACK_M = 0.01
+CAM_OF_FLU = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+# Corners of a box with x forward and y left, in the order of CORNERS.
+FLU_CORNERS = CORNERS[:, [1, 0, 2]] * [1, -1, 1]
+# Pixels, as shares of the image, at which a camera is compared.
+SHARES = (0.05, 0.3, 0.5, 0.7, 0.95)
+TABLE_OF = {"stop_line": "wait_line", "give_way_line": "wait_line", "crosswalk": "crosswalk", "gore": None}
+
+README = """Cosmos: control videos of clips, and their world scenarios as ClipGT tables. A scene is a clip.
+
+- `{train,val,test}/videos/ftheta_VIEW/CLIP.mp4`: what a camera saw; beside them `depth`, `seg`, `edge` and
+  `control_input_hdmap_bbox`, the control videos. A camera that is alone is `camera_front_wide_120fov`; those of a rig
+  keep their names.
+- Videos have the frames of the clip at its own rate, and tables their times. Cosmos's tools interpolate the tables and
+  draw 30 frames a second of them: take clips of `--fps 30`, or the lane-map videos here and not those of the tools.
+- Depth videos: 1 / depth from black to white, over the least and the greatest of the clip by this camera;
+  `CLIP.depth.json` tells these, so that depth_m = 1 / (low + grey / 255 * (high - low)). The sky is black; what is
+  nearer than a metre along the viewing direction, as is all behind a fisheye, is as white as that.
+- Segmentation videos: a colour for each class, each car one of its own. Edge videos: Canny, thresholds 100 and 200.
+- `clipgt/CLIP/CLIP.*.parquet`: poses, calibration, obstacles, lanes, lane lines, road boundaries, crosswalks, road
+  markings, wait lines, traffic lights and signs. Frames: x forward, y left, z up, metres; the origin is on the road
+  below the rear axle at the first frame. Cameras are f-theta polynomials. `CLIP.camera_front_wide_120fov.json` has the
+  times of the frames.
+- `map_id` is the id of the line, segment or element in the labels, `trackline_id` that of the object.
+"""
+
+
+def line_style(marking: Marking, double: bool | None, pair: Pair | None) -> str:
+    """How a lane line is painted. ClipGT names a pair from the right of the line's direction."""
+    if marking == "none":
+        return "VIRTUAL"
+    if pair is not None:
+        return "DASHED_SOLID" if pair == "solid_dashed" else "SOLID_DASHED"
+    return {("solid", False): "SOLID_SINGLE", ("solid", True): "SOLID_GROUP", ("dashed", False): "LONG_DASHED_SINGLE",
+            ("dashed", True): "LONG_DASHED_GROUP"}[marking, bool(double)]  # fmt: skip
+
+
+def annotate(frame: SampleFrame) -> FrameAnnotation:
+    """The files of a clip, with its first picture."""
+    where, shot = f"{frame.split}:{frame.key}", frame.scene.shot
+    if frame.labels.objects is None or frame.labels.traffic_elements is None:
+        raise InputError(f"{where}: expected labels with objects and traffic elements, got older ones; generate again")
+    if shot.n_frames < 2:
+        raise InputError(f"{where}: expected a clip of two frames or more (generate --frames), got a single picture")
+    views = {key: _view_name(camera, shot.n_cameras, where) for key, camera in frame.cameras.items()}
+    files = ClipFiles(frame.part, f"{frame.split}-{frame.key}")
+    every = (picture.labels for key in views for picture in frame.pictures(key))
+    around = scenario(resolve(frame.scene), frame.labels, every)
+    clip_from_world = invert(_world_from_rig(frame.labels.camera, frame.scene))
+    depths, own = dict[str, Any](), dict[str, str | bytes]()
+    for key, view in views.items():
+        depths[view], videos = _videos(partial(frame.pictures, key), around, shot.fps)
+        own |= {files.video(kind, view): data for kind, data in videos.items()}
+    rows = {"calibration_estimate": [_calibration(frame, views, where)], **_moving(frame, clip_from_world)}
+    rows |= _still(around, clip_from_world)
+    own |= {files.table(name): _table(name, rows[name], files.clip) for name in TABLES}
+    times = [{"timestamp": _micros(picture.scene)} for picture in frame.pictures(frame.key)]
+    own |= {files.times: json.dumps(times), files.depths: json.dumps(depths)}
+    return FrameAnnotation(None, len(around.lines), files=own)
+
+
+def _view_name(camera: CameraLabel, n_cameras: int, where: str) -> str:
+    """The name of a camera's videos."""
+    if n_cameras == 1:
+        return FRONT_VIEW
+    name = camera.name.replace(":", "_")
+    if not NAME.fullmatch(name):
+        raise InputError(f"{where}: expected a camera's name of letters, digits, - and _, got {camera.name!r:.80}")
+    return name if name.startswith("camera_") else f"camera_{name}"
+
+
+def _videos(
+    pictures: Callable[[], Iterator[SourceSample]], around: Scenario, rate_hz: float
+) -> tuple[dict[str, float], dict[str, bytes]]:
+    """The span of the depth video of a view, and all of its videos by their kinds."""
+    spans = np.array([nearness_span(picture.passes) for picture in pictures()])
+    span = float(spans[:, 0].min()), float(spans[:, 1].max())
+    streams = {kind: io.BytesIO() for kind in FOLDERS}
+    with ExitStack() as stack:
+        out = {kind: stack.enter_context(mp4(kind, stream, rate_hz, CRF)) for kind, stream in streams.items()}
+        for picture in pictures():
+            out["rgb"].add(picture.image)
+            out["depth"].add(depth_picture(picture.passes, span))
+            out["seg"].add(seg_picture(picture.passes))
+            out["edge"].add(edge_picture(picture.image))
+            out["hdmap"].add(lane_map_picture(picture, around))
+    return {"low": span[0], "high": span[1]}, {kind: stream.getvalue() for kind, stream in streams.items()}
+
+
+def _world_from_rig(camera: CameraLabel, scene: Scene) -> Matrix4:
+    return np.asarray(world_from_host(camera, scene.camera.right_m, scene.camera.forward_m) @ HOST_FROM_RIG)
+
+
+def _calibration(frame: SampleFrame, views: Mapping[str, str], where: str) -> dict[str, Any]:
+    """The cameras' lenses and places, in the form of DriveWorks."""
+    sensors = []
+    for key, view in views.items():
+        first = next(iter(frame.pictures(key)))
+        camera = first.labels.camera
+        lens, rig_from_cam = fitted(camera, where), invert(_world_from_rig(camera, first.scene)) @ camera.world_from_cam
+        turn = rig_from_cam[:3, :3] @ CAM_FROM_FLU
+        yaw, pitch = np.arctan2(turn[1, 0], turn[0, 0]), np.arcsin(np.clip(-turn[2, 0], -1, 1))
+        roll = np.arctan2(turn[2, 1], turn[2, 2])
+        properties = {
+            "Model": "ftheta", "cx": repr(lens.cx_px), "cy": repr(lens.cy_px), "width": str(camera.width_px),
+            "height": str(camera.height_px), "polynomial": " ".join(map(repr, lens.polynomial)),
+            "polynomial-type": "angle-to-pixeldistance", "linear-c": repr(lens.stretch), "linear-d": "0.0",
+            "linear-e": "0.0",
+        }  # fmt: skip
+        place = {"t": rig_from_cam[:3, 3].tolist(), "roll-pitch-yaw": np.degrees([roll, pitch, yaw]).tolist()}
+        sensors.append({"name": view.replace("_", ":"), "properties": properties, "nominalSensor2Rig_FLU": place})
+    return {"name": "synth3dlanes", "rig_json": json.dumps({"rig": {"sensors": sensors}})}
+
+
+def _moving(frame: SampleFrame, clip_from_world: Matrix4) -> dict[str, list[dict[str, Any]]]:
+    """Rows of the host's poses and of all cars, at all frames."""
+    poses, boxes = list[dict[str, Any]](), list[dict[str, Any]]()
+    for picture in frame.pictures(frame.key):
+        camera, micros = picture.labels.camera, _micros(picture.scene)
+        pose = clip_from_world @ _world_from_rig(camera, picture.scene)
+        told = {"location": _xyz(pose[:3, 3]), "orientation": _xyzw(pose)}
+        poses.append({"timestamp_micros": micros, "name": "synth3dlanes", **told})
+        for item in picture.labels.objects or ():
+            width_m, length_m, height_m = item.size_m.tolist()
+            placed = clip_from_world @ camera.world_from_cam @ item.cam_from_object
+            boxes.append(
+                {
+                    "timestamp_micros": micros,
+                    "trackline_id": str(item.id),
+                    "center": _xyz(placed[:3, 3]),
+                    "size": _xyz((length_m, width_m, height_m)),
+                    "orientation": _xyzw(_flu(placed)),
+                    "category": CATEGORIES[item.category],
+                }
+            )
+    return {"egomotion_estimate": poses, "obstacle": boxes}
+
+
+def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[str, Any]]]:
+    """Rows of what stands still."""
+
+    def points(points_world: Points3) -> list[dict[str, float]]:
+        return [_xyz(point) for point in transform(clip_from_world, points_world)]
+
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
+    for lane in around.lanes:
+        row: dict[str, Any] = {"map_id": lane.id}
+        for side, boundary in (("left", lane.left), ("right", lane.right)):
+            row |= {f"{side}_rail": points(boundary.points_world), **_edge_paint(side, boundary)}
+        rows["lane"].append(row)
+    for line in around.lines:
+        n, style = len(line.points_world), line_style(line.marking, line.double, line.pair)
+        paint = {"styles": [style] * n, "colors": [line.color.upper()] * n}
+        rows["lane_line"].append({"map_id": line.id, "line_rail": points(line.points_world), **paint})
+    rows["road_boundary"] = [{"category": "road_boundary", "location": points(edge)} for edge in around.edges]
+    for symbol in around.symbols:
+        location = points(symbol.points_world)
+        if symbol.kind == "crosswalk":
+            rows["crosswalk"].append({"category": "PEDESTRIAN", "location": location})
+        elif symbol.kind in WAIT_CATEGORIES:
+            told = {"category": WAIT_CATEGORIES[symbol.kind], "is_implicit": False}
+            rows["wait_line"].append({**told, "location": location})
+        elif symbol.kind in ARROW_CATEGORIES:
+            rows["road_marking"].append({"category": ARROW_CATEGORIES[symbol.kind], "location": location})
+    for element in around.elements:
+        label, placed = element.label, clip_from_world @ element.world_from_element
+        width_m, depth_m, height_m = label.size_m.tolist()
+        box = {"map_id": str(label.id), "center": _xyz(placed[:3, 3]), "orientation": _xyzw(_flu(placed))}
+        box["dimensions"] = _xyz((depth_m, width_m, height_m))
+        is_sign = label.category == "road_sign"
+        category = SIGN_CATEGORIES.get(label.kind, "TRAFFIC_SIGN_INFORMATION") if is_sign else "traffic_light"
+        rows["traffic_sign" if is_sign else "traffic_light"].append({**box, "category": category})
+    return {name: rows[name] for name in TABLES if name not in MOVING}
+
+
+def _edge_paint(side: str, boundary: Boundary) -> dict[str, list[str]]:
+    style = line_style(boundary.marking, boundary.double, boundary.pair)
+    n = len(boundary.points_world) - 1
+    return {f"{side}_edge_styles": [style] * n, f"{side}_edge_colors": [(boundary.color or "white").upper()] * n}
+
+
+def _micros(scene: Scene) -> int:
+    return round(scene.shot.time_s * 1e6)
+
+
+def _flu(pose: Matrix4) -> Matrix4:
+    """A pose with its axes forward, left, up in place of right, forward, up."""
+    turned = pose.copy()
+    turned[:3, :3] = pose[:3, :3] @ CAM_FROM_FLU
+    return turned
+
+
+def _xyz(values: Sequence[float] | np.ndarray) -> dict[str, float]:
+    return {axis: float(value) for axis, value in zip("xyz", values, strict=True)}
+
+
+def _xyzw(pose: Matrix4) -> dict[str, float]:
+    w, *xyz = quaternion(pose[:3, :3]).tolist()
+    return {**_xyz(xyz), "w": w}
+
+
+def _table(name: str, rows: Sequence[Mapping[str, Any]], clip: str) -> bytes:
+    """A table of rows whose values are those of its key or of its element, by their names."""
+    schema = TABLES[name]
+    keys, fields = ([field.name for field in schema.field(part).type] for part in ("key", name))
+    nested = [
+        {
+            "key": {key: clip if key == "clip_id" else row.get(key, NO_TIME.get(key, "")) for key in keys},
+            name: {field: row[field] for field in fields},
+            "version": VERSION,
+        }
+        for row in rows
+    ]
+    stream = io.BytesIO()
+    parquet.write_table(pa.Table.from_pylist(nested, schema=schema), stream)
+    return stream.getvalue()
+
+
+@dataclass(frozen=True)
+class FTheta:
+    """A pixel is its principal point and `stretch` times right, and down, the distance `polynomial(angle)` from it:
+    coefficients of rising powers, in pixels."""
+
+    cx_px: float
+    cy_px: float
+    stretch: float
+    polynomial: tuple[float, ...]
+    worst_px: float
+
+
+def fitted(camera: CameraLabel, where: str) -> FTheta:
+    """Least squares over the image, weighted towards the worst places. Raises InputError for a camera that is farther
+    than LIMIT_PX from all of these."""
+    (fx, _, cx), (_, fy, cy), _ = camera.img_from_cam @ CV_FROM_CAM.T
+    steps = (np.linspace(0.0, size, n) for size, n in zip((camera.width_px, camera.height_px), GRID, strict=True))
+    uv = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    rays = camera.rays(uv)
+    known = np.isfinite(rays).all(axis=1)
+    uv, rays = uv[known], rays[known]
+    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 2]), rays[:, 1])
+    radius = np.hypot((uv[:, 0] - cx) * fy / fx, uv[:, 1] - cy)
+    powers, weights = angle[:, None] ** np.arange(1, DEGREE + 1), np.ones(len(angle))
+    for _ in range(ROUNDS):
+        factors = np.linalg.lstsq(powers * weights[:, None], radius * weights, rcond=None)[0]
+        apart = np.abs(powers @ factors - radius)
+        weights *= np.sqrt(1 + apart / max(apart.max(), 1e-12))
+    factors = np.array([float(f"{factor:.8g}") for factor in factors])  # the rest depends on threads and processors
+    aside = rays[:, [0, 2]] * [1, -1] / np.maximum(np.hypot(rays[:, 0], rays[:, 2]), 1e-12)[:, None]
+    found = aside * (powers @ factors)[:, None] * [fx / fy, 1] + [cx, cy]
+    worst_px = float(np.linalg.norm(found - uv, axis=1).max())
+    if not worst_px <= LIMIT_PX:
+        raise InputError(
+            f"{where}: expected a camera that an f-theta polynomial follows within {LIMIT_PX:g} px, got"
+            f" {camera.name or 'one'} that it misses by {worst_px:.1f} px"
+        )
+    return FTheta(float(cx), float(cy), float(fx / fy), (0.0, *factors.tolist()), worst_px)
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    """The clips of each part."""
+    for part in PARTS:
+        if (out / part).is_dir() and not (out / part).is_symlink():
+            yield FrameList(part, _clips(out, part, most_frames), "clip")
+
+
+def _clips(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
+    for folder in sorted(path for path in (out / part / "clipgt").glob("*") if path.is_dir())[:most]:
+        files = ClipFiles(part, folder.name)
+        name = files.table("egomotion_estimate")
+        yield ReadFrame(name, str(out / part / "clipgt" / folder.name), None, CosmosClip(out, files))
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """Every picture of a clip; with the first ones what stands still, and the videos."""
+    clip: CosmosClip = frame.content
+    found = Comparison()
+    for name, view in clip.views.items():
+        pictures = _pictures(name, truth)
+        if not pictures:
+            found = found.because([f"view {name}: expected a camera of the data set, got none of this name"])
+            continue
+        found += _compared_view(clip, name, view, pictures)
+    if not any(truth.place == picture.place for name in clip.views for picture in _pictures(name, truth)[:1]):
+        found = found.because([f"expected a view of {truth.labels.camera.name or FRONT_VIEW}, got none"])
+    return found
+
+
+def _pictures(view: str, truth: SourceSample) -> list[SourceSample]:
+    """The pictures of the scene by the camera of a view, in order."""
+    reader, cameras = truth.reader, truth.reader.cameras
+    named = {f"camera_{camera.name.replace(':', '_').removeprefix('camera_')}": i for i, camera in enumerate(cameras)}
+    number = named.get(view) if len(cameras) > 1 else 0 if view == FRONT_VIEW else None
+    if number is None:
+        return []
+    return [SourceSample(reader, place) for place in reader.clip(int(reader.scene_of[truth.place]), number)]
+
+
+def _compared_view(clip: CosmosClip, name: str, view: CosmosView, pictures: list[SourceSample]) -> Comparison:
+    micros = [round(1e6 * picture.scene.shot.time_s) for picture in pictures]
+    problems = list[str]()
+    for what, got in (("times", clip.times), ("poses", list(clip.poses))):
+        if got != micros:
+            problems.append(f"expected {what} at {_shown(micros)} microseconds, got {_shown(got)}")
+    if problems:
+        return Comparison(problems=tuple(problems))
+    compared = _lens(name, view, pictures[0])
+    for number, (at, picture) in enumerate(zip(micros, pictures, strict=True)):
+        cam_from_clip = CAM_OF_FLU @ invert(view.rig_from_flu) @ invert(clip.poses[at])
+        here = _lines(clip, cam_from_clip, picture) + _boxes(clip.obstacles(at), cam_from_clip, picture)
+        here += _elements(clip, cam_from_clip, picture)
+        if number == 0:
+            here += _lanes(clip, cam_from_clip, picture).because(_symbol_problems(clip, cam_from_clip, picture))
+        told = tuple(f"{name} frame {number}: {problem}" for problem in here.problems)
+        named = tuple(replace(gap, name=f"{name} {number} {gap.name}") for gap in here.gaps)
+        compared += replace(here, gaps=named, problems=told)
+    return compared.because(video_problems(clip, name, pictures))
+
+
+def _lens(name: str, view: CosmosView, picture: SourceSample) -> Comparison:
+    camera = picture.labels.camera
+    if view.size_px != (camera.width_px, camera.height_px):
+        text = f"{name}: expected a size of {camera.width_px}x{camera.height_px}, got {view.size_px}"
+        return Comparison(problems=(text,))
+
+    def project(points_cam: Points3) -> Float[np.ndarray, "n 2"]:
+        return view.project(points_cam @ CAM_FROM_FLU)
+
+    return compare_camera(name, camera, project, LIMIT_PX, SHARES)
+
+
+def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+    """Painted lines by the ids of the delimiters, in space, with their paint and direction."""
+    lines = {row["map_id"]: (row, points) for row, points in clip.lines("lane_line", "line_rail")}
+    gaps, problems = [], list[str]()
+    for lane in picture.labels.lanes:
+        if lane.kind != "delimiter" or lane.marking == "none" or len(lane.xyz_cam) < 2:
+            continue
+        row, points = lines.get(lane.id, ({}, np.zeros((0, 3))))
+        if len(points) < 2:
+            others = (transform(cam_from_clip, line) for _, line in lines.values() if len(line) > 1)
+            apart = min((float(distances(lane.xyz_cam, line).max()) for line in others), default=np.inf)
+            problems.append(f"line {lane.id}: expected it in lane_line, got none nearer than {apart:.3g} m")
+            continue
+        ours = transform(cam_from_clip, points)
+        gaps.append(Gap.of(lane.id, "m", distances(lane.xyz_cam, ours)))
+        at = stations(lane.xyz_cam, ours)
+        back = float(np.max(np.maximum.accumulate(at) - at, initial=0.0))
+        if not back <= BACK_M:
+            problems.append(f"line {lane.id}: expected points as in the labels, got them {back:.3g} m back")
+        expected = (line_style(lane.marking, lane.double, lane.pair), (lane.color or "white").upper())
+        got = {*zip(row["styles"], row["colors"], strict=False)}
+        if got != {expected} or len(row["styles"]) != len(points):
+            problems.append(f"line {lane.id}: expected {' '.join(expected)} at each point, got {sorted(got)[:3]}")
+    return Comparison.within(gaps, {"m": RULE.limit}).because(problems)
+
+
+def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+    """Corners of cars by their tracks."""
+    ours = {str(item.id): (item.corners_cam, CATEGORIES[item.category]) for item in picture.labels.objects or ()}
+    return _compared("car", boxes, ours, cam_from_clip)
+
+
+def _elements(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+    """Corners of traffic lights and signs by their ids; those of other pictures of the clip are left out."""
+    found = Comparison()
+    for table in ("traffic_light", "traffic_sign"):
+        is_sign = table == "traffic_sign"
+        ours = {str(item.id): (item.corners_cam, "") for item in picture.labels.traffic_elements or ()
+                if (item.category == "road_sign") == is_sign}  # fmt: skip
+        boxes = [box for box in clip.elements(table) if box.name in ours]
+        found += _compared(table.replace("_", " "), boxes, ours, cam_from_clip)
+    return found
+
+
+def _compared(
+    word: str, boxes: list[Box], ours: dict[str, tuple[np.ndarray, str]], cam_from_clip: Matrix4
+) -> Comparison:
+    names = [box.name for box in boxes]
+    problems = [f"{word} {name}: expected one row, got {names.count(name)}" for name in sorted({*ours, *names})
+                if names.count(name) != 1 or name not in ours]  # fmt: skip
+    gaps = []
+    for box in boxes:
+        if box.name in ours:
+            corners, category = ours[box.name]
+            found = transform(cam_from_clip @ box.clip_from_box, FLU_CORNERS * box.size_m / 2)
+            gaps.append(Gap.of(f"{word} {box.name}", "m", np.linalg.norm(found - corners, axis=1), word))
+            if category and box.category != category:
+                problems.append(f"{word} {box.name}: expected {category}, got {box.category}")
+    return Comparison.within(gaps, {"m": BOX_M}).because(problems)
+
+
+def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+    """The middle between the rails of each lane, by the segment of the lane graph that it is."""
+    world_from_clip, found = picture.labels.camera.world_from_cam @ cam_from_clip, []
+    left, right = clip.lines("lane", "left_rail"), clip.lines("lane", "right_rail")
+    for (row, one), (_, other) in zip(left, right, strict=True):
+        if len(one) != len(other) or len(one) < 2:
+            text = f"lane {row['map_id']}: expected rails of as many points, got {len(one)} and {len(other)}"
+            return Comparison(problems=(text,))
+        found.append((str(row["map_id"]), transform(world_from_clip, (one + other) / 2)))
+    return compare_map(found, picture, RULE)
+
+
+def _symbol_problems(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Iterator[str]:
+    """Findings where crosswalks, arrows and lines across the road are not those of the labels."""
+    for table in ("crosswalk", "wait_line", "road_marking"):
+        ours = [symbol for symbol in picture.labels.symbols if TABLE_OF.get(symbol.kind, "road_marking") == table]
+        found = [transform(cam_from_clip, points) for _, points in clip.lines(table, "location")]
+        if len(ours) != len(found):
+            yield f"{table}: expected {len(ours)} as in the labels, got {len(found)}"
+        for symbol in ours:
+            apart_m = min((_symbol_gap(symbol, points) for points in found if len(points) > 1), default=np.inf)
+            if not apart_m <= RULE.limit:
+                yield f"{table}: expected {symbol.kind} as in the labels, got none nearer than {apart_m:.3g} m"
+
+
+def _symbol_gap(symbol: SymbolLabel, points: np.ndarray) -> float:
+    """How far a polygon is from the outline of a symbol, and the outline from it; of a line, how far its ends are."""
+    outline = np.concatenate([symbol.xyz_cam, symbol.xyz_cam[:1]])
+    there = float(distances(points, outline).max())
+    closed = np.concatenate([points, points[:1]])
+    return there if len(points) == 2 else max(there, float(distances(symbol.xyz_cam, closed).max()))
+
+
+def _shown(times: list[int]) -> str:
+    return f"{times[:3]}... ({len(times)})" if len(times) > 3 else str(times)
+
 
 FORMAT = SampleFormat(
     title="Cosmos: control videos and the world scenario of a clip",

@@ -1,4 +1,9 @@
-"""Read a clip of Cosmos: its tables as plain arrays, and its videos frame by frame."""
+"""A clip of Cosmos: the files and tables of its world scenario, and a reader of them and of its videos.
+
+ClipGT's frames are x forward, y left, z up, metres: the rig's (`_rig`) has its origin on the road below the middle of
+the rear axle, the scenario's (`_clip`) is the rig's at the first frame, a camera's (`_flu`) looks along x. Pixel
+corners are at whole numbers.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from jaxtyping import Float
 from pydantic import RootModel
 from scipy.spatial.transform import Rotation
 
-from synth3dlanes.formats.cosmos.convention import TABLES, ClipFiles
 from synth3dlanes.formats.reading import json_object, read_file
 from synth3dlanes.geometry.frames import rotation
 from synth3dlanes.imaging.video import open_video
@@ -21,8 +26,85 @@ from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_parquet
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import Excerpt, Number
 
+FRONT_VIEW = "camera_front_wide_120fov"
+"""The view of a camera that is alone, and the one whose times the readers take."""
+VERSION = 1
+FOLDERS = {"rgb": "videos", "depth": "depth", "seg": "seg", "edge": "edge", "hdmap": "control_input_hdmap_bbox"}
+"""The videos of a view, and the folders that the loaders expect them in."""
+POINT = pa.struct([(axis, pa.float64()) for axis in "xyz"])
+QUATERNION = pa.struct([(axis, pa.float64()) for axis in "xyzw"])
+_POINTS, _TEXTS = pa.list_(POINT), pa.list_(pa.string())
+_MAP_KEY = pa.struct([(name, pa.string()) for name in ("clip_id", "label_class_id", "map_id", "map_id_version")])
+_TIME_KEY = pa.struct([("clip_id", pa.string()), ("timestamp_micros", pa.int64()), ("label_class_id", pa.string())])
+_BOX = {"center": POINT, "dimensions": POINT, "orientation": QUATERNION, "category": pa.string()}
+_PLACE = {"category": pa.string(), "location": _POINTS}
+
+
+def _schema(name: str, key: pa.DataType, fields: dict[str, pa.DataType]) -> pa.Schema:
+    return pa.schema({"key": key, name: pa.struct(list(fields.items())), "version": pa.uint64()})
+
+
+TABLES = {
+    "calibration_estimate": _schema(
+        "calibration_estimate", _TIME_KEY, {"name": pa.string(), "rig_json": pa.string()}
+    ),
+    "egomotion_estimate": _schema(
+        "egomotion_estimate", _TIME_KEY, {"name": pa.string(), "location": POINT, "orientation": QUATERNION}
+    ),
+    "obstacle": _schema(
+        "obstacle",
+        _TIME_KEY,
+        {
+            "trackline_id": pa.string(), "center": POINT, "size": POINT, "orientation": QUATERNION,
+            "category": pa.string(),
+        },
+    ),
+    "lane": _schema(
+        "lane",
+        _MAP_KEY,
+        {
+            "left_rail": _POINTS, "right_rail": _POINTS, "left_edge_styles": _TEXTS, "right_edge_styles": _TEXTS,
+            "left_edge_colors": _TEXTS, "right_edge_colors": _TEXTS,
+        },
+    ),
+    "lane_line": _schema("lane_line", _MAP_KEY, {"line_rail": _POINTS, "styles": _TEXTS, "colors": _TEXTS}),
+    "road_boundary": _schema("road_boundary", _MAP_KEY, _PLACE),
+    "crosswalk": _schema("crosswalk", _MAP_KEY, _PLACE),
+    "road_marking": _schema("road_marking", _MAP_KEY, _PLACE),
+    "wait_line": _schema("wait_line", _MAP_KEY, {**_PLACE, "is_implicit": pa.bool_()}),
+    "traffic_light": _schema("traffic_light", _MAP_KEY, _BOX),
+    "traffic_sign": _schema("traffic_sign", _MAP_KEY, _BOX),
+}  # fmt: skip
+"""The tables of a clip. `map_id` of a lane line is the id of the delimiter, that of a lane the segment's of the lane
+graph, that of a light or a sign the id of the traffic element."""
 # Rows are few, and may have long lines.
 BOUNDS = TableBounds(most_rows=1 << 20, row_bytes=256, base_bytes=256 << 20)
+
+
+@dataclass(frozen=True)
+class ClipFiles:
+    """The paths of a clip's files in an export."""
+
+    part: str
+    clip: str
+
+    def table(self, name: str) -> str:
+        """A table of the world scenario."""
+        return f"{self.part}/clipgt/{self.clip}/{self.clip}.{name}.parquet"
+
+    @property
+    def times(self) -> str:
+        """The times of the frames."""
+        return f"{self.part}/clipgt/{self.clip}/{self.clip}.{FRONT_VIEW}.json"
+
+    @property
+    def depths(self) -> str:
+        """What the greys of depth videos are, by view."""
+        return f"{self.part}/clipgt/{self.clip}/{self.clip}.depth.json"
+
+    def video(self, kind: str, view: str) -> str:
+        """A video of a view."""
+        return f"{self.part}/{FOLDERS[kind]}/ftheta_{view}/{self.clip}.mp4"
 
 
 class _Time(Excerpt):

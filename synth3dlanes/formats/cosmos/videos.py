@@ -1,0 +1,426 @@
+"""The control videos of a clip of Cosmos: depth, segmentation, edges and the lane map of a picture, and how a video is
+compared with the pictures, passes and labels that it was made from.
+
+The lane map is the world scenario in the colours and widths of Cosmos's renderer, on black: lines first, then boxes
+from far to near. What is far is darker, and lines narrower, as there. What hills hide is not drawn. Frames are compared
+with room for what H.264 loses.
+"""
+
+import colorsys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float
+from PIL import Image, ImageDraw
+from scipy.ndimage import gaussian_gradient_magnitude, label, maximum_filter, sobel
+
+from synth3dlanes.formats.comparing import SourceSample
+from synth3dlanes.formats.cosmos.clip import FOLDERS, CosmosClip
+from synth3dlanes.formats.cosmos.scenario import PaintedLine, Scenario
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.labels import CameraLabel, Labels, PaintColor
+from synth3dlanes.labels.object_labels import CORNERS
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Passes, Points3, RgbImage
+
+EDGE_LOW, EDGE_HIGH = 100, 200
+"""The thresholds of Canny's edges that inference takes by default."""
+CLASS_COLORS = np.zeros((256, 3), np.uint8)
+"""The colours of classes in segmentation videos, by semantic id."""
+for _name, _color in {
+    "sky": (70, 130, 180), "terrain": (152, 251, 152), "road": (128, 64, 128), "shoulder": (81, 0, 81),
+    "marking": (157, 234, 50), "car": (0, 0, 142), "tree": (107, 142, 35), "symbol": (227, 227, 227),
+    "barrier": (180, 165, 180), "pole": (153, 153, 153), "sign": (220, 220, 0), "bridge": (150, 100, 100),
+    "building": (70, 70, 70), "kerb": (244, 35, 232), "host": (0, 0, 0), "signal": (250, 170, 30),
+}.items():  # fmt: skip
+    CLASS_COLORS[SEMANTIC_IDS[_name]] = _color
+Rgb = tuple[int, int, int]
+LINE_COLORS: dict[PaintColor, Rgb] = {"white": (255, 255, 255), "yellow": (255, 255, 0)}
+BOUNDARY, WAIT_LINE, CROSSWALK, ROAD_MARKING = (253, 1, 232), (108, 179, 59), (139, 93, 255), (20, 254, 185)
+SIGN, LIGHT, BOX_EDGE = (8, 2, 255), (100, 100, 100), (200, 200, 200)
+"""Colours of the lane-map video, as its renderer's third version has them."""
+CAR_COLORS, TRUCK_COLORS = ((126, 206, 255), (0, 46, 136)), ((255, 192, 64), (204, 55, 0))
+"""Of the rear and of the front."""
+WIDTH_PX, OF_WIDTH_PX = 12.0, 1280.0
+"""The width of lines in an image of this width."""
+GOLDEN = 0.618034
+# A fisheye also sees what is beside the plane of its camera, at depth 0, and behind it.
+LEAST_DEPTH_M = 1.0
+FINER = 2
+"""Pictures are drawn this much larger, and made smaller."""
+NEAREST_M, FARTHEST_M = 0.3, 200.0
+"""Colours and widths fall from here to none."""
+PAIR_M, DASH_M, GAP_M = 0.15, 3.0, 9.0
+"""How far the stripes of a pair are from its middle; dashes as Cosmos draws long ones."""
+BEHIND_M, BEHIND_SHARE = 1.0, 0.05
+"""How much nearer the ground must be than a point to hide it."""
+GROUND = np.isin(np.arange(256), [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking", "symbol")])
+FACES = ((4, 5, 6, 7), (0, 4, 7, 3), (1, 5, 6, 2), (3, 2, 6, 7), (0, 1, 5, 4), (0, 1, 2, 3))
+"""Faces of a box by its corners: rear, left, right, lower side, upper side, front."""
+SHADES = (0.0, 0.5, 0.5, 0.5, 0.5, 1.0)
+STATE_COLORS: dict[str, Rgb] = {"red": (240, 50, 50), "yellow": (255, 200, 0), "green": (130, 240, 132)}
+# How much of a frame may be off by more than so many of 255 grey levels.
+SHARE_OFF = 0.2
+GREYS = {"rgb": 24, "depth": 8, "seg": 64}
+# What is moved by so many pixels must fit worse.
+MOVED_PX, LEAST_EDGES = 4, 200
+# The share of the points of painted lines, up to so far ahead, that must be brighter than that in the lane map, the
+# least number of points to judge by, and how much brighter the map may be beside them.
+LEAST_LIT, DARK, LINE_POINTS, CHECKED_M, MORE_LIGHT = 0.9, 60, 8, 60.0, 1.05
+Pixels = Float[np.ndarray, "_ 2"]
+
+
+def nearness(passes: Passes) -> Float[np.ndarray, "h w"]:
+    """One over the depth, 0 where nothing is hit; at most that of LEAST_DEPTH_M, which what is behind has, too."""
+    return 1.0 / np.maximum(passes["depth"].astype(float), LEAST_DEPTH_M)
+
+
+def nearness_span(passes: Passes) -> tuple[float, float]:
+    """The least and the greatest nearness of a picture, but for the host's own bonnet, which would darken all else."""
+    found = nearness(passes)[passes["semantic"] != SEMANTIC_IDS["host"]]
+    return (float(found.min()), float(found.max())) if found.size else (0.0, 0.0)
+
+
+def depth_picture(passes: Passes, span: tuple[float, float]) -> RgbImage:
+    """Nearness from the least (black) to the greatest (white) of a clip, which are its span."""
+    low, high = span
+    grey = np.rint(255 * (nearness(passes) - low) / max(high - low, 1e-9)).clip(0, 255).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def seg_picture(passes: Passes) -> RgbImage:
+    """A colour for each class, and for each car one of its own, the same in all frames."""
+    semantic, instance = passes["semantic"], passes["instance"]
+    picture, is_car = CLASS_COLORS[semantic], semantic == SEMANTIC_IDS["car"]
+    numbers, at = np.unique(instance[is_car], return_inverse=True)
+    if len(numbers):
+        picture[is_car] = np.array([car_color(int(number)) for number in numbers], np.uint8)[at]
+    return picture
+
+
+def car_color(number: int) -> Rgb:
+    """The colour of a car by its instance id; those of successive ids are far apart."""
+    red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(number * GOLDEN % 1, 0.8, 0.95))
+    return red, green, blue
+
+
+def edge_picture(image: RgbImage) -> RgbImage:
+    """Canny's edges, white on black, with the thresholds of Cosmos and the operators of OpenCV: Sobel's, of the
+    channel that changes most."""
+    return np.repeat((edges(image) * np.uint8(255))[..., None], 3, axis=2)
+
+
+def edges(image: RgbImage) -> Bool[np.ndarray, "h w"]:
+    """Where the edges of an image are."""
+    # SciPy's operator would also smooth over the axis of the channels.
+    channels = np.moveaxis(image.astype(np.int32), 2, 0)
+    along = [np.stack([sobel(one, axis, mode="nearest") for one in channels], axis=2) for axis in (1, 0)]
+    size = np.abs(along[0]) + np.abs(along[1])
+    channel = size.argmax(axis=2)[..., None]
+    dx, dy, size = (np.take_along_axis(values, channel, axis=2)[..., 0] for values in (*along, size))
+    strong = _ridges(dx, dy, size) & (size > EDGE_LOW)
+    numbers, n_parts = label(strong, np.ones((3, 3)))
+    kept = np.zeros(n_parts + 1, dtype=bool)
+    kept[np.unique(numbers[strong & (size > EDGE_HIGH)])] = True
+    kept[0] = False
+    return kept[numbers]
+
+
+def _ridges(dx: np.ndarray, dy: np.ndarray, size: np.ndarray) -> Bool[np.ndarray, "h w"]:
+    """Where the gradient is greater than on both sides along its direction, of which there are four."""
+    padded = np.pad(size, 1)
+    height, width = size.shape
+
+    def beside(down: int, right: int) -> np.ndarray:
+        return padded[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+    tan_22 = np.sqrt(2) - 1
+    level, steep = np.abs(dy) < tan_22 * np.abs(dx), np.abs(dy) > np.abs(dx) / tan_22
+    falls = dx * dy >= 0
+    found = np.zeros(size.shape, dtype=bool)
+    for where, (down, right) in (
+        (level, (0, 1)),
+        (steep, (1, 0)),
+        (~level & ~steep & falls, (1, 1)),
+        (~level & ~steep & ~falls, (1, -1)),
+    ):
+        before, after = beside(-down, -right), beside(down, right)
+        is_ridge = (size > before) & ((size >= after) if down == 0 or right == 0 else (size > after))
+        found |= where & is_ridge
+    return found
+
+
+def lane_map_picture(picture: SourceSample, around: Scenario) -> RgbImage:
+    """The lane map of a picture."""
+    camera = picture.labels.camera
+    canvas = _Canvas(camera, picture.passes)
+    for edge in around.edges:
+        canvas.line(edge, BOUNDARY, WIDTH_PX)
+    for symbol in around.symbols:
+        if symbol.kind in ("stop_line", "give_way_line"):
+            canvas.line(symbol.points_world, WAIT_LINE, WIDTH_PX)
+        elif symbol.kind != "gore":
+            canvas.area(symbol.points_world, CROSSWALK if symbol.kind == "crosswalk" else ROAD_MARKING)
+    for line in around.lines:
+        for stripe in _stripes(line):
+            canvas.line(stripe, LINE_COLORS[line.color], WIDTH_PX)
+    boxes = [(item.corners_cam, TRUCK_COLORS if item.category in ("truck", "bus", "trailer") else CAR_COLORS)
+             for item in picture.labels.objects or ()]  # fmt: skip
+    states = {item.id: item for item in picture.labels.traffic_elements or ()}
+    for element in around.elements:
+        label = states.get(element.label.id, element.label)
+        color = _element_color(label)
+        corners_world = transform(element.world_from_element, CORNERS * label.size_m / 2)
+        boxes.append((transform(canvas.cam_from_world, corners_world), (color, color)))
+    for corners_cam, colors in sorted(boxes, key=lambda box: -float(np.linalg.norm(box[0].mean(axis=0)))):
+        canvas.box(corners_cam, colors)
+    return canvas.image()
+
+
+def _element_color(label: ElementLabel) -> Rgb:
+    if label.category == "road_sign":
+        return SIGN
+    state = label.state or "off"
+    light = "red" if "red" in state else "green" if "green" in state else "yellow" if "amber" in state else ""
+    return STATE_COLORS.get(light, LIGHT)
+
+
+def _stripes(line: PaintedLine) -> Iterator[Points3]:
+    """The painted pieces of a line; of a double one, or of a pair, those of both stripes."""
+    if not line.double and line.pair is None:
+        yield from _dashes(line.points_world) if line.marking == "dashed" else (line.points_world,)
+        return
+    along = np.gradient(line.points_world[:, :2], axis=0)
+    right = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
+    right /= np.maximum(np.linalg.norm(right, axis=1), 1e-9)[:, None]
+    patterns = (line.pair or f"{line.marking}_{line.marking}").split("_")
+    for pattern, aside_m in zip(patterns, (-PAIR_M, PAIR_M), strict=True):
+        points = line.points_world + aside_m * right
+        yield from _dashes(points) if pattern == "dashed" else (points,)
+
+
+def _dashes(points: Points3) -> Iterator[Points3]:
+    at_m = lengths_along(points)
+    for start_m in np.arange(0.0, at_m[-1], DASH_M + GAP_M):
+        inner = at_m[(at_m > start_m) & (at_m < start_m + DASH_M)]
+        wanted = np.concatenate([[start_m], inner, [min(start_m + DASH_M, at_m[-1])]])
+        yield np.column_stack([np.interp(wanted, at_m, column) for column in points.T])
+
+
+class _Canvas:
+    """A picture by a camera that is being drawn."""
+
+    def __init__(self, camera: CameraLabel, passes: Passes) -> None:
+        self.camera, self.cam_from_world = camera, invert(camera.world_from_cam)
+        self._depth = np.where(GROUND[passes["semantic"]], passes["depth"], np.inf)
+        self._image = Image.new("RGB", (FINER * camera.width_px, FINER * camera.height_px))
+        self._draw = ImageDraw.Draw(self._image)
+        self._scale = FINER * camera.width_px / OF_WIDTH_PX
+
+    def line(self, points_world: Points3, color: Rgb, width_px: float) -> None:
+        """A line on the ground, where it is ahead and hills do not hide it."""
+        points = transform(self.cam_from_world, points_world)
+        shown = (points[:, 1] > NEAREST_M) & (points[:, 1] < FARTHEST_M)
+        uv = np.where(shown[:, None], self.camera.project(np.where(shown[:, None], points, 1.0)), np.nan)
+        kept = np.isfinite(uv).all(axis=1) & ~self._is_hidden(uv, points[:, 1])
+        for i, j in pairwise(range(len(uv))):
+            if kept[i] and kept[j]:
+                share = _share(points[i : j + 1])
+                width = max(1, round(width_px * self._scale * share))
+                self._draw.line(_flat(uv[[i, j]]), fill=_darker(color, share), width=width)
+
+    def area(self, points_world: Points3, color: Rgb) -> None:
+        """A filled area on the ground."""
+        points = transform(self.cam_from_world, points_world)
+        middle = points.mean(axis=0)
+        uv = self.camera.project(middle[None])
+        if NEAREST_M < middle[1] < FARTHEST_M and not self._is_hidden(uv, middle[1:2])[0]:
+            self._polygon(points, color, None)
+
+    def box(self, corners_cam: Float[np.ndarray, "8 3"], colors: tuple[Rgb, Rgb]) -> None:
+        """A box with the colours of its rear and front, its faces from far to near. Cars have edges."""
+        if corners_cam[:, 1].max() < NEAREST_M or corners_cam[:, 1].min() > FARTHEST_M:
+            return
+        rear, front = (np.array(color, float) for color in colors)
+        faces = [(corners_cam[list(face)], shade) for face, shade in zip(FACES, SHADES, strict=True)]
+        for face, shade in sorted(faces, key=lambda pair: -float(np.linalg.norm(pair[0].mean(axis=0)))):
+            red, green, blue = np.rint(rear + shade * (front - rear)).astype(int).tolist()
+            self._polygon(face, (red, green, blue), BOX_EDGE if colors[0] != colors[1] else None)
+
+    def image(self) -> RgbImage:
+        """The picture."""
+        return np.asarray(self._image.reduce(FINER))
+
+    def _polygon(self, points_cam: Points3, color: Rgb, edge: Rgb | None) -> None:
+        ahead = _clipped(points_cam)
+        if len(ahead) < 3:
+            return
+        uv = self.camera.project(ahead)
+        if np.isfinite(uv).all():
+            share = _share(ahead)
+            outline = edge and _darker(edge, share)
+            self._draw.polygon(_flat(uv), fill=_darker(color, share), outline=outline, width=FINER)
+
+    def _is_hidden(self, uv: Pixels, depth_m: Float[np.ndarray, " _"]) -> Bool[np.ndarray, " _"]:
+        """Whether the ground is before points in the image."""
+        size = np.array([self.camera.width_px, self.camera.height_px])
+        inside = np.isfinite(uv).all(axis=1) & (uv >= 0).all(axis=1) & (uv < size).all(axis=1)
+        column, row = np.floor(uv[inside]).astype(int).T
+        hidden = np.zeros(len(uv), dtype=bool)
+        hidden[inside] = self._depth[row, column] * (1 + BEHIND_SHARE) + BEHIND_M < depth_m[inside]
+        return hidden
+
+
+def _share(points_cam: Points3) -> float:
+    """What is left of colours and widths at a distance."""
+    return float(np.clip(1 - points_cam[:, 1].mean() / FARTHEST_M, 0, 1))
+
+
+def _darker(color: Rgb, share: float) -> Rgb:
+    red, green, blue = (round(part * share) for part in color)
+    return red, green, blue
+
+
+def _clipped(points_cam: Points3) -> Float[np.ndarray, "_ 3"]:
+    """The part of a polygon ahead of the camera."""
+    made = list[np.ndarray]()
+    for a, b in zip(points_cam, np.roll(points_cam, -1, axis=0), strict=True):
+        if a[1] >= NEAREST_M:
+            made.append(a)
+        if (a[1] >= NEAREST_M) != (b[1] >= NEAREST_M):
+            made.append(a + (NEAREST_M - a[1]) / (b[1] - a[1]) * (b - a))
+    return np.array(made).reshape(-1, 3)
+
+
+def _flat(uv: Pixels) -> Sequence[tuple[float, float]]:
+    # Pillow's pixels have their middle at whole numbers.
+    return [(float(u), float(v)) for u, v in (uv * FINER - 0.5).clip(-1e5, 1e5)]
+
+
+def video_problems(
+    clip: CosmosClip, view: str, pictures: list[SourceSample], kinds: Iterable[str] = FOLDERS
+) -> Iterator[str]:
+    """Findings in the videos of a view."""
+    rate_hz, span = pictures[0].scene.shot.fps, clip.span(view)
+    for kind in kinds:
+        path, n = clip.files.video(kind, view), 0
+        for frame in clip.frames(kind, view, rate_hz):
+            n += 1
+            if n > len(pictures):
+                break
+            picture = pictures[n - 1]
+            height, width = picture.image.shape[:2]
+            if frame.shape != (height + height % 2, width + width % 2, 3):
+                yield f"{path}: frame {n - 1}: expected {width}x{height} pixels, got {frame.shape[1]}x{frame.shape[0]}"
+                break
+            problem = CHECKS[kind](frame[:height, :width], picture, span)
+            if problem:
+                yield f"{path}: frame {n - 1}: {problem}"
+        if n != len(pictures):
+            yield f"{path}: expected {len(pictures)} frames, got {'more' if n > len(pictures) else n}"
+
+
+def _off(frame: RgbImage, expected: Float[np.ndarray, "h w c"], greys: int) -> str:
+    """What is wrong with a frame that should look as expected: H.264 blurs borders, but moves nothing."""
+    share = float((np.abs(frame.astype(np.float32) - expected).max(axis=2) > greys).mean())
+    if share > SHARE_OFF:
+        return f"expected at most {SHARE_OFF:.0%} of its pixels off by {greys} of 255, got {share:.0%}"
+    here = _apart(frame, expected)
+    for name, moved in (
+        ("up", np.roll(expected, -MOVED_PX, axis=0)),
+        ("down", np.roll(expected, MOVED_PX, axis=0)),
+        ("to the left", np.roll(expected, -MOVED_PX, axis=1)),
+        ("to the right", np.roll(expected, MOVED_PX, axis=1)),
+        ("to the other side", expected[:, ::-1]),
+    ):
+        if _apart(frame, moved) < here:
+            return f"expected it in its place, got it nearer to its picture {MOVED_PX} px {name}"
+    return ""
+
+
+def _apart(frame: RgbImage, expected: Float[np.ndarray, "h w c"]) -> float:
+    inner = slice(MOVED_PX, -MOVED_PX)
+    return float(np.abs(frame.astype(np.float32) - expected)[inner, inner].mean())
+
+
+def _rgb(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
+    return _off(frame, picture.image.astype(float), GREYS["rgb"])
+
+
+def _depth(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
+    (low, high), depth_m = span, picture.passes["depth"].astype(float)
+    # What is behind a fisheye counts as near.
+    share = (1 / np.where(depth_m < LEAST_DEPTH_M, LEAST_DEPTH_M, depth_m) - low) / max(high - low, 1e-9)
+    return _off(frame, 255 * np.clip(share, 0, 1)[..., None], GREYS["depth"])
+
+
+def _seg(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
+    semantic, instance = picture.passes["semantic"], picture.passes["instance"]
+    expected = CLASS_COLORS[semantic].astype(float)
+    for number in np.unique(instance[semantic == SEMANTIC_IDS["car"]]).tolist():
+        expected[(semantic == SEMANTIC_IDS["car"]) & (instance == number)] = car_color(number)
+    return _off(frame, expected, GREYS["seg"])
+
+
+def _edge(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
+    change = gaussian_gradient_magnitude(picture.image.mean(axis=2), 1.0)
+    rows, columns = np.nonzero(frame.min(axis=2) > 127)
+    height, width = change.shape
+    if len(rows) < LEAST_EDGES:
+        return ""
+    here = change[rows, columns].mean()
+    for name, row, column in (
+        ("up", rows - MOVED_PX, columns),
+        ("down", rows + MOVED_PX, columns),
+        ("left", rows, columns - MOVED_PX),
+        ("right", rows, columns + MOVED_PX),
+        ("to the other side", rows, width - 1 - columns),
+    ):
+        there = change[row.clip(0, height - 1), column.clip(0, width - 1)].mean()
+        if not there < here:
+            return f"expected edges on changes of the image, got stronger ones {MOVED_PX} px {name}"
+    return ""
+
+
+def _hdmap(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
+    lit = maximum_filter(frame.max(axis=2), size=3)
+    uv = _sure_points(picture.labels)
+    if len(uv) >= LINE_POINTS:
+        column, row = np.floor(uv).astype(int).T
+        share = float((lit[row, column] > DARK).mean())
+        if share < LEAST_LIT:
+            return f"expected {LEAST_LIT:.0%} of the points of painted lines drawn, got {share:.0%}"
+        light = frame.max(axis=2).astype(float)
+        for name, aside in (("left", -MOVED_PX), ("right", MOVED_PX)):
+            there = light[row, (column + aside).clip(0, light.shape[1] - 1)].mean()
+            if there > MORE_LIGHT * light[row, column].mean():
+                return f"expected painted lines in their place, got them nearer {MOVED_PX} px to the {name}"
+    for item in picture.labels.objects or ():
+        inside = picture.labels.camera.shows(item.center_cam[None])[0]
+        if inside and item.corners_cam[:, 1].min() > 1.0 and item.center_cam[1] < CHECKED_M:
+            column, row = np.floor(picture.labels.camera.project(item.center_cam[None])[0]).astype(int)
+            if lit[row, column] <= DARK:
+                return f"expected the box of car {item.id} over its middle, got nothing there"
+    return ""
+
+
+def _sure_points(labels: Labels) -> np.ndarray:
+    """Pixels of solid lines that the ground does not hide, which boxes may cover."""
+    solid = [lane for lane in labels.lanes if lane.marking == "solid" and not lane.double]
+    points = [lane.xyz_cam[lane.in_image & lane.terrain_visible] for lane in solid]
+    xyz = np.concatenate([np.zeros((0, 3)), *points])
+    uv = labels.camera.project(xyz[xyz[:, 1] < CHECKED_M])
+    inside = (uv > 1).all(axis=1) & (uv < np.array([labels.camera.width_px, labels.camera.height_px]) - 1).all(axis=1)
+    return np.asarray(uv[inside])
+
+
+CHECKS: dict[str, Callable[[RgbImage, SourceSample, tuple[float, float]], str]] = {
+    "rgb": _rgb,
+    "depth": _depth,
+    "seg": _seg,
+    "edge": _edge,
+    "hdmap": _hdmap,
+}
