@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
-from synth3dlanes.system.arrays import Matrix4, RgbImage, Scalars
+from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage, Scalars
 
 if TYPE_CHECKING:
     # Who reads a format needs none of these.
@@ -424,7 +424,7 @@ def _feet(points: Points, line: Points) -> tuple[Distances, Int[np.ndarray, " _"
 def compare_camera(
     name: str,
     camera: CameraLabel,
-    project: Callable[[Points], Points],
+    project: Callable[[Points3], Polyline2],
     limit_px: float,
     shares: Sequence[float] = SHARES,
 ) -> Comparison:
@@ -438,7 +438,7 @@ def compare_camera(
     return Comparison.within([Gap.of(f"camera {name}", "px", apart, "camera")], {"px": limit_px})
 
 
-def pinhole_pixels(img_from_cv: Float[np.ndarray, "3 3"], cv_from_cam: Matrix4, points_cam: Points) -> Points:
+def pinhole_pixels(img_from_cv: Float[np.ndarray, "3 3"], cv_from_cam: Matrix4, points_cam: Points3) -> Polyline2:
     """Where a pinhole of this matrix K and place sees points of our camera frame; infinite for those behind it."""
     x, y, z = img_from_cv @ transform(cv_from_cam, points_cam).T
     with np.errstate(divide="ignore", invalid="ignore"):
