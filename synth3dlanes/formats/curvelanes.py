@@ -33,8 +33,6 @@ CondLaneNet cuts off what is above."""
 ROW_STEP_PX = 10
 EVALUATED = Canvas(224, 224, 5, 0.5)
 """Lines are scaled to this size to be scored."""
-FINER = Canvas(CAMERA.width_px, CAMERA.height_px, 30, 0.5)
-"""Shows a move of 2 m far ahead, too, where it is less than a band in the small image."""
 MIN_POINTS = 2
 DECIMALS = 2
 # Columns have two decimals.
