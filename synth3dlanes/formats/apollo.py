@@ -17,7 +17,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -35,7 +34,7 @@ from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation,
 from synth3dlanes.geometry.frames import invert, road_from_cam, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, LaneKind
 from synth3dlanes.system import schema
-from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.arrays import Matrix4, Polyline3
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.json_arrays import JsonPoints
 from synth3dlanes.system.schema import Excerpt, Metres, Number, PathBelow, Unit
@@ -47,8 +46,12 @@ MAX_LINES = 6
 HALF_WIDTH_M = 10.0
 EVALUATED_Y_M = np.arange(3.0, 103.0)
 HELD_OUT_ILLUMINATION = 0
+FIELDS: dict[LaneKind, str] = {"delimiter": "laneLines", "centerline": "centerLines"}
 # Coordinates have six decimals, those of the labels four.
-LINES, CENTERS = (Rule("m", 0.001, most=most, name=name) for most, name in ((6, "lane line"), (np.inf, "center line")))
+RULES: dict[LaneKind, Rule] = {
+    "delimiter": Rule("m", 0.001, most=MAX_LINES, name="lane line"),
+    "centerline": Rule("m", 0.001, name="center line"),
+}
 # The evaluator looks at lines in this band only, of which a line may have little.
 ASIDE_M, NEAR_M, FAR_M = 9.0, 5.0, 95.0
 
@@ -87,10 +90,8 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     """The frame's label line, the lists that it belongs to and its sidecar line."""
     labels, camera, dropped = frame.labels, frame.labels.camera, Counter[str]()
     raw_file = image_path(frame)
-    lines = {
-        "laneLines": _kept(labels, "delimiter", MAX_LINES, dropped),
-        "centerLines": _kept(labels, "centerline", len(labels.lanes), dropped),
-    }
+    most: dict[LaneKind, int] = {"delimiter": MAX_LINES, "centerline": len(labels.lanes)}
+    lines = {FIELDS[kind]: _kept(labels, kind, n, dropped) for kind, n in most.items()}
     document: dict[str, object] = {
         "raw_file": raw_file,
         "cam_height": cam_height_m(camera.height_m, camera.pitch_rad),
@@ -173,76 +174,57 @@ def _sidecar(
     return json.dumps(document)
 
 
-PointLists = tuple[Float[np.ndarray, "_ 3"], ...]
-FlagLists = tuple[Bool[np.ndarray, " _"], ...]
+class ApolloFrame(Excerpt):
+    """One line of a label file."""
 
-
-class _Line(Excerpt):
     raw_file: PathBelow
-    cam_height: Metres
-    cam_pitch: Annotated[float, Field(gt=-math.pi / 2, lt=math.pi / 2)]
+    cam_height_m: Metres = Field(alias="cam_height")
+    cam_pitch_rad: float = Field(alias="cam_pitch", gt=-math.pi / 2, lt=math.pi / 2)
     laneLines: list[JsonPoints]
     laneLines_visibility: list[list[Number]]
     centerLines: list[JsonPoints]
     centerLines_visibility: list[list[Number]]
 
     @model_validator(mode="after")
-    def _every_point_has_a_visibility(self) -> "_Line":
-        for name in ("laneLines", "centerLines"):
+    def _every_point_has_a_visibility(self) -> "ApolloFrame":
+        for name in FIELDS.values():
             lines, seen = getattr(self, name), getattr(self, f"{name}_visibility")
             if list(map(len, lines)) != list(map(len, seen)):
                 raise ValueError(f"{name}_visibility: expected a value for every point of {name}")
         return self
-
-
-@dataclass(frozen=True, eq=False)
-class ApolloFrame:
-    """One line of a label file as plain arrays; visibilities as flags."""
-
-    raw_file: str
-    cam_height_m: float
-    cam_pitch_rad: float
-    lane_lines_apollo: PointLists
-    lane_lines_visible: FlagLists
-    center_lines_apollo: PointLists
-    center_lines_visible: FlagLists
 
     @property
     def height_m(self) -> float:
         """How far the camera is above the plane z = 0."""
         return self.cam_height_m * float(np.cos(self.cam_pitch_rad))
 
-    def in_camera(self, lines_apollo: PointLists) -> PointLists:
+    def lines_apollo(self, kind: LaneKind) -> list[Polyline3]:
+        """Lines in their ground frame."""
+        lines: list[Polyline3] = getattr(self, FIELDS[kind])
+        return lines
+
+    def lines_cam(self, kind: LaneKind) -> list[Polyline3]:
         """Lines in our camera frame."""
         cam_from_apollo = invert(apollo_from_cam(self.cam_height_m, self.cam_pitch_rad))
-        return tuple(transform(cam_from_apollo, points_apollo) for points_apollo in lines_apollo)
+        return [transform(cam_from_apollo, points_apollo) for points_apollo in self.lines_apollo(kind)]
+
+    def visible(self, kind: LaneKind) -> list[Bool[np.ndarray, " _"]]:
+        """Which points of each line are visible."""
+        return [np.array(seen) > 0 for seen in getattr(self, f"{FIELDS[kind]}_visibility")]
 
     def labels(self) -> Labels:
         """The lanes in our camera frame."""
-        groups: tuple[tuple[LaneKind, PointLists, FlagLists], ...] = (
-            ("delimiter", self.lane_lines_apollo, self.lane_lines_visible),
-            ("centerline", self.center_lines_apollo, self.center_lines_visible),
-        )
         lanes = [
             ForeignLane(kind, points_cam, visible)
-            for kind, lines, flags in groups
-            for points_cam, visible in zip(self.in_camera(lines), flags, strict=True)
+            for kind in FIELDS
+            for points_cam, visible in zip(self.lines_cam(kind), self.visible(kind), strict=True)
         ]
         return labels_of(CAMERA.size_px, CAMERA.img_from_cv @ CV_FROM_CAM, self.height_m, self.cam_pitch_rad, lanes)
 
 
 def parse(line: str | bytes, where: str) -> ApolloFrame:
     """One line of a label file; FormatErrors begin with `where`."""
-    found = schema.parse(_Line, line, where, "a frame of Apollo Sim-3D")
-    return ApolloFrame(
-        found.raw_file,
-        found.cam_height,
-        found.cam_pitch,
-        tuple(found.laneLines),
-        tuple(np.array(seen) > 0 for seen in found.laneLines_visibility),
-        tuple(found.centerLines),
-        tuple(np.array(seen) > 0 for seen in found.centerLines_visibility),
-    )
+    return schema.parse(ApolloFrame, line, where, "a frame of Apollo Sim-3D")
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,20 +288,11 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     found, ids = frame.content
     view = ExportView(CAMERA.img_from_cv, CAMERA.size_px)
     compared = Comparison(problems=tuple(camera_problems(truth, found.height_m, found.cam_pitch_rad)))
-    for rule, lanes, lines, seen, names in (
-        (LINES, truth.lanes("delimiter"), found.lane_lines_apollo, found.lane_lines_visible, ids.laneLines_ids),
-        (
-            CENTERS,
-            truth.lanes("centerline"),
-            found.center_lines_apollo,
-            found.center_lines_visible,
-            ids.centerLines_ids,
-        ),
-    ):
-        ours = [_in_band(lane.in_metres(view)) for lane in lanes]
-        compared += compare(found.in_camera(lines), ours, rule, names)[0].because(
-            f"{rule.name} {i}: expected visible points first, got a hidden one before them"
-            for i, visible in enumerate(seen)
+    for kind, name in FIELDS.items():
+        ours = [_in_band(lane.in_metres(view)) for lane in truth.lanes(kind)]
+        compared += compare(found.lines_cam(kind), ours, RULES[kind], getattr(ids, f"{name}_ids"))[0].because(
+            f"{RULES[kind].name} {i}: expected visible points first, got a hidden one before them"
+            for i, visible in enumerate(found.visible(kind))
             if (np.diff(visible.astype(int)) > 0).any()
         )
     return compared
@@ -343,27 +316,27 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
     """A file of JSON lines with `raw_file`, `laneLines`, `laneLines_prob`, and the same of centre lines."""
     by_image = lines_by(predictions, _Prediction, "raw_file")
 
-    def of_frame(frame: ReadFrame) -> tuple[LinePair, LinePair] | None:
-        true = frame.content[0]
+    def of_frame(frame: ReadFrame) -> dict[LaneKind, LinePair] | None:
+        true: ApolloFrame = frame.content[0]
         found = by_image.get(true.raw_file)
         if found is None:
             return None
-        where = f"{predictions}: {found.raw_file}"
-        lanes = _found(found.laneLines, found.laneLines_prob, where)
-        centers = _found(found.centerLines, found.centerLines_prob, where)
-        return (
-            (list(map(Line3d, true.lane_lines_apollo, true.lane_lines_visible)), lanes),
-            (list(map(Line3d, true.center_lines_apollo, true.center_lines_visible)), centers),
-        )
+        return {
+            kind: (
+                list(map(Line3d, true.lines_apollo(kind), true.visible(kind))),
+                _found(getattr(found, name), getattr(found, f"{name}_prob"), f"{predictions}: {found.raw_file}"),
+            )
+            for kind, name in FIELDS.items()
+        }
 
     for name, frames in predicted(read(out, EVERY), of_frame, predictions):
-        lanes, centers = zip(*(both for _, both in frames), strict=True)
-        yield rates(f"{name}, lane lines", frames, line_score.score(lanes, GEN_LANENET))
-        if any(found for _, found in centers):
-            yield rates(f"{name}, center lines", frames, line_score.score(centers, GEN_LANENET))
+        for kind in FIELDS:
+            pairs = [pair_of[kind] for _, pair_of in frames]
+            if kind == "delimiter" or any(found for _, found in pairs):
+                yield rates(f"{name}, {RULES[kind].name}s", frames, line_score.score(pairs, GEN_LANENET))
 
 
-def _found(lines: PointLists, shares: tuple[float, ...], where: str) -> list[Line3d]:
+def _found(lines: Sequence[Polyline3], shares: Sequence[float], where: str) -> list[Line3d]:
     if len(lines) != len(shares) or any(len(points) < 2 for points in lines):
         raise FormatError(f"{where}: expected lines of two points or more with a probability each, got others")
     every = (np.ones(len(points), dtype=bool) for points in lines)
@@ -377,7 +350,7 @@ FORMAT = PinholeFormat(
     read=read,
     verify=verify,
     score=score,
-    tolerances={LINES.unit: LINES.limit},
+    tolerances={rule.unit: rule.limit for rule in RULES.values()},
     camera=CAMERA,
     is_f_free=False,
     is_size_free=False,

@@ -165,6 +165,11 @@ class ExportView:
     img_from_cv: Float[np.ndarray, "3 _"]
     size_px: tuple[int, int]
 
+    @classmethod
+    def around(cls, img_from_cv: Float[np.ndarray, "3 _"]) -> "ExportView":
+        """That of an image whose principal point is in its middle."""
+        return cls(img_from_cv, (round(2 * img_from_cv[0, 2]), round(2 * img_from_cv[1, 2])))
+
 
 @dataclass(frozen=True, eq=False)
 class FoundLines:

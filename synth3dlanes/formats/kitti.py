@@ -94,15 +94,11 @@ class KittiObject:
 
     def line(self) -> str:
         """Its text."""
-        box, size, place = (" ".join(f"{value:.{decimals}f}" for value in values) for values, decimals in self._arrays)
-        angle = f"{self.alpha_rad:.4f}"
-        return (
-            f"{self.type} {self.truncated:.2f} {self.occluded} {angle} {box} {size} {place} {self.rotation_y_rad:.4f}"
+        pixels = " ".join(f"{value:.2f}" for value in self.box_px)
+        box = " ".join(
+            f"{value:.4f}" for value in (*self.height_width_length_m, *self.location_cv, self.rotation_y_rad)
         )
-
-    @property
-    def _arrays(self) -> tuple[tuple[Float[np.ndarray, " _"], int], ...]:
-        return (self.box_px, 2), (self.height_width_length_m, 4), (self.location_cv, 4)
+        return f"{self.type} {self.truncated:.2f} {self.occluded} {self.alpha_rad:.4f} {pixels} {box}"
 
 
 def dont_care(box_px: Float[np.ndarray, "4"]) -> KittiObject:
@@ -316,22 +312,10 @@ def _box(item: ObjectLabel, sides: Float[np.ndarray, "4"]) -> Float[np.ndarray, 
 
 def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], truth: SourceSample) -> Iterator[Gap]:
     """Distances of corners in space, but for the slope that the format does not have; and of the foot in the image."""
-    corners_cv = item.corners_cam[:, [0, 2, 1]] * [1, -1, 1]
-    foot_cv, size_m = _foot_cv(item), item.size_m
-    along = corners_cv[:4].mean(axis=0) - corners_cv[4:].mean(axis=0)
-    heading = np.array([along[0], 0, along[2]]) / np.hypot(along[0], along[2])
-    right = np.array([heading[2], 0, -heading[0]])
-    half = CORNERS * size_m / 2
-    ours = (
-        foot_cv + half[:, :1] * right + half[:, 1:2] * heading - np.array([0, 1.0, 0]) * (half[:, 2:] + size_m[2] / 2)
-    )
-    height_m, width_m, length_m = found.height_width_length_m
-    c, s = np.cos(found.rotation_y_rad), np.sin(found.rotation_y_rad)
-    turned = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    own = np.column_stack(
-        [CORNERS[:, 1] * length_m / 2, (CORNERS[:, 2] + 1) * -height_m / 2, -CORNERS[:, 0] * width_m / 2]
-    )
-    theirs = own @ turned.T + found.location_cv
+    foot_cv, (width_m, length_m, height_m) = _foot_cv(item), item.size_m
+    ahead_x, ahead_y, _ = item.corners_cam[:4].mean(axis=0) - item.corners_cam[4:].mean(axis=0)
+    ours = _corners_cv(foot_cv, np.array([height_m, width_m, length_m]), float(np.arctan2(-ahead_y, ahead_x)))
+    theirs = _corners_cv(found.location_cv, found.height_width_length_m, found.rotation_y_rad)
     yield Gap.of(f"object {item.id}", "m", np.linalg.norm(theirs - ours, axis=1), "object")
     foot = calib["R0_rect"] @ found.location_cv
     u, v, w = calib["P2"] @ [*foot, 1.0]
@@ -341,6 +325,17 @@ def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], t
         yield Gap.of(f"object {item.id}", "px", off_px, "object")
 
 
+def _corners_cv(
+    location_cv: Float[np.ndarray, "3"], height_width_length_m: Float[np.ndarray, "3"], rotation_y_rad: float
+) -> Float[np.ndarray, "8 3"]:
+    """The corners of an upright box."""
+    height_m, width_m, length_m = height_width_length_m
+    right, ahead, up = (CORNERS / 2).T
+    own = np.column_stack([ahead * length_m, -(up + 0.5) * height_m, -right * width_m])
+    c, s = np.cos(rotation_y_rad), np.sin(rotation_y_rad)
+    return own @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T + location_cv
+
+
 def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
     seen = item.visible_fraction or 0.0
     if found.occluded != occlusion(seen):
@@ -348,7 +343,7 @@ def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
     if not abs(found.truncated - item.truncation) <= TRUNCATION:
         yield f"object {item.id}: expected the truncation {item.truncation:.2f}, got {found.truncated:.2f}"
     looks = found.rotation_y_rad - np.arctan2(found.location_cv[0], found.location_cv[2])
-    off_rad = abs((found.alpha_rad - looks + np.pi) % (2 * np.pi) - np.pi)
+    off_rad = abs(wrapped(found.alpha_rad - float(looks)))
     if not off_rad <= ANGLE_RAD:
         yield f"object {item.id}: expected alpha as it is seen from the camera, got it {off_rad:.4f} rad off"
 

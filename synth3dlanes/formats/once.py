@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 from PIL import Image, ImageDraw
+from pydantic import Field
 
 from synth3dlanes.formats.comparing import (
     Comparison,
@@ -96,28 +97,23 @@ def _is_placed(line: LaneAhead) -> bool:
     return np.count_nonzero((z_m < RASTER_M) & (np.abs(x_m) < RASTER_M)) >= 2
 
 
-@dataclass(frozen=True, eq=False)
-class OnceFrame:
+class OnceFrame(Excerpt):
     """One label file. The camera's height and pitch are in our exports alone."""
 
-    lanes_cv: tuple[Float[np.ndarray, "_ 3"], ...]
-    img_from_cv: Float[np.ndarray, "3 4"]
-    camera_height_m: float | None
-    camera_pitch_rad: float | None
-
-
-class _Frame(Excerpt):
-    lanes: list[JsonPoints]
+    lanes_cv: list[JsonPoints] = Field(alias="lanes")
     calibration: tuple[Row4, Row4, Row4]
     camera_height_m: Number | None = None
     camera_pitch_rad: Number | None = None
 
+    @property
+    def img_from_cv(self) -> Float[np.ndarray, "3 4"]:
+        """The matrix K, and a column."""
+        return np.array(self.calibration)
+
 
 def parse(text: str, where: str) -> OnceFrame:
     """One label file; FormatErrors begin with `where`."""
-    found = schema.parse(_Frame, text, where, "a frame of ONCE-3DLanes")
-    calibration = np.array(found.calibration)
-    return OnceFrame(tuple(found.lanes), calibration, found.camera_height_m, found.camera_pitch_rad)
+    return schema.parse(OnceFrame, text, where, "a frame of ONCE-3DLanes")
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -138,12 +134,9 @@ def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in metres, and their order: those that the evaluator can pair by their place come first."""
     found: OnceFrame = frame.content
-    k = found.img_from_cv
-    view = ExportView(k, (round(2 * k[0, 2]), round(2 * k[1, 2])))
-    lines = [points_cv @ CV_FROM_CAM for points_cv in found.lanes_cv]
-    compared, _ = compare_lines(
-        FoundLines(lines, view, None, found.camera_height_m, found.camera_pitch_rad), truth, RULE
-    )
+    lines, view = [points_cv @ CV_FROM_CAM for points_cv in found.lanes_cv], ExportView.around(found.img_from_cv)
+    read_back = FoundLines(lines, view, None, found.camera_height_m, found.camera_pitch_rad)
+    compared, _ = compare_lines(read_back, truth, RULE)
     is_near = [np.count_nonzero((line[:, 1] < RASTER_M) & (np.abs(line[:, 0]) < RASTER_M)) >= 2 for line in lines]
     return compared.because(
         f"line {i}: expected lines within {RASTER_M:g} m first, got one behind line {i - 1}, which is farther ahead"

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from synth3dlanes.formats import line_score
 from synth3dlanes.formats.comparing import (
@@ -55,7 +55,7 @@ from synth3dlanes.formats.scoring import EVERY, scored
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels.labels import Labels, Lane, Marking, PaintColor, Pair
 from synth3dlanes.system import schema
-from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.arrays import Matrix4, Polyline2, Polyline3
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.json_arrays import JsonMatrix3, JsonMatrix4, JsonPoints
 from synth3dlanes.system.schema import Excerpt, Number, PathBelow
@@ -207,7 +207,9 @@ def _line_document(line: LaneAhead, frame: PinholeFrame, attribute: int, track_i
     }
 
 
-class _Line(Excerpt):
+class OpenLaneLine(Excerpt):
+    """One line of a frame. Some files lack `attribute` and `track_id`."""
+
     xyz: tuple[list[Number], list[Number], list[Number]]
     visibility: list[Number]
     uv: tuple[list[Number], list[Number]] = ([], [])
@@ -216,50 +218,45 @@ class _Line(Excerpt):
     track_id: int = 0
 
     @model_validator(mode="after")
-    def _has_whole_points(self) -> "_Line":
+    def _has_whole_points(self) -> "OpenLaneLine":
         if len({*map(len, self.xyz), len(self.visibility)}) > 1:
             raise ValueError("expected as many x, y and z as values of visibility")
         if len(self.uv[0]) != len(self.uv[1]):
             raise ValueError("uv: expected as many u as v")
         return self
 
+    @property
+    def xyz_waymo(self) -> Polyline3:
+        """Its points."""
+        return np.array(self.xyz, dtype=float).T
 
-class _Frame(Excerpt):
-    file_path: PathBelow
-    intrinsic: JsonMatrix3
-    extrinsic: JsonMatrix4
-    lane_lines: list[_Line]
+    @property
+    def visible(self) -> Bool[np.ndarray, " _"]:
+        """Which of its points are visible."""
+        return np.array(self.visibility) > 0
 
-    @model_validator(mode="after")
-    def _is_a_camera(self) -> "_Frame":
-        turn = self.extrinsic[:3, :3]
-        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3):
-            raise ValueError("extrinsic: expected a rotation and a place")
-        if min(self.intrinsic[0, 0], self.intrinsic[1, 1]) <= 0:
-            raise ValueError("intrinsic: expected focal lengths above 0")
-        return self
-
-
-@dataclass(frozen=True, eq=False)
-class OpenLaneLine:
-    """One line of a frame as plain arrays, points transposed to n x 3. Some files lack `attribute` and `track_id`."""
-
-    xyz_waymo: Float[np.ndarray, "n 3"]
-    visible: Bool[np.ndarray, " n"]
-    uv_img: Float[np.ndarray, "m 2"]
-    category: int
-    attribute: int
-    track_id: int
+    @property
+    def uv_img(self) -> Polyline2:
+        """Its visible points in the image."""
+        return np.array(self.uv, dtype=float).T
 
 
-@dataclass(frozen=True, eq=False)
-class OpenLaneFrame:
+class OpenLaneFrame(Excerpt):
     """One label file."""
 
-    file_path: str
-    img_from_cv: Float[np.ndarray, "3 3"]
-    vehicle_from_cam_waymo: Float[np.ndarray, "4 4"]
-    lines: tuple[OpenLaneLine, ...]
+    file_path: PathBelow
+    img_from_cv: JsonMatrix3 = Field(alias="intrinsic")
+    vehicle_from_cam_waymo: JsonMatrix4 = Field(alias="extrinsic")
+    lines: list[OpenLaneLine] = Field(alias="lane_lines")
+
+    @model_validator(mode="after")
+    def _has_a_camera(self) -> "OpenLaneFrame":
+        turn = self.vehicle_from_cam_waymo[:3, :3]
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3):
+            raise ValueError("extrinsic: expected a rotation and a place")
+        if min(self.img_from_cv[0, 0], self.img_from_cv[1, 1]) <= 0:
+            raise ValueError("intrinsic: expected focal lengths above 0")
+        return self
 
     @property
     def height_m(self) -> float:
@@ -282,19 +279,7 @@ class OpenLaneFrame:
 
 def parse(text: str | bytes, where: str) -> OpenLaneFrame:
     """One label file; FormatErrors begin with `where`."""
-    found = schema.parse(_Frame, text, where, "a frame of OpenLane")
-    lines = tuple(
-        OpenLaneLine(
-            xyz_waymo=np.array(line.xyz, dtype=float).T,
-            visible=np.array(line.visibility) > 0,
-            uv_img=np.array(line.uv, dtype=float).T,
-            category=line.category,
-            attribute=line.attribute,
-            track_id=line.track_id,
-        )
-        for line in found.lane_lines
-    )
-    return OpenLaneFrame(found.file_path, found.intrinsic, found.extrinsic, lines)
+    return schema.parse(OpenLaneFrame, text, where, "a frame of OpenLane")
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,9 +344,8 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Lines in metres; their pixels; category, place beside the camera and track."""
     found: OpenLaneFrame = frame.content
     k, delimiters = found.img_from_cv, truth.lanes("delimiter")
-    view = ExportView(k, (round(2 * k[0, 2]), round(2 * k[1, 2])))
     lines = [line.xyz_waymo @ WAYMO_FROM_CAM for line in found.lines]
-    read_back = FoundLines(lines, view, None, found.height_m, found.pitch_rad)
+    read_back = FoundLines(lines, ExportView.around(k), None, found.height_m, found.pitch_rad)
     compared, ids = compare_lines(read_back, truth, RULE, [*delimiters, *truth.upright(truth.kerbs)])
     problems, gaps, tracks = list[str](), list[Gap](), dict[str, str]()
     if PurePath(frame.image or "").relative_to("images") != PurePath(found.file_path):

@@ -84,8 +84,8 @@ def test_apollo_lines_come_back_within_rounding(camera, plan):
     by_id = {lane.id: lane for lane in labels.lanes}
     ids = json.loads(apollo.write(replace(FRAME, labels=labels)).shared[2][0])
     for lines_apollo, flags, names in (
-        (frame.lane_lines_apollo, frame.lane_lines_visible, ids["laneLines_ids"]),
-        (frame.center_lines_apollo, frame.center_lines_visible, ids["centerLines_ids"]),
+        (frame.lines_apollo("delimiter"), frame.visible("delimiter"), ids["laneLines_ids"]),
+        (frame.lines_apollo("centerline"), frame.visible("centerline"), ids["centerLines_ids"]),
     ):
         assert len(lines_apollo) == len(names) > 0
         for points_apollo, visible, name in zip(lines_apollo, flags, names, strict=True):
@@ -98,7 +98,7 @@ def test_apollo_lines_come_back_within_rounding(camera, plan):
 
 def test_a_point_to_the_right_and_ahead_is_positive_in_both_and_a_hill_is_up():
     labels = cf.labels_of(camera := cf.camera_label(), cf.lane(camera, cf.curve(2.0, slope=0.001)))
-    (points_apollo,) = apollo_frame(labels).lane_lines_apollo
+    (points_apollo,) = apollo_frame(labels).lines_apollo("delimiter")
     assert np.all(points_apollo[:, 0] > 0)
     assert points_apollo[-1, 1] > 90
     assert points_apollo[-1, 2] > 3
@@ -109,8 +109,8 @@ def test_a_crest_hides_and_cars_do_not():
     lane = cf.lane(camera, cf.curve(2.0), hidden_from_m=40)
     behind_a_car = replace(lane, object_visible=np.zeros(len(lane.xyz_cam), dtype=bool))
     (points_apollo,), (visible,) = (
-        (frame := apollo_frame(cf.labels_of(camera, behind_a_car))).lane_lines_apollo,
-        frame.lane_lines_visible,
+        (frame := apollo_frame(cf.labels_of(camera, behind_a_car))).lines_apollo("delimiter"),
+        frame.visible("delimiter"),
     )
     assert 38 < points_apollo[visible][-1, 1] < 40.2
     assert visible[0], "the stretch below the image counts as visible"
@@ -121,7 +121,7 @@ def test_visibility_bridges_a_hole_between_two_visible_stretches():
     lane = cf.lane(camera, cf.curve(2.0))
     seen = (lane.xyz_cam[:, 1] < 23) | ((lane.xyz_cam[:, 1] > 63) & (lane.xyz_cam[:, 1] < 80))
     frame = apollo_frame(cf.labels_of(camera, replace(lane, terrain_visible=seen)))
-    (visible,), (points_apollo,) = frame.lane_lines_visible, frame.lane_lines_apollo
+    (visible,), (points_apollo,) = frame.visible("delimiter"), frame.lines_apollo("delimiter")
     assert 78 < points_apollo[visible][-1, 1] < 81
     assert np.all(visible[points_apollo[:, 1] < 78])
 
@@ -157,7 +157,7 @@ def test_a_folded_line_ends_where_it_folds():
     camera = cf.camera_label()
     angle = np.linspace(0, np.pi, 60)
     u_turn = np.column_stack([2 + 10 * (1 - np.cos(angle)), 10 + 30 * np.sin(angle), np.zeros(60)])
-    (points_apollo,) = apollo_frame(cf.labels_of(camera, cf.lane(camera, u_turn))).lane_lines_apollo
+    (points_apollo,) = apollo_frame(cf.labels_of(camera, cf.lane(camera, u_turn))).lines_apollo("delimiter")
     assert np.all(np.diff(points_apollo[:, 1]) > 0)
     assert len(points_apollo) < 35
 
@@ -165,7 +165,7 @@ def test_a_folded_line_ends_where_it_folds():
 def test_two_paths_that_look_alike_are_one_centre_line():
     camera = cf.camera_label()
     lanes = [cf.lane(camera, cf.curve(0.0), name, "centerline", hidden_from_m=50) for name in ("stay", "leave")]
-    assert len(apollo_frame(cf.labels_of(camera, *lanes)).center_lines_apollo) == 1
+    assert len(apollo_frame(cf.labels_of(camera, *lanes)).lines_apollo("centerline")) == 1
 
 
 @pytest.mark.parametrize(
