@@ -1,72 +1,138 @@
-"""The cars of a scene: in their lanes or parked, clear of each other and of the host, all through a clip."""
+"""The cars of a scene: their looks, and places in lanes clear of each other and of the host, all through a clip."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.draw.car_colors import sold_color
-from synth3dlanes.draw.draws import DECIMALS, Draw
-from synth3dlanes.draw.traffic import SPEED_TRIES, Traffic
+from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import Assets
-from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Car, Scene
+from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.world import placement
 from synth3dlanes.world.camera import world_from_host
-from synth3dlanes.world.world import World
+from synth3dlanes.world.motion import stations_after
 
-# The streams of the cars: looks as in the paper, and what was added since, so that it changes none of these.
-CAR_STREAMS = ("cars", "car_places", "car_saturation", "car_palette", "parked_cars")
 # Free length and width around a car, and draws of a place for each.
 CAR_GAP_M, TRIES = (1.0, 0.3), 300
 # Cars park at least this far from where roads part.
 PARKING_BEFORE_M = 20.0
+# Between two instants that are checked no car gains more on another than the gap between them.
+CHECK_EVERY_S = 0.05
+# Speeds that are drawn for a car before it gets one of those that others have.
+SPEED_TRIES = 8
+
+Size = tuple[float, float]
+# The corners of a car at distances that it has driven.
+Way = Callable[[Scalars], Float[np.ndarray, "t 4 2"]]
 
 
-def draw_cars(world: World, draws: Sequence[Draw], speeds: Draw) -> tuple[Car, ...]:
-    """The cars of a world, from the draws of CAR_STREAMS and of their speeds. From the first on for which there is no
-    room, they are left out.
+class Place(NamedTuple):
+    """A place for a car: the fields of it, its way from there on, and speeds, one of which it takes."""
+
+    fields: dict[str, Any]
+    way: Way
+    speeds: list[float]
+
+
+class Traffic:
+    """Host and cars on their ways through a clip, to which cars are added one by one."""
+
+    def __init__(self, shot: Shot, host: Way) -> None:
+        self.times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
+        self.ways, self.speeds = host(shot.speed_m_s * self.times_s)[None], [shot.speed_m_s]
+
+    def join(self, way: Way, speeds: list[float]) -> float | None:
+        """Add a car with the first of these speeds at which it never touches another; return that speed, None without
+        one."""
+        if len(self.times_s) > 1 and placement.overlaps_any(way(self.times_s[:1]), self.ways[:, :1]):
+            return None
+        for speed in dict.fromkeys(speeds):
+            own = way(speed * self.times_s)
+            if not placement.overlaps_any(own, self.ways):
+                self.ways = np.concatenate([self.ways, own[None]])
+                self.speeds.append(speed)
+                return speed
+        return None
+
+
+def car_look(looks: Draw, assets: Assets, model: int, scale: float, added: Sequence[Draw] = ()) -> dict[str, Any]:
+    """Model and colours of a car; `added` are streams of saturation and palette other than that of the rest."""
+    paints, sold = added or (looks, looks)
+    (color,) = zip(*looks.rows(("color",), 3), strict=True)
+    gloss, saturation, palette = looks("gloss"), paints("saturation"), sold("palette")
+    u_paint, u_shade = sold.rng.random(2)
+    if palette == "sold":
+        color, saturation = sold_color(assets.car_models[model - 1], u_paint, u_shade), 1.0
+    return {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}
+
+
+def draw_cars(
+    looks: Draw, assets: Assets, traffic: Traffic, places: Callable[[Size], Iterator[Place]], added: Sequence[Draw] = ()
+) -> Iterator[Car | None]:
+    """The cars, each at the first free one of the places for its length and width and the gap around it; None for each
+    that finds none."""
+    for _ in range(looks("n")):
+        model, scale = looks("model"), looks("scale")
+        look = car_look(looks, assets, model, scale, added)
+        body = assets.car_models[model - 1]
+        for at in places((body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1])):
+            speed_m_s = traffic.join(at.way, at.speeds)
+            if speed_m_s is not None:
+                yield Car(**look, **at.fields, speed_m_s=speed_m_s)
+                break
+        else:
+            yield None
+
+
+def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, ...]:
+    """The cars in the lanes of the road beside each other, within the stations of `cars.s_m`, or parked. From the first
+    on for which there is no room, they are left out.
 
     Raises InputError where these are fewer than `cars.n` allows.
     """
-    scene, network = world.scene, world.network
-    looks, places, paints, sold, parking = draws
-    taken = [placement.host_footprint(world_from_host(network, scene.camera))]
-    traffic = Traffic(network, scene.camera, scene.shot) if scene.shot.n_frames > 1 else None
-    parked = parking("parked")
-    cars: list[Car] = []
-    for number in range(looks("n")):
-        model, scale = looks("model"), looks("scale")
-        (color,) = zip(*looks.rows(("color",), 3), strict=True)
-        gloss = looks("gloss")
-        body = scene.assets.car_models[model - 1]
-        size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
+    # A stream for what was added since the paper's, so that it changes none of these.
+    looks, at, parking = of("cars"), of("cars", "car_places"), of("cars", "parked_cars")
+    added, speeds = (of("cars", "car_saturation"), of("cars", "car_palette")), of("motion", "car_speeds")
+    camera, parked, is_clip = scene.camera, parking("parked"), scene.shot.n_frames > 1
+    host = placement.host_footprint(world_from_host(network, camera))[None]
+
+    def way(lane: str, s_m: float, offset_m: float, size: Size, driven_m: Scalars) -> np.ndarray:
+        stations = np.full(driven_m.shape, s_m)
+        if driven_m.any():
+            stations = stations_after(network, network.path(lane), s_m, driven_m)
+        return placement.footprint(*placement.car_place(network, lane, stations, offset_m), *size)
+
+    def places(size: Size) -> Iterator[Place]:
         is_parked = parking.rng.random() < parked
-        drawn_m_s = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES)] if traffic else []
+        drawn_m_s = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES)] if is_clip else [0.0]
         for _ in range(TRIES):
-            s_m = places("s_m")
+            s_m = at("s_m")
             lanes = network.lanes_at(s_m * network.onwards)
-            lane = lanes[int(places.rng.random() * len(lanes))].id
-            offset_m = 0.0
+            lane, offset_m = lanes[int(at.rng.random() * len(lanes))].id, 0.0
             if is_parked and (found := _parking(network, s_m, size[1], parking.rng)):
                 lane, offset_m = found
-            place = placement.footprint(*placement.car_place(network, lane, s_m, offset_m), *size)
-            if placement.overlaps_any(place, np.array(taken)):
-                continue
-            speed_m_s = traffic.join(lane, s_m, offset_m, size, [0.0] if offset_m else drawn_m_s) if traffic else 0.0
-            if speed_m_s is not None:
-                break
-        else:
-            if number >= looks.least("n"):
-                break
-            raise InputError(f"cars.n: no room for car {number + 1} within cars.s_m of scene {scene.index}")
-        taken.append(place)
-        saturation = paints("saturation")
-        palette, (u_paint, u_shade) = sold("palette"), sold.rng.random(2)
-        if palette == "sold":
-            color, saturation = sold_color(body, u_paint, u_shade), 1.0
-        looks_of = {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}
-        cars.append(Car(**looks_of, lane=lane, s_m=s_m, offset_m=offset_m, speed_m_s=speed_m_s))
+            own = partial(way, lane, s_m, offset_m, size)
+            wanted = [0.0] if offset_m or not is_clip else [*drawn_m_s, *traffic.speeds]
+            if not is_clip or not placement.overlaps_any(own(np.zeros(1)), host):
+                yield Place({"lane": lane, "s_m": s_m, "offset_m": offset_m}, own, wanted)
+
+    own_lane = network.host_lane(camera.lane, camera.y_m).id
+    own_way = partial(way, own_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M)
+    traffic = Traffic(scene.shot, own_way if is_clip else lambda _: host)
+    cars = list[Car]()
+    for car in draw_cars(looks, scene.assets, traffic, places, added):
+        if car is None and len(cars) < looks.least("n"):
+            raise InputError(f"cars.n: no room for car {len(cars) + 1} within cars.s_m of scene {scene.index}")
+        if car is None:
+            break
+        cars.append(car)
     return tuple(cars)
 
 
@@ -83,13 +149,3 @@ def _parking(network: Network, s_m: float, width_m: float, rng: np.random.Genera
         return None
     offset_m = network.rightward * (road.lane_width_m + road.shoulder_m) / 2
     return outermost[int(rng.random() * len(outermost))], round(offset_m, DECIMALS)
-
-
-def car_look(looks: Draw, assets: Assets, model: int, scale: float) -> dict[str, object]:
-    """Model and colours of a car on a map."""
-    (color,) = zip(*looks.rows(("color",), 3), strict=True)
-    gloss, saturation, palette = looks("gloss"), looks("saturation"), looks("palette")
-    u_paint, u_shade = looks.rng.random(2)
-    if palette == "sold":
-        color, saturation = sold_color(assets.car_models[model - 1], u_paint, u_shade), 1.0
-    return {"model": model, "scale": scale, "color": color, "gloss": gloss, "saturation": saturation}

@@ -65,6 +65,10 @@ class Draw:
         """The least value that a parameter of the group may have, in its own unit."""
         return extent(getattr(self.group, key))[0]
 
+    def part(self, kind: Any) -> Any:
+        """A part of a scene whose fields are one parameter of the group each."""
+        return kind(**{field: self(field.replace("_rad", "_deg")) for field in kind.model_fields})
+
     def rows(self, keys: tuple[str, ...], n: int) -> list[tuple[Any, ...]]:
         """`n` draws of several parameters, row by row."""
         numbers = self.rng.random((n, len(keys)))

@@ -8,14 +8,14 @@ from typing import TypeVar
 import numpy as np
 
 from synth3dlanes.draw.draws import DECIMALS, Draw
-from synth3dlanes.draw.roadside import FRONTS, ROOFS, floor_plan, shaded
+from synth3dlanes.draw.roadside import coloured, floor_plan
 from synth3dlanes.roads.maps.elements import OVERHEAD_M, GivenBody, GivenElement, GivenRail
 from synth3dlanes.roads.maps.part import MapPart
+from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.roadside import MAX_BUILDINGS, MAX_RAILS, Building, Rail, Roadside
-from synth3dlanes.scene.scene import Tree
+from synth3dlanes.scene.scene import Scene, Tree
 from synth3dlanes.scene.traffic_elements import MAX_FREE, Phase, SignalState, TrafficSign, TrafficSignal
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.world import World
 
 # Poles keep this far from the pavement of traffic. One that a file has on it stands beside it, so far at most, and
 # holds an arm over it.
@@ -34,12 +34,12 @@ RAIL_STEP_M = 10.0
 WALL_M, TRUNK_M = 0.3, 0.6
 
 
-def stand(part: MapPart, world: World, draw: Draw) -> Roadside:
+def stand(part: MapPart, scene: Scene, ground: Ground, draw: Draw) -> Roadside:
     """The signals, signs and buildings of a part of a map. One group of signals of each junction has its turn: in
     clips, in which the phases do not change, that of the host's way, else any."""
     rng = draw.rng
-    show = _shown(part.elements, frozenset(part.map.route), world.scene.shot.n_frames > 1, rng)
-    placed = _mounted([_moved(item.element, world.ground) for item in part.elements])
+    show = _shown(part.elements, frozenset(part.map.route), scene.shot.n_frames > 1, rng)
+    placed = _mounted([_moved(item.element, ground) for item in part.elements])
     signals, signs = list[TrafficSignal](), list[TrafficSign]()
     for item, state in zip(placed, show, strict=True):
         if isinstance(item, TrafficSign):
@@ -47,19 +47,19 @@ def stand(part: MapPart, world: World, draw: Draw) -> Roadside:
         elif item is not None:
             signals.append(item.model_copy(update={"phases": (Phase(state=state),)}))
     buildings = [_building(body, rng) for body in part.bodies if body.kind == "building"]
-    clear = [at for at in buildings if world.ground.is_clear(floor_plan(at), WALL_M).all()]
+    clear = [at for at in buildings if ground.is_clear(floor_plan(at), WALL_M).all()]
     return Roadside(
-        rails=_rails(part, world),
+        rails=_rails(part, ground.network),
         signals=_nearest(signals, MAX_FREE),
         signs=_nearest(signs, MAX_FREE),
         buildings=_nearest(clear, MAX_BUILDINGS),
     )
 
 
-def _rails(part: MapPart, world: World) -> tuple[Rail, ...]:
+def _rails(part: MapPart, network: Network) -> tuple[Rail, ...]:
     """The barriers of the roads of a scene, which are fewer than those of the part; as many as a scene may have, those
     nearest to the host."""
-    roads = {road.id: road for road in world.network.roads}
+    roads = {road.id: road for road in network.roads}
 
     def away_m(item: GivenRail) -> float:
         s = np.linspace(item.from_m, item.to_m, 2 + int((item.to_m - item.from_m) / RAIL_STEP_M))
@@ -83,11 +83,11 @@ def _nearest(items: Sequence[T], most: int) -> tuple[T, ...]:
     return tuple(sorted(items, key=lambda at: math.hypot(at.x_m, at.y_m))[:most])
 
 
-def map_trees(part: MapPart, world: World, looks: Draw) -> tuple[Tree, ...]:
+def map_trees(part: MapPart, scene: Scene, ground: Ground, looks: Draw) -> tuple[Tree, ...]:
     """The trees of a part of a map, as high as there; where they would stand on pavement they are left out."""
-    models, found = world.scene.assets.tree_models, list[Tree]()
+    models, found = scene.assets.tree_models, list[Tree]()
     for body in part.bodies:
-        if body.kind == "tree" and world.ground.is_clear(np.array([[body.x_m, body.y_m]]), TRUNK_M)[0]:
+        if body.kind == "tree" and ground.is_clear(np.array([[body.x_m, body.y_m]]), TRUNK_M)[0]:
             model, yaw_rad = looks("model"), looks("yaw_deg")
             scale = round(body.size_m[2] / models[model - 1].height_m, DECIMALS)
             found.append(Tree(model=model, x_m=body.x_m, y_m=body.y_m, yaw_rad=yaw_rad, scale=scale))
@@ -158,15 +158,6 @@ def _mounted(items: Sequence[TrafficSignal | TrafficSign]) -> list[TrafficSignal
 
 
 def _building(body: GivenBody, rng: np.random.Generator) -> Building:
-    length_m, width_m, height_m = (round(size, DECIMALS) for size in body.size_m)
-    return Building(
-        kind="block",
-        x_m=body.x_m,
-        y_m=body.y_m,
-        yaw_rad=round(math.remainder(body.heading_rad - math.pi / 2, 2 * math.pi), DECIMALS),
-        width_m=width_m,
-        length_m=length_m,
-        height_m=height_m,
-        color=shaded(rng, FRONTS),
-        roof=shaded(rng, ROOFS),
-    )
+    length_m, width_m, height_m = body.size_m
+    yaw_rad = math.remainder(body.heading_rad - math.pi / 2, 2 * math.pi)
+    return coloured("block", (body.x_m, body.y_m), yaw_rad, (width_m, length_m, height_m), rng)

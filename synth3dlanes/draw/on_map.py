@@ -1,30 +1,39 @@
-"""What is drawn on a given map: the host's place and speed, and the cars around it. World frame, metres."""
+"""The makers of roads that are a map: of a given one, the host's place on it; of all, its speed and the cars around
+it. World frame, metres."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.draw.cars import CAR_GAP_M, car_look
-from synth3dlanes.draw.draws import DECIMALS, Draw
-from synth3dlanes.draw.traffic import CHECK_EVERY_S, SPEED_TRIES
-from synth3dlanes.params.distributions import Choice, Uniform
+from synth3dlanes.draw.cars import SPEED_TRIES, Place, Size, Traffic, Way, draw_cars
+from synth3dlanes.draw.draws import DECIMALS, DrawsOf
+from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, first_shot
+from synth3dlanes.draw.map_standing import map_trees, stand
+from synth3dlanes.draw.map_terrain import terrain_of
+from synth3dlanes.params.distributions import extent
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.map_roads import map_network
 from synth3dlanes.roads.maps.given_map import GivenMap, read_map
 from synth3dlanes.roads.maps.part import MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.roads.section_road import CrossSection
-from synth3dlanes.scene.host import Shot
-from synth3dlanes.scene.road_map import LaneName, MapRoad
-from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.assets.catalogue import Assets
+from synth3dlanes.scene.host import Camera, Shot
+from synth3dlanes.scene.road_map import LaneName, MapRoad, RoadMap
+from synth3dlanes.scene.roadside import Roadside
+from synth3dlanes.scene.scene import Car, Scene, Tree
+from synth3dlanes.scene.town import Town
 from synth3dlanes.system.streams import stream
 from synth3dlanes.world import placement
-from synth3dlanes.world.world import World
+from synth3dlanes.world.ground import Ground
 
 # Draws of a place for each car; lanes of the host's roads are so many times as likely as others.
 TRIES, LIKELIER = 60, 3.0
@@ -32,6 +41,18 @@ TRIES, LIKELIER = 60, 3.0
 SIDEWAYS, BEND_M = 3.0, 4.0
 # What is left of a way at the end of a clip, and the narrowest lane with cars.
 LEFT_M, NARROW_M = 6.0, 2.2
+
+
+def map_roads(of: DrawsOf, roads: RoadMap, camera: Camera, shot: Shot, stand: Stand, town: Town | None = None) -> Roads:
+    """A map with the host on its route, on a terrain that meets the heights of the map's roads. In a clip the host
+    drives no faster than the bends and the end of its way allow; cars drive along the lanes."""
+    terrain = terrain_of(roads, draw_hills(of("terrain")))
+    network = map_network(roads, terrain, camera.y_m)
+    if shot.speed_m_s and not shot.track:
+        speed_m_s = _allowed(network.way, camera.y_m, shot.speed_m_s, shot.duration_s)
+        shot = shot.model_copy(update={"speed_m_s": speed_m_s})
+    fields = {"terrain": terrain, "road": None, "map": roads, "town": town, "camera": camera, "shot": shot}
+    return Roads(network, fields, stand, drive=lambda scene, ground: cars_on_map(scene, network, of))
 
 
 class MapPlace(NamedTuple):
@@ -43,6 +64,19 @@ class MapPlace(NamedTuple):
     def draw(self, rng: np.random.Generator) -> MapPart:
         """The part of the map around the place, or around one that is drawn."""
         return part_around(self.map, self.at or draw_place(self.map, rng), rng)
+
+    def roads(self, of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
+        """The maker of a given map: a place on it with what its file says of what stands there."""
+        shot, part = first_shot(shots, of("motion")), self.draw(stream(*of.drawn, "map"))
+        camera = draw_camera(of("camera"), 1, host_length(part))
+
+        def beside(scene: Scene, ground: Ground) -> Roadside:
+            return stand(part, scene, ground, of("roadside", "map_standing"))
+
+        def grow(scene: Scene, ground: Ground, trees: tuple[Tree, ...]) -> tuple[Tree, ...]:
+            return (*trees, *map_trees(part, scene, ground, of("trees", "map_trees")))
+
+        return replace(map_roads(of, part.map, camera, shot, beside), grow=grow, has_to_fit=False)
 
     def description(self) -> dict[str, object]:
         """The part of `dataset.json` that says which map."""
@@ -85,23 +119,15 @@ def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
     return float(np.hypot(*steps.T).sum())
 
 
-def slowed(network: MapNetwork, at_m: float, shot: Shot) -> Shot:
-    """The shot of a host that drives no faster than the bends and the end of its way allow."""
-    speed_m_s = shot.speed_m_s
-    if speed_m_s:
-        speed_m_s = _allowed(network.way, at_m, speed_m_s, shot.duration_s)
-    return shot.model_copy(update={"speed_m_s": speed_m_s})
-
-
-def red_lines(world: World, network: MapNetwork) -> dict[LaneName, float]:
+def red_lines(scene: Scene, network: MapNetwork) -> dict[LaneName, float]:
     """Where traffic may not go on, by lanes, as stations of their roads: at the stop lines of signals that are neither
     green nor off, or where the junction begins."""
-    roads = world.scene.map
+    roads = scene.map
     assert roads is not None, "asked only of maps"
     lines = {at.lane: at.s_m for at in roads.paint if at.kind == "stop_line" and at.lane is not None}
     inside = {road.id for road in roads.roads if road.junction is not None}
     found: dict[LaneName, float] = {}
-    for signal in world.scene.roadside.signals:
+    for signal in scene.roadside.signals:
         if signal.state_at(0.0) not in ("green", "off"):
             for name in signal.lanes:
                 if name in network.lanes:
@@ -131,52 +157,36 @@ def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, l
     return round(float(fastest), 3)
 
 
-def draw_map_cars(world: World, network: MapNetwork, looks: Draw, speeds: Draw, reach_m: float) -> tuple[Car, ...]:
-    """Cars in the lanes within a distance of the host, which in a clip keep a speed through lanes that follow each
-    other and touch nobody; those without room are left out."""
-    shot, rng = world.scene.shot, looks.rng
-    times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
-    host_m = world.scene.camera.y_m + shot.speed_m_s * times_s
-    host = _footprints(network.way, host_m, world.scene.camera.offset_m, placement.HOST_SIZE_M)
-    taken, cars = [host], list[Car]()
-    near, chances = _near(world, network, reach_m)
-    lines = red_lines(world, network)
-    if not near:
-        return ()
-    for _ in range(looks("n")):
-        model, scale = looks("model"), looks("scale")
-        look = car_look(looks, world.scene.assets, model, scale)
-        body = world.scene.assets.car_models[model - 1]
-        size = body.length_m * scale + CAR_GAP_M[0], body.width_m * scale + CAR_GAP_M[1]
+def cars_on_map(scene: Scene, network: MapNetwork, of: DrawsOf) -> tuple[Car, ...]:
+    """Cars in the lanes as near to the host as stations of `cars.s_m` are to the paper's, which in a clip keep a speed
+    through lanes that follow each other and touch nobody; those without room are left out."""
+    shot, camera, is_clip = scene.shot, scene.camera, scene.shot.n_frames > 1
+    looks, speeds = of("cars", "map_cars"), of("motion", "car_speeds")
+    near, chances = _near(scene, network, max(map(abs, extent(of.params.cars.s_m))))
+    lines, rng = red_lines(scene, network), looks.rng
+
+    def own(way: LaneCurve, at_m: float, offset_m: float, size: Size) -> Way:
+        return lambda driven_m: _footprints(way, at_m + driven_m, offset_m, size)
+
+    def places(size: Size) -> Iterator[Place]:
         for _ in range(TRIES):
             lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
             s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), DECIMALS)
-            route = _onward(network, lane, rng) if shot.n_frames > 1 else ()
+            route = _onward(network, lane, rng) if is_clip else ()
             way = network.way_through([lane, *(network.lanes[name] for name in route)])
             at_m = way.pieces[0].station(s_m)
             line_m = _line_ahead(way, lines, at_m + size[0] / 2) - size[0] / 2
-            found = None
-            for wish_m_s in [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if shot.n_frames > 1 else [0.0]:
-                speed_m_s = _allowed(way, at_m, wish_m_s, shot.duration_s, line_m) if wish_m_s else 0.0
-                path = _footprints(way, at_m + speed_m_s * times_s, 0.0, size)
-                if not any(placement.overlaps_any(path, other) for other in taken):
-                    found = speed_m_s
-                    break
-            if found is not None:
-                taken.append(path)
-                cars.append(Car(**look, lane=lane.id, s_m=s_m, speed_m_s=found, route=route))
-                break
-    return tuple(cars)
+            wishes = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if is_clip else [0.0]
+            possible = [_allowed(way, at_m, wish, shot.duration_s, line_m) if wish else 0.0 for wish in wishes]
+            yield Place({"lane": lane.id, "s_m": s_m, "route": route}, own(way, at_m, 0.0, size), possible)
+
+    traffic = Traffic(shot, own(network.way, camera.y_m, camera.offset_m, placement.HOST_SIZE_M))
+    return tuple(filter(None, draw_cars(looks, scene.assets, traffic, places))) if near else ()
 
 
-def farthest(s_m: Uniform | Choice[float]) -> float:
-    """The greatest distance from the host that stations of cars have."""
-    return max(map(abs, s_m.values if isinstance(s_m, Choice) else (s_m.low, s_m.high)))
-
-
-def _near(world: World, network: MapNetwork, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:
+def _near(scene: Scene, network: MapNetwork, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:
     """Lanes of traffic near the host, and the sums of their chances."""
-    foot = network.host_points(world.scene.camera, np.zeros(1))[0, :2]
+    foot = network.host_points(scene.camera, np.zeros(1))[0, :2]
     own = {lane.road for lane in network.way.lanes}
     found, chances = [], []
     for lane in network.lanes.values():

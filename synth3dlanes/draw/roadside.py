@@ -1,4 +1,4 @@
-"""World -> Roadside: draw what stands beside and over the road, clear of every pavement. Stations of the roads' lines.
+"""Ground -> Roadside: draw what stands beside and over the road, clear of every pavement. Stations of the roads' lines.
 
 Rails fill the stretches of an edge that are free: along the outer edges of the roads, and between roads that part once
 there is room for them.
@@ -24,10 +24,10 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.rails import KERBS, RAILS
 from synth3dlanes.world.roadside import Footprints, footprints
 from synth3dlanes.world.sign_faces import FACES, SIGNS
-from synth3dlanes.world.world import World
 
 Rng = np.random.Generator
 Place = Literal["left", "right", "inner"]
+BuildingKind = Literal["house", "hall", "block"]
 
 DECIMALS, TRIES = 3, 30
 # Stations from behind the host to where rails cannot be told from the road, and the least length of a rail.
@@ -47,7 +47,6 @@ WALLS = ((0.33, 0.31, 0.28), (0.12, 0.16, 0.1), (0.2, 0.13, 0.08), (0.25, 0.26, 
 FRONTS = ((0.6, 0.58, 0.52), (0.5, 0.4, 0.24), (0.32, 0.13, 0.09), (0.4, 0.39, 0.37), (0.55, 0.5, 0.38))
 ROOFS = ((0.22, 0.06, 0.035), (0.09, 0.08, 0.08), (0.14, 0.08, 0.05), (0.2, 0.2, 0.21))
 BOARDS, WOOD = ((0.005, 0.15, 0.07), (0.01, 0.07, 0.33)), (0.11, 0.08, 0.055)
-BuildingKind = Literal["house", "hall", "block"]
 BUILDINGS: tuple[BuildingKind, ...] = ("house", "hall", "block")
 
 
@@ -79,10 +78,10 @@ class Edge(NamedTuple):
     high_m: float = np.inf
 
 
-def draw_roadside(world: World, draw: Draw, own: Draw) -> Roadside:
+def draw_roadside(ground: Ground, draw: Draw, own: Draw) -> Roadside:
     """All structures of one scene, their kinds and numbers by `draw`, their places and sizes by `own`; those that find
     no room in a few tries are left out."""
-    ground, rng = world.ground, draw.rng
+    rng = draw.rng
     lamp_aside_m, delineator_aside_m = own("lamp_aside_m"), own("delineator_aside_m")
     signs_apart_m, crossings_apart_m = own("signs_apart_m"), own("crossings_apart_m")
     kinds: dict[Place, Any] = {"left": draw("outer"), "right": draw("outer"), "inner": draw("inner")}
@@ -100,9 +99,9 @@ def draw_roadside(world: World, draw: Draw, own: Draw) -> Roadside:
                 height_m = RAILS[on_ramp].height_m or wall_m
                 rails += _rails(ground, edge, RailDraw(on_ramp, RAISED_ASIDE_M, height_m, color), True)
     rails += _median_rail(ground, draw("median"), shaded(rng, GRAYS))
-    crossings = _crossings(world, "bridge", draw("n_bridges"), draw("clearance_m"), crossings_apart_m, rng, own, [])
+    crossings = _crossings(ground, "bridge", draw("n_bridges"), draw("clearance_m"), crossings_apart_m, rng, own, [])
     crossings += _crossings(
-        world, "gantry", draw("n_gantries"), draw("clearance_m"), crossings_apart_m, rng, own, crossings
+        ground, "gantry", draw("n_gantries"), draw("clearance_m"), crossings_apart_m, rng, own, crossings
     )
     behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
     lamp_sides, spacing_m, height_m = draw("lamps"), draw("lamp_spacing_m"), draw("lamp_height_m")
@@ -272,7 +271,7 @@ def _signs(
 
 
 def _crossings(
-    world: World,
+    ground: Ground,
     kind: Literal["gantry", "bridge"],
     n: int,
     clearance_m: float,
@@ -282,7 +281,7 @@ def _crossings(
     others: list[Crossing],
 ) -> list[Crossing]:
     """Crossings with a span of plausible length, apart from each other, whose dams end clear of all pavements."""
-    ground, found = world.ground, list(others)
+    found = list(others)
     for _ in range(n):
         for _ in range(TRIES):
             s_m = _ahead(ground, rng, own, "crossing_ahead_m")
@@ -327,17 +326,8 @@ def _building(
         (x, y), ahead = beside(ground, ground.network.main.id, side, s, far_m)
         turn = rng.normal(0, 0.06) + np.pi / 2 * int(rng.random() * 2)
         yaw_rad = float(np.arctan2(x - ahead[0], ahead[1] - y) + turn)
-        building = Building(
-            kind=kind,
-            x_m=round(float(x), DECIMALS),
-            y_m=round(float(y), DECIMALS),
-            yaw_rad=round(yaw_rad, 6),
-            width_m=width_m,
-            length_m=length_m,
-            height_m=height_m,
-            color=shaded(rng, FRONTS),
-            roof=shaded(rng, ROOFS),
-        )
+        x, y = (round(float(value), DECIMALS) for value in (x, y))
+        building = coloured(kind, (x, y), yaw_rad, (width_m, length_m, height_m), rng)
         outline = floor_plan(building)
         if not (
             taken.clear(outline, 2.0) & footprints(ground, Roadside(buildings=tuple(others))).clear(outline, 2.0)
@@ -354,6 +344,17 @@ def building_size(own: Draw, kind: BuildingKind, rng: Rng) -> tuple[float, float
     """The width, length and height of the walls of a building, in metres."""
     width_m, length_m, height_m = (own.at(f"{kind}_{of}_m", rng.random()) for of in ("width", "length", "height"))
     return width_m, length_m, height_m
+
+
+def coloured(
+    kind: BuildingKind, xy: tuple[float, float], yaw_rad: float, sizes_m: tuple[float, float, float], rng: Rng
+) -> Building:
+    """A building with the colours of its walls and roof drawn; `sizes_m` are its width, its length and their height."""
+    width_m, length_m, height_m = (round(size_m, 6) for size_m in sizes_m)
+    x_m, y_m, yaw_rad = round(xy[0], 6), round(xy[1], 6), round(yaw_rad, 6)
+    sizes = {"width_m": width_m, "length_m": length_m, "height_m": height_m}
+    colors = {"color": shaded(rng, FRONTS), "roof": shaded(rng, ROOFS)}
+    return Building(kind=kind, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, **sizes, **colors)
 
 
 def floor_plan(building: Building) -> Float[np.ndarray, "n 2"]:

@@ -3,10 +3,9 @@
 from synth3dlanes.draw.draws import DECIMALS, Draw
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
-from synth3dlanes.scene.scene import Symbol
+from synth3dlanes.scene.scene import Scene, Symbol
 from synth3dlanes.system.schema import SymbolKind
 from synth3dlanes.world.symbols import LENGTHS_M, gore_of
-from synth3dlanes.world.world import World
 
 # Draws of a place for each symbol.
 TRIES = 300
@@ -20,9 +19,8 @@ PAVED = 2
 SYMBOL_GAP_M, PARTING_GAP_M = 1.0, 8.0
 
 
-def draw_symbols(world: World, draw: Draw) -> tuple[Symbol, ...]:
+def draw_symbols(scene: Scene, network: Network, draw: Draw) -> tuple[Symbol, ...]:
     """Symbols that do not overlap along the road; those without room are left out, and a gore on a gravel shoulder."""
-    network = world.network
     partings = [(at.start_m, at.parting.station(0.0)) for at in network.branches(network.main) if at.parting]
     asked: dict[SymbolKind, int] = {"crosswalk": draw("crosswalks"), "stop_line": draw("stop_lines")}
     n_arrow_rows, gore = draw("arrow_rows"), draw("gore")
@@ -53,7 +51,7 @@ def draw_symbols(world: World, draw: Draw) -> tuple[Symbol, ...]:
             lanes = [lane for lane in network.lanes_at(s_m * network.onwards) if lane.direction == "same"]
             symbols += [Symbol(kind=_arrow(network, lane, turns), lane=lane.id, s_m=s_m) for lane in lanes]
     hatched = gore_of(network)
-    if gore and hatched is not None and world.scene.surface.shoulder_texture == PAVED:
+    if gore and hatched is not None and scene.surface.shoulder_texture == PAVED:
         symbols.append(Symbol(kind="gore", lane=None, s_m=round(hatched[1] * network.onwards, DECIMALS)))
     return tuple(symbols)
 

@@ -1,4 +1,4 @@
-"""World -> Roadside: draw the signals over lanes of gantries, and the signs before exits. Stations of the main road."""
+"""Ground -> Roadside: signals over the lanes of gantries, and signs before exits. Stations of the main road."""
 
 import numpy as np
 
@@ -8,10 +8,10 @@ from synth3dlanes.roads.roads import NetworkLane, Side
 from synth3dlanes.scene.roadside import Crossing, Roadside
 from synth3dlanes.scene.traffic_elements import LaneSignal, LaneState, SignKind, TrafficSign
 from synth3dlanes.world.beside import beside, frames_beside
+from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.mounted import board_size
 from synth3dlanes.world.roadside import footprints
 from synth3dlanes.world.sign_faces import SIGN_FACES
-from synth3dlanes.world.world import World
 
 DECIMALS, ANGLE_DECIMALS, TRIES = 3, 6, 12
 # How far from the edge of the pavement, or from a rail before it, a sign stands, and how far over a wall.
@@ -20,13 +20,13 @@ ASIDE_M, BEHIND_RAIL_M, OVER_WALL_M = 1.0, 0.9, 0.3
 ROOM_M, APART_M, NEAR_M = 0.6, 4.0, (-30.0, 180.0)
 
 
-def draw_elements(world: World, roadside: Roadside, draw: Draw, own: Draw) -> Roadside:
+def draw_elements(ground: Ground, roadside: Roadside, draw: Draw, own: Draw) -> Roadside:
     """The roadside with its signals and signs that govern lanes of their own."""
-    crossings = tuple(_with_signals(world.network, crossing, draw) for crossing in roadside.crossings)
+    crossings = tuple(_with_signals(ground.network, crossing, draw) for crossing in roadside.crossings)
     drawn = roadside.model_copy(update={"crossings": crossings})
     has_signs, rng = draw("exit_signs"), draw.rng
     numbers = rng.random((TRIES, 3))
-    signs = _exit_sign(world, drawn, numbers, own) if has_signs else ()
+    signs = _exit_sign(ground, drawn, numbers, own) if has_signs else ()
     return drawn.model_copy(update={"signs": signs})
 
 
@@ -46,9 +46,9 @@ def _possible(state: LaneState, lane: NetworkLane, beside: set[str]) -> LaneStat
     return state if not to_right or f"{lane.section}_{lane.number + to_right}" in beside else "red_cross"
 
 
-def _exit_sign(world: World, roadside: Roadside, numbers: np.ndarray, own: Draw) -> tuple[TrafficSign, ...]:
+def _exit_sign(ground: Ground, roadside: Roadside, numbers: np.ndarray, own: Draw) -> tuple[TrafficSign, ...]:
     """A sign beside the road before an exit that points to it, on its side; none where there is no room."""
-    network, ground = world.network, world.ground
+    network = ground.network
     leaving = [
         (network.lanes[before], network.lanes[after])
         for before, after in network.links

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from synth3dlanes.draw.draws import Draw
-from synth3dlanes.scene.scene import Tree
+from synth3dlanes.draw.draws import DrawsOf
+from synth3dlanes.scene.scene import Scene, Tree
 from synth3dlanes.system.errors import InputError
+from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.roadside import footprints
-from synth3dlanes.world.world import World
 
 # Draws of places for all trees that have none yet.
 TRIES = 300
@@ -14,27 +14,18 @@ TRIES = 300
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
-def draw_trees(world: World, looks: Draw, places: Draw) -> tuple[Tree, ...]:
-    """The trees of a world; raise InputError where there is no room in their ranges."""
-    trees, asked = trees_with_room(world, looks, places)
-    if len(trees) < asked:
-        raise InputError(
-            f"trees.x_m, trees.y_m: no room off the roads for {asked - len(trees)} trees of scene {world.scene.index}"
-        )
-    return trees
-
-
-def trees_with_room(world: World, looks: Draw, places: Draw) -> tuple[tuple[Tree, ...], int]:
-    """The trees of a world that there is room for in their ranges, and how many were asked for."""
+def draw_trees(scene: Scene, ground: Ground, of: DrawsOf, has_to_fit: bool) -> tuple[Tree, ...]:
+    """The trees of a scene. Those for which there is no room in their ranges are left out, or raise InputError."""
+    looks, places = of("trees"), of("trees", "tree_places")
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
-    models = world.scene.assets.tree_models
+    models = scene.assets.tree_models
     trees: list[Tree] = []
-    structures = footprints(world.ground, world.scene.roadside)
+    structures = footprints(ground, scene.roadside)
     for _ in range(TRIES):
         if len(trees) == len(drawn):
             break
         xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
-        clear = world.ground.clearance(xy)
+        clear = ground.clearance(xy)
         stands = structures.clear(xy, TREE_GAP_M)
         for (x, y), clearance_m, is_free in zip(xy.tolist(), clear.tolist(), stands.tolist(), strict=True):
             if len(trees) == len(drawn):
@@ -43,4 +34,7 @@ def trees_with_room(world: World, looks: Draw, places: Draw) -> tuple[tuple[Tree
             gap_m = TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m
             if is_free and clearance_m >= gap_m:
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
-    return tuple(trees), len(drawn)
+    if has_to_fit and len(trees) < len(drawn):
+        missing = len(drawn) - len(trees)
+        raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {scene.index}")
+    return tuple(trees)

@@ -10,7 +10,7 @@ from typing import Any
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.draw.traffic import check_way
+from synth3dlanes.draw.makers import check_way
 from synth3dlanes.params.cameras import black_pictures
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast

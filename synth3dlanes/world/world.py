@@ -198,10 +198,6 @@ class World:
         """Another picture of the same site: the scene differs in camera, shot and lidar alone."""
         return World(scene, self.site)
 
-    def furnished(self, scene: Scene) -> "World":
-        """Other things on the same ground: the scene differs in what stands and drives there."""
-        return World(scene, replace(self.site, trees=scene.trees, roadside=scene.roadside))
-
     def paint(self, view: View) -> dict[str, Mesh]:
         """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
         return paint_meshes(self.ground, self.site.lines, view.eye_world, self.scene.stream)
@@ -235,21 +231,29 @@ class World:
         return found if len(found.shade) else None
 
 
-def resolve(scene: Scene, network: Network | None = None) -> World:
-    """Resolve a scene into its world; `network` is that of its road, where it is known."""
-    network, shot, camera = network or scene_network(scene), scene.shot, scene.camera
+def resolve(scene: Scene) -> World:
+    """Resolve a scene into its world."""
+    return world_on(surfaces_of(scene, scene_network(scene)), scene)
+
+
+def world_on(surfaces: Surfaces, scene: Scene) -> World:
+    """The world of a scene whose surfaces are known."""
+    return World(scene, Site(surfaces, scene.trees, scene.roadside))
+
+
+def surfaces_of(scene: Scene, network: Network) -> Surfaces:
+    """The surfaces of a scene around its host, whatever stands and drives there."""
+    shot, camera = scene.shot, scene.camera
     network = network.around(network.host_points(camera, np.zeros(1))[0, :2], AROUND_HOST_M)
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
-    place, furniture = (driven_m, shot.behind_m > 0), (scene.trees, scene.roadside)
+    place = driven_m, shot.behind_m > 0
     # Nothing else asks for the kind of a network.
     if scene.map is not None and isinstance(network, MapNetwork):
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
         around = camera.y_m, scene.markings, replace(hills, center_world=(x, y))
-        map_ground = MapGround(*around, *place, network=network, islands=scene.map.islands)
-        return World(scene, Site(MapSurfaces(map_ground), *furniture))
-    ground = Ground(network, camera.y_m, scene.markings, hills, *place)
-    return World(scene, Site(Surfaces(ground), *furniture))
+        return MapSurfaces(MapGround(*around, *place, network=network, islands=scene.map.islands))
+    return Surfaces(Ground(network, camera.y_m, scene.markings, hills, *place))
 
 
 def scene_network(scene: Scene) -> Network:

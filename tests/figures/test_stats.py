@@ -8,7 +8,8 @@ import pytest
 from rich.console import Console
 
 from synth3dlanes.draw.draws import draws_of
-from synth3dlanes.draw.sample import Scenes, _road, sample_scene
+from synth3dlanes.draw.paper import draw_road
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.histograms import _of_labels, declared_shares, histograms
 from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
@@ -71,7 +72,7 @@ def test_three_per_cent_of_the_roads_with_other_lanes_are_found():
     params = load_params("streets", ["cars.n=0", *FEW["streets"]])
     scene = sample_scene(Scenes(params), 0)
     bare = scene.model_copy(update={"camera": scene.camera.model_copy(update={"lane": 1}), "cars": ()})
-    drawn = (_road(draws_of(params, "road", (2, "train", index), None)) for index in range(6000))
+    drawn = (draw_road(draws_of(params, "road", (2, "train", index), None)) for index in range(6000))
     scenes = [bare.model_copy(update={"road": road}) for road in drawn]
     fine = {row.key: is_fine(row) for row in scene_statistics(scenes, params).parameters}
     assert [fine[f"road.{key}"] for key in ("n_lanes", "n_oncoming", "median_m")] == [True] * 3

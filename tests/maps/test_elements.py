@@ -125,7 +125,7 @@ def test_a_lone_light_is_red_and_cars_of_a_clip_stop_before_it() -> None:
     seen = []
     for index in range(4):
         world = world_of(given, 12, "1:260:1", index)
-        lines = red_lines(world, world.network)  # type: ignore[arg-type]
+        lines = red_lines(world.scene, world.network)  # type: ignore[arg-type]
         duration_s = world.scene.shot.duration_s
         for car in world.scene.cars:
             half_m = world.scene.assets.car_models[car.model - 1].length_m * car.scale / 2

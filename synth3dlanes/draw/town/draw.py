@@ -1,22 +1,37 @@
-"""How a town is drawn: its values, its map with the host's way, and the cars on it."""
+"""The maker of towns: their values, the map with the host's way, and the cars on it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.draw.cars import car_look
-from synth3dlanes.draw.draws import DECIMALS, Draw
+from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
+from synth3dlanes.draw.makers import Roads, draw_camera, draw_hills, first_shot
+from synth3dlanes.draw.on_map import map_roads
+from synth3dlanes.draw.town.furniture import furnish, street_trees
 from synth3dlanes.draw.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.draw.town.layout import TownMap, lay_out
 from synth3dlanes.draw.town.plan import poses
 from synth3dlanes.draw.town.streets import LANES, PARKING_M
-from synth3dlanes.draw.town.traffic import CarBody, HostPlan, MovingCar, TownDrive, body_places, plan_host, simulate
-from synth3dlanes.scene.assets.catalogue import Assets
+from synth3dlanes.draw.town.traffic import (
+    CarBody,
+    HostPlan,
+    MovingCar,
+    TownDrive,
+    body_places,
+    plan_host,
+    simulate,
+)
+from synth3dlanes.params.shots import Shots
+from synth3dlanes.scene.assets.catalogue import Assets, CarModel
 from synth3dlanes.scene.host import Shot
-from synth3dlanes.scene.scene import Car, Markings, Terrain
+from synth3dlanes.scene.roadside import Roadside
+from synth3dlanes.scene.scene import Car, Markings, Scene, Terrain, Tree
 from synth3dlanes.scene.town import ROUNDABOUTS, Town
+from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.placement import footprint, overlaps_any
 
 # Least distance of parked cars from the ends of a parking lane, and their greatest length.
@@ -24,77 +39,79 @@ BAY_END_M, SHORT_M = 4.0, 5.4
 N_BENDS = 4
 # Cars that are farther from the host's place are left out: parked ones, and those that drive.
 PARKED_M, MOVING_M = 90.0, 160.0
-# Draws of a model until one is short enough.
-TRIES = 30
+# Draws of a model until one is short enough; vehicles longer than this go straight on only.
+TRIES, LONG_M = 30, 6.5
 # Bodies whose middles are farther apart do not touch.
 NEAR_M = 16.0
-LONG_M = 6.5
 
 
 class DrawnTown(NamedTuple):
-    """A town with the host's way and its place on it."""
+    """A town with the host's way, its place on it, and the lines of all lanes."""
 
     map: TownMap
     host: HostPlan
+    lines: LaneLines
+
+
+def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
+    """A town, its traffic up to where the host is at its place, and what stands along its streets."""
+    own, layout = of("town_streets"), of("town", "town_layout").rng
+    bay_m, trees_apart_m = own("bay_m"), own("trees_apart_m")
+    town_map = lay_out(town_of(of("town")), of("markings").part(Markings), own, layout)
+    lines = LaneLines(town_map)
+    host = plan_host(town_map, lines, own, layout)
+    camera, hills = draw_camera(of("camera"), 1, round(host.at_m, DECIMALS)), draw_hills(of("terrain"))
+    town = DrawnTown(town_map, host._replace(offset_m=camera.offset_m), lines)
+    shot, flow, looks = first_shot(shots, None), of("town", "town_flow"), of("cars", "town_cars")
+    bodies = of("cars", "town_traffic")
+
+    def body(may_be_long: bool) -> CarBody:
+        return _body(bodies, assets, lambda body, _: may_be_long or body.length_m <= LONG_M)[0]
+
+    traffic = simulate(town_map, town.host, body, flow("traffic"), shot.duration_s, own, bodies.rng)
+
+    def stand(scene: Scene, ground: Ground) -> Roadside:
+        return furnish(
+            town_map, traffic.lights, ground, of("town", "town_fronts"), of("roadside"), of("structures"), own
+        )
+
+    def drive(scene: Scene, ground: Ground) -> tuple[Car, ...]:
+        moving = _cars_of(town, traffic, scene.terrain, looks, assets)
+        return moving + _parked_cars(town, traffic, flow("parked"), bay_m, looks, assets)
+
+    def grow(scene: Scene, ground: Ground, trees: tuple[Tree, ...]) -> tuple[Tree, ...]:
+        draws = of("town", "town_trees"), trees_apart_m, of("trees", "street_trees")
+        return (*street_trees(town_map, ground, scene.roadside, *draws), *trees)
+
+    shot = _shot_of(town, traffic, shot, hills)
+    roads = map_roads(of, town_map.road_map(host.lanes), camera, shot, stand, town_map.town)
+    return replace(roads, drive=drive, grow=grow)
 
 
 def town_of(draw: Draw) -> Town:
     """The values of a town. Roundabouts have their own number of lanes and no turn lanes; side streets are no wider
     than the main one; only streets of one lane are equal."""
-    keys = [key for key in Town.model_fields if key != "bends_rad"]
-    drawn = {key: draw(key.replace("_rad", "_deg")) for key in keys}
+    drawn = {key: draw(key.replace("_rad", "_deg")) for key in Town.model_fields if key != "bends_rad"}
     drawn["bends_rad"] = tuple(draw("bend_deg") for _ in range(N_BENDS))
-    return Town(**ruled(drawn))
-
-
-def ruled(drawn: dict[str, object]) -> dict[str, object]:
-    """The values of a town by its rules."""
-    kind, n_lanes, n_side = drawn["junction"], drawn["n_lanes"], drawn["n_side"]
-    assert isinstance(n_lanes, int), "a count of lanes"
-    assert isinstance(n_side, int), "a count of lanes"
-    if kind in ROUNDABOUTS:
-        n_lanes = ROUNDABOUTS[str(kind)]
-        drawn = drawn | {"turn_lanes": "none", "control": "priority"}
+    n_lanes = ROUNDABOUTS.get(drawn["junction"], drawn["n_lanes"])
+    if drawn["junction"] in ROUNDABOUTS:
+        drawn |= {"turn_lanes": "none", "control": "priority"}
     if drawn["control"] == "equal":
-        drawn = drawn | ({"turn_lanes": "none"} if n_lanes == 1 else {"control": "priority"})
-    return drawn | {"n_lanes": n_lanes, "n_side": min(n_side, n_lanes)}
+        drawn |= {"turn_lanes": "none"} if n_lanes == 1 else {"control": "priority"}
+    return Town(**drawn | {"n_lanes": n_lanes, "n_side": min(drawn["n_side"], n_lanes)})
 
 
-def draw_map(draw: Draw, own: Draw, layout: np.random.Generator, markings: Markings) -> DrawnTown:
-    """A town, laid out, and the host's way."""
-    town_map = lay_out(town_of(draw), markings, own, layout)
-    return DrawnTown(town_map, plan_host(town_map, LaneLines(town_map), own, layout))
-
-
-def drive(drawn: DrawnTown, looks: Draw, own: Draw, assets: Assets, flow: float, duration_s: float) -> TownDrive:
-    """The traffic of a town; `flow` is the share of the densest."""
-
-    def body(may_be_long: bool) -> CarBody:
-        found: CarBody | None = None
-        for _ in range(TRIES):
-            model, scale = looks("model"), looks("scale")
-            own = assets.car_models[model - 1]
-            found = CarBody(model, scale, own.length_m * scale, own.width_m * scale)
-            if may_be_long or found.length_m <= LONG_M:
-                break
-        assert found is not None, "some draws were made"
-        return found
-
-    return simulate(drawn.map, drawn.host, body, flow, duration_s, own, looks.rng)
-
-
-def shot_of(drawn: DrawnTown, found: TownDrive, shot: Shot, terrain: Terrain) -> Shot:
+def _shot_of(drawn: DrawnTown, found: TownDrive, shot: Shot, terrain: Terrain) -> Shot:
     """The host's shot, with its track in a clip."""
     if shot.n_frames == 1:
         return shot
-    track = _driven(Route(found.host.lanes, LaneLines(drawn.map)), found.host, terrain)
+    track = _driven(Route(found.host.lanes, drawn.lines), found.host, terrain)
     return shot.model_copy(update={"speed_m_s": _speed(track), "track": track})
 
 
-def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, assets: Assets) -> tuple[Car, ...]:
+def _cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, assets: Assets) -> tuple[Car, ...]:
     """The cars of the traffic."""
-    lines = LaneLines(drawn.map)
-    cars = []
+    cars, lines = [], drawn.lines
     host = Route(drawn.host.lanes, lines).at(np.array([drawn.host.at_m]))[0]
     for moving in found.cars:
         route = Route(moving.lanes, lines)
@@ -111,14 +128,18 @@ def cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, a
     return tuple(cars)
 
 
-def parked_cars(
+def _parked_cars(
     drawn: DrawnTown, found: TownDrive, share: float, bay_m: float, looks: Draw, assets: Assets
 ) -> tuple[Car, ...]:
     """Cars in the parking lanes near the host, which stand beside the outermost lanes, where nobody who drives would
     touch them: in bends the ends of long vehicles swing out of their lanes."""
     cars, rng = list[Car](), looks.rng
-    host = Route(drawn.host.lanes, LaneLines(drawn.map)).at(np.array([drawn.host.at_m]))[0]
-    lines, driven = LaneLines(drawn.map), driven_places(drawn, found)
+    host = Route(drawn.host.lanes, drawn.lines).at(np.array([drawn.host.at_m]))[0]
+    driven = _driven_places(drawn, found)
+
+    def fits(body: CarBody, own: CarModel) -> bool:
+        return own.length_m < SHORT_M and own.width_m < PARKING_M
+
     for street in drawn.map.streets:
         for i, piece in enumerate(street.pieces):
             for side in ("left", "right"):
@@ -132,26 +153,25 @@ def parked_cars(
                 for s_m, its_away_m in zip(places.tolist(), away_m.tolist(), strict=True):
                     if rng.random() >= share or its_away_m > PARKED_M:
                         continue
-                    body = _short(looks, assets)
-                    if body is not None:
+                    body, is_short = _body(looks, assets, fits)
+                    if is_short:
                         moved_m = float(rng.uniform(-0.4, 0.4))
                         offset_m = (street.profile.lane_m + PARKING_M) / 2 + float(rng.uniform(-0.05, 0.12))
                         place = {"lane": names[lane], "s_m": round(s_m + moved_m, DECIMALS)}
                         look = car_look(looks, assets, body.model, body.scale)
                         car = Car(**look, **place, offset_m=round(offset_m, DECIMALS))
-                        if not _is_touched(_standing(lines[car.lane], car, body), driven):
+                        if not _is_touched(_standing(drawn.lines[car.lane], car, body), driven):
                             cars.append(car)
     return tuple(cars)
 
 
-def driven_places(drawn: DrawnTown, found: TownDrive) -> list[Float[np.ndarray, "n 4 2"]]:
+def _driven_places(drawn: DrawnTown, found: TownDrive) -> list[Float[np.ndarray, "n 4 2"]]:
     """The corners of the host and of every car that drives at the instants of its track, with the room it needs."""
-    lines = LaneLines(drawn.map)
     places = []
     for car in (found.host, *found.cars):
         offset_m = drawn.host.offset_m if car is found.host else 0.0
         lengths_m = np.array([length_m for _, length_m in car.track])
-        places.append(body_places(Route(car.lanes, lines), lengths_m, car.body, offset_m))
+        places.append(body_places(Route(car.lanes, drawn.lines), lengths_m, car.body, offset_m))
     return places
 
 
@@ -173,13 +193,15 @@ def _is_touched(place: Float[np.ndarray, "4 2"], driven: Sequence[Float[np.ndarr
     return any(len(at) and overlaps_any(place, at) for at in near)
 
 
-def _short(looks: Draw, assets: Assets) -> CarBody | None:
+def _body(looks: Draw, assets: Assets, fits: Callable[[CarBody, CarModel], bool]) -> tuple[CarBody, bool]:
+    """A car that fits, or the last one of some that do not; and whether it does."""
     for _ in range(TRIES):
         model, scale = looks("model"), looks("scale")
         own = assets.car_models[model - 1]
-        if own.length_m < SHORT_M and own.width_m < PARKING_M:
-            return CarBody(model, scale, own.length_m * scale, own.width_m * scale)
-    return None
+        body = CarBody(model, scale, own.length_m * scale, own.width_m * scale)
+        if fits(body, own):
+            return body, True
+    return body, False
 
 
 def _driven(route: Route, moving: MovingCar, terrain: Terrain) -> tuple[tuple[float, float], ...]:

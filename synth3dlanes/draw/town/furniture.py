@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from synth3dlanes.draw.draws import DECIMALS, Draw
-from synth3dlanes.draw.roadside import FRONTS, ROOFS, BuildingKind, building_size, floor_plan, shaded
+from synth3dlanes.draw.roadside import BuildingKind, building_size, coloured, floor_plan
 from synth3dlanes.draw.town.junctions import Arm
 from synth3dlanes.draw.town.layout import TownMap
 from synth3dlanes.draw.town.lights import Lights
@@ -151,26 +151,23 @@ def _speed_signs(town_map: TownMap, kind: SignKind) -> Iterator[TrafficSign]:
             continue
         s_m = SPEED_M if arm.at_start else street.length_m - SPEED_M
         side = "right" if arm.at_start else "left"
-        pose, out_m = _at(street, s_m), _paved(street, s_m, side)
-        aside_m = BEHIND_KERB_M if street.profile.walkway_m else BESIDE_M
-        at = pose.moved(0.0, -(out_m + aside_m) if side == "right" else out_m + aside_m)
+        at = _along(street, side, s_m, BEHIND_KERB_M if street.profile.walkway_m else BESIDE_M)
         section = min(int(np.searchsorted(street.stations, s_m, side="right")) - 1, len(street.pieces) - 1)
         lanes = tuple(name for key, name in street.names(section)[side].items() if key.startswith("lane"))
-        yield _sign(PlanPose(at.x, at.y, pose.heading + (0.0 if side == "right" else np.pi)), kind, lanes)
+        yield _sign(at.moved(0.0, 0.0, 0.0 if side == "right" else np.pi), kind, lanes)
 
 
-def _at(street: Street, s_m: float) -> PlanPose:
+def _along(street: Street, side: str, s_m: float, aside_m: float) -> PlanPose:
+    """A place beside a street at a station, from the edge of its pavement or the front of its kerb; with its heading
+    there."""
     points, headings = poses(street.plan, np.array([s_m]))
-    return PlanPose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))
-
-
-def _paved(street: Street, s_m: float, side: str) -> float:
-    """How far the pavement reaches from the reference line at a station, up to the front of the kerb."""
     i = min(max(int(np.searchsorted(street.stations, s_m, side="right")) - 1, 0), len(street.pieces) - 1)
     piece, u = street.pieces[i], (s_m - street.stations[i]) / street.pieces[i].length_m
     share = u * u * (3 - 2 * u)
     start, end = abs(piece.start.edge(side)), abs(piece.end.edge(side))
-    return float(start + share * (end - start))
+    out_m = start + share * (end - start) + aside_m
+    at = PlanPose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))
+    return at.moved(0.0, out_m if side == "left" else -out_m)
 
 
 def _lamps(town_map: TownMap, draw: Draw) -> Iterator[Post]:
@@ -238,21 +235,10 @@ def _building(
     rng: Rng,
 ) -> Building:
     kind, width_m, length_m, height_m = form
-    pose = _at(street, min(s_m + length_m / 2, street.length_m))
-    out_m = _paved(street, min(s_m + length_m / 2, street.length_m), side) + street.profile.walkway_m
-    out_m += width_m / 2 + own.at(f"{kind}_setback_m", rng.random()) + 0.3
-    at = pose.moved(0.0, out_m if side == "left" else -out_m)
-    return Building(
-        kind=kind,
-        x_m=round(at.x, DECIMALS),
-        y_m=round(at.y, DECIMALS),
-        yaw_rad=round(pose.heading - np.pi / 2 + float(rng.normal(0, 0.01)), DECIMALS),
-        width_m=round(width_m, DECIMALS),
-        length_m=round(length_m, DECIMALS),
-        height_m=round(height_m, DECIMALS),
-        color=shaded(rng, FRONTS),
-        roof=shaded(rng, ROOFS),
-    )
+    aside_m = street.profile.walkway_m + width_m / 2 + own.at(f"{kind}_setback_m", rng.random()) + 0.3
+    at = _along(street, side, min(s_m + length_m / 2, street.length_m), aside_m)
+    yaw_rad = at.heading - np.pi / 2 + float(rng.normal(0, 0.01))
+    return coloured(kind, (at.x, at.y), yaw_rad, (width_m, length_m, height_m), rng)
 
 
 def street_trees(
@@ -264,14 +250,12 @@ def street_trees(
     fronts = np.concatenate([np.full((1, 2), np.inf), *(floor_plan(building) for building in roadside.buildings)])
     models = [1, 3, 6]
     for street in town_map.streets if share else ():
-        for side, sign in (("left", 1), ("right", -1)):
+        for side in ("left", "right"):
             model = models[int(rng.random() * len(models))]
             for s_m in np.arange(8.0, street.length_m - 5, apart_m).tolist():
                 if rng.random() >= share:
                     continue
-                pose = _at(street, s_m)
-                out_m = _paved(street, s_m, side) + street.profile.walkway_m + TREE_BEHIND_M
-                at = pose.moved(0.0, sign * out_m)
+                at = _along(street, side, s_m, street.profile.walkway_m + TREE_BEHIND_M)
                 xy = np.array([[at.x, at.y]])
                 near = np.hypot(*(fronts - xy).T).min()
                 if near > 2.5 and ground.is_clear(xy, 0.6)[0]:

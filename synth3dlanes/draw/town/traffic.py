@@ -25,8 +25,6 @@ RUN_UP_M, PATIENCE_S = 80.0, 150.0
 FREE_M, MOST = 7.0, 60
 # Bodies are apart by this in every direction.
 APART_M = 0.12
-# Vehicles longer than this go straight on only.
-LONG_M = 6.5
 # Routes end after so many junctions.
 MOST_JUNCTIONS = 4
 
