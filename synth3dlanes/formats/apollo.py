@@ -14,8 +14,6 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +25,7 @@ from synth3dlanes.formats.comparing import Comparison, ExportView, OurLine, Rule
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
 from synth3dlanes.formats.line_score import GEN_LANENET, Line3d, LinePair
 from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead
-from synth3dlanes.formats.reading import ForeignLane, ForeignSample, first_lines, json_lines, labels_of, read_image
+from synth3dlanes.formats.reading import ForeignLane, ForeignSample, LabelLines, first_lines, labels_of, read_image
 from synth3dlanes.formats.scoring import EVERY, lines_by, predicted, rates
 from synth3dlanes.formats.sidecar import Sidecars
 from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
@@ -227,19 +225,8 @@ def parse(line: str | bytes, where: str) -> ApolloFrame:
     return schema.parse(ApolloFrame, line, where, "a frame of Apollo Sim-3D")
 
 
-@dataclass(frozen=True, eq=False)
-class ApolloSplit:
+class ApolloSplit(LabelLines):
     """`data_splits/standard/train.json`; its images lie below the nearest folder above that has them."""
-
-    path: Path
-
-    @cached_property
-    def lines(self) -> Sequence[bytes]:
-        """One document per line."""
-        return json_lines(self.path)
-
-    def __len__(self) -> int:
-        return len(self.lines)
 
     def __getitem__(self, index: int, /) -> ForeignSample:
         frame = self.frame(index)

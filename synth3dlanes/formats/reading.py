@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,21 @@ class ForeignLane:
     xyz_cam: Float[np.ndarray, "n 3"]
     visible: Bool[np.ndarray, " n"]
     paint: tuple[Marking, PaintColor | None, bool | None, Pair | None] = UNKNOWN
+
+
+@dataclass(frozen=True, eq=False)
+class LabelLines:
+    """A label file with a JSON document a line for each image."""
+
+    path: Path
+
+    @cached_property
+    def lines(self) -> Sequence[bytes]:
+        """One document per line."""
+        return json_lines(self.path)
+
+    def __len__(self) -> int:
+        return len(self.lines)
 
 
 def labels_of(

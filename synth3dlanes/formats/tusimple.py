@@ -10,7 +10,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -21,7 +20,7 @@ from pydantic import Field, model_validator
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_lines
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
 from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
-from synth3dlanes.formats.reading import first_lines, json_lines, read_image
+from synth3dlanes.formats.reading import LabelLines, first_lines, read_image
 from synth3dlanes.formats.scoring import EVERY, lines_by, scored
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars, sidecar
 from synth3dlanes.formats.writing import FrameAnnotation, Pinhole, PinholeFrame
@@ -122,19 +121,8 @@ def parse(line: str | bytes, where: str) -> TusimpleFrame:
     return TusimpleFrame(found.raw_file, np.array(found.h_samples, dtype=int), lanes_u_px)
 
 
-@dataclass(frozen=True, eq=False)
-class TusimpleSplit:
+class TusimpleSplit(LabelLines):
     """A `label_data_*.json`; the clips lie beside it."""
-
-    path: Path
-
-    @cached_property
-    def lines(self) -> Sequence[bytes]:
-        """One document per line."""
-        return json_lines(self.path)
-
-    def __len__(self) -> int:
-        return len(self.lines)
 
     def frame(self, index: int) -> TusimpleFrame:
         """One line of the file."""

@@ -7,6 +7,7 @@ and of Arrow's batches (FlatBuffers).
 
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,6 +38,18 @@ DAMAGED = (
 # Bytes of a value that is no text.
 VALUE_BYTES = 8
 INCOMPRESSIBLE = -1
+
+
+@contextmanager
+def reading_table(where: str, columns: Sequence[str]) -> Iterator[None]:
+    """Turns what damaged bytes of a table with these columns raise into a FormatError that begins with `where`."""
+    try:
+        yield
+    except FormatError:
+        raise
+    except DAMAGED as error:
+        reason = " ".join(str(error).split())[:120]
+        raise FormatError(f"{where}: expected a table of {', '.join(columns)}, got {reason}") from None
 
 
 @dataclass(frozen=True)

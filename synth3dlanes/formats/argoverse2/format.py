@@ -37,7 +37,7 @@ from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene.assets.catalogue import VehicleClass
 from synth3dlanes.system.arrays import Matrix4
-from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_arrow
+from synth3dlanes.system.columnar import TableBounds, read_arrow, reading_table
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.world.world import resolve
 
@@ -324,16 +324,11 @@ class Log:
     def _table(self, path: str, wanted: pa.Schema) -> Columns:
         where = self.out / path
         data = read_file(where)
-        try:
+        with reading_table(str(where), wanted.names):
             table = read_arrow(data, str(where), BOUNDS, wanted.names).cast(wanted)
             if any(column.null_count for column in table.columns):
                 raise ValueError("missing values")
             return {name: table[name].to_numpy() for name in wanted.names}
-        except FormatError:
-            raise
-        except DAMAGED as error:
-            reason = " ".join(str(error).split())[:120]
-            raise FormatError(f"{where}: expected a table of {', '.join(wanted.names)}, got {reason}") from None
 
 
 def matrices(table: Columns) -> Float[np.ndarray, "n 4 4"]:

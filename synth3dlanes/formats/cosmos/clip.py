@@ -22,7 +22,7 @@ from synth3dlanes.geometry.frames import rotation
 from synth3dlanes.imaging.video import open_video
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Points3, RgbImage
-from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_parquet
+from synth3dlanes.system.columnar import TableBounds, read_parquet, reading_table
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import Excerpt, Number
 
@@ -223,16 +223,11 @@ class CosmosClip:
 
     def _rows(self, name: str) -> list[dict[str, Any]]:
         where, wanted = self.out / self.files.table(name), TABLES[name]
-        try:
+        with reading_table(str(where), wanted.names):
             table = read_parquet(read_file(where), str(where), BOUNDS)
             if table.schema.names != wanted.names:
                 raise ValueError(f"columns {', '.join(table.schema.names)}")
             rows = [{**row["key"], **row[name]} for row in table.cast(wanted).to_pylist()]
-        except FormatError:
-            raise
-        except DAMAGED as error:
-            reason = " ".join(str(error).split())[:120]
-            raise FormatError(f"{where}: expected a table of {', '.join(wanted.names)}, got {reason}") from None
         if any(value is None for row in rows for value in row.values()):
             raise FormatError(f"{where}: expected a value in every field, got none in some")
         return rows
