@@ -57,7 +57,8 @@ def lane_segments(
 ) -> Iterator[LaneSegment]:
     """The segments of the lane graph within about `reach_m` of a place of the host."""
     network = world.network
-    delimiters = [_Painted(*near) for near in network.delimiters_near(at_world[:2], reach_m).items() if len(near[1])]
+    near = network.delimiters_near(at_world[:2], reach_m)
+    delimiters = [_Painted(line, line.xy_world(s)) for line, s in near.items() if len(s)]
     for index, segment in enumerate(segments):
         lane = network.lanes[segment.id]
         lines = network.lane_lines(lane, at_world[:2], reach_m)
@@ -91,16 +92,13 @@ def _painted(world: World, points_world: Points3, delimiters: Sequence[_Painted]
         return Boundary(points_world, "none", None, None)
     line, markings = best.line, world.scene.markings
     pair = pair_of(line, markings)
-    if pair is not None and _is_against(line, best.xy, points_world, lane):
+    if pair is not None and _is_against(best.xy[:: int(world.network.onwards)], points_world):
         pair = MIRRORED[pair]
     return Boundary(points_world, line.marking, paint_color(line, markings), is_double(line, markings), pair)
 
 
-def _is_against(line: LaneCurve, xy: Float[np.ndarray, "_ 2"], points_world: Points3, lane: NetworkLane) -> bool:
-    """Whether a line goes the other way than the points of a lane beside it; those of the paper's roads go as the host
-    drives."""
-    if not line.is_measured:
-        return lane.direction == "oncoming"
+def _is_against(xy: Float[np.ndarray, "_ 2"], points_world: Points3) -> bool:
+    """Whether a line goes the other way than the points of a lane beside it."""
     first, last = (int(np.linalg.norm(xy - end, axis=1).argmin()) for end in points_world[[0, -1], :2])
     return last < first
 

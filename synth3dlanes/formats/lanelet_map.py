@@ -164,12 +164,10 @@ def _look(line: LaneCurve, markings: Markings) -> tuple[Tags, Tags]:
 def painted_lines(world: World) -> Iterator[tuple[Polyline3, Tags, Tags]]:
     """Points of all painted lines, and what they look like in their order and against it."""
     for line in world.network.delimiters:
-        low, high = (
-            np.clip([line.start_m, line.end_m], -REACH_M, REACH_M) if not line.is_measured else (0.0, line.end_m)
-        )
+        low, high = np.nan_to_num([line.start_m, line.end_m], neginf=-REACH_M, posinf=REACH_M)
         s = np.linspace(low, high, 2 + int((high - low) / STEP_M))
         tags, other = _look(line, world.scene.markings)
-        yield line.points_world(s), *((tags, other) if line.is_measured or world.network.onwards > 0 else (other, tags))
+        yield line.points_world(s), *((tags, other) if world.network.onwards > 0 else (other, tags))
 
 
 def painted_along(points: Polyline3, painted: Sequence[tuple[Polyline3, Tags, Tags]]) -> Tags | None:
@@ -197,8 +195,7 @@ def _paint_along(world: World, road: Road) -> Iterator[Paint]:
             if piece.road.id == road.id:
                 ends = np.clip([piece.start_m, piece.end_m], -1e6, 1e6)
                 low, high = sorted(piece.on(ends).tolist())
-                # Of lines without lengths of their own, stripes are named as the host drives.
-                along = piece.along if line.is_measured else world.network.onwards
+                along = piece.along * world.network.onwards
                 yield Paint(piece.offset, low, high, *((tags, other) if along > 0 else (other, tags)))
 
 

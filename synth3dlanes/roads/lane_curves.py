@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.labels.labels import Direction, LaneKind, Marking, Pair
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road, lift
+from synth3dlanes.roads.roads import NetworkLane, Offset, Road
 from synth3dlanes.system.arrays import AnyScalars
 
 # Lengths along a curve of a map are measured in steps of this length.
@@ -114,16 +114,14 @@ class LaneCurve:
 
     def points_world(self, s: AnyScalars) -> Float[np.ndarray, "n 3"]:
         """Points on the road surface at stations."""
-        if self.is_measured:
-            return self.points_beside(s, np.zeros(s.shape))
-        return lift(self.pieces[0].road.terrain, self.xy_world(s), self.raised(s))
+        return self.points_beside(s, np.zeros(s.shape))
 
-    def points_beside(self, s: AnyScalars, right_m: AnyScalars) -> Float[np.ndarray, "n 3"]:
-        """Points on the road surface beside a measured curve, to the right of its own direction."""
+    def points_beside(self, s: AnyScalars, t: AnyScalars) -> Float[np.ndarray, "n 3"]:
+        """Points on the road surface at stations and offsets from the curve, which are as in `shifted`."""
         found = np.zeros((*s.shape, 3))
         for at, piece in self._parts(s):
-            on = piece.on(s[at])
-            found[at] = piece.road.points(on, piece.offset(on) + right_m[at] * piece.along)
+            on = piece.on(np.minimum(s[at], piece.end_m))
+            found[at] = piece.road.points(on, piece.offset(on) + t[at] * piece.along)
         return found
 
     def raised(self, s: AnyScalars) -> AnyScalars:
@@ -136,9 +134,6 @@ class LaneCurve:
 
     def shifted(self, t_m: float) -> "LaneCurve":
         """The curve `t_m` beside it; of a map, to the right of its own direction, at the same stations."""
-        if not self.is_measured:
-            parts = ((piece.road, piece.offset.shifted(t_m), piece.start_m) for piece in self.pieces)
-            return replace(self, pieces=joined(parts))
         aside = (replace(piece, offset=piece.offset.shifted(t_m * piece.along)) for piece in self.pieces)
         return replace(self, pieces=tuple(aside))
 

@@ -273,11 +273,10 @@ class MapNetwork(Network):
             return None
         return (middle, low, high) if lane.ascends else (middle, high, low)
 
-    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Points2]:
-        """Places along the painted lines within about `reach_m` of a place."""
-        points = ((line, np.linspace(0.0, line.end_m, 2 + int(line.end_m / LINES_STEP_M))) for line in self.delimiters)
-        found = {line: line.xy_world(s) for line, s in points}
-        return {line: xy for line, xy in found.items() if _is_near(xy, xy_world, reach_m)}
+    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Scalars]:
+        """The stations of places along the painted lines that come within about `reach_m` of a place."""
+        places = ((line, np.linspace(0.0, line.end_m, 2 + int(line.end_m / LINES_STEP_M))) for line in self.delimiters)
+        return {line: s for line, s in places if _is_near(line.xy_world(s), xy_world, reach_m)}
 
     def along_host(self, driven_m: Scalars) -> Points3:
         """Points on the host's way at lengths along it; those beyond its ends are left out."""

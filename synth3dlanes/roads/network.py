@@ -305,10 +305,10 @@ class Network:
         middle, low, high = (line[:: 1 if lane.ascends else -1] for line in lines)
         return (middle, low, high) if lane.ascends != road.line.is_mirrored else (middle, high, low)
 
-    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Points2]:
-        """Places along the painted lines within about `reach_m` of a place of the host."""
+    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Scalars]:
+        """The stations of places along the painted lines within about `reach_m` of a place of the host."""
         s = self.stations_near(xy_world, reach_m)
-        return {line: line.xy_world(s[(s >= line.start_m) & (s <= line.end_m)]) for line in self.delimiters}
+        return {line: s[(s >= line.start_m) & (s <= line.end_m)] for line in self.delimiters}
 
     def along_host(self, driven_m: Scalars) -> Points3:
         """Points on the main road's line, at stations as the host drives."""

@@ -139,21 +139,18 @@ def _strips(ground: MapGround, stretch: SectionRoad) -> list[Mesh]:
         t = np.stack(columns, axis=1)
         vertices = stretch.base_points(np.broadcast_to(s[:, None], t.shape), t)
         uv = np.stack(np.broadcast_arrays(np.array(across)[None], s[:, None]), -1)
+        # Raised lanes have kerbs, which the texture goes on over; others have upright faces.
+        up_m, down_m, over_m = (KERB_M, KERB_M + FOOT_M, 0.2) if run else (0.0, SKIRT_M, 0.0)
+        vertices[..., 2] += up_m
+        feet = vertices[:, [0, -1]] - [0, 0, down_m]
+        vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
+        uv = np.concatenate([uv[:, :1] - [over_m, 0], uv, uv[:, -1:] + [over_m, 0]], axis=1)
+        surfaces = [surfaces[0], *surfaces, surfaces[-1]]
         if run:
-            vertices[..., 2] += KERB_M
-            feet = vertices[:, [0, -1]] - [0, 0, KERB_M + FOOT_M]
-            vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
-            uv = np.concatenate([uv[:, :1] - [0.2, 0], uv, uv[:, -1:] + [0.2, 0]], axis=1)
-            surfaces = [surfaces[0], *surfaces, surfaces[-1]]
             ends = vertices[[0, -1]]
-            ends[:, 1:-1, 2] -= KERB_M + FOOT_M
+            ends[:, 1:-1, 2] -= down_m
             vertices = np.concatenate([ends[:1], vertices, ends[1:]])
             uv = np.concatenate([uv[:1], uv, uv[-1:]])
-        else:
-            feet = vertices[:, [0, -1]] - [0, 0, SKIRT_M]
-            vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
-            uv = np.concatenate([uv[:, :1], uv, uv[:, -1:]], axis=1)
-            surfaces = [surfaces[0], *surfaces, surfaces[-1]]
         found.append(grid(vertices, uv, np.array(surfaces)))
         i = end
     return found

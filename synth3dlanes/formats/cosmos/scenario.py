@@ -9,9 +9,7 @@ from jaxtyping import Float
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import Labels, Marking, PaintColor, Pair
-from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.network import LINES_STEP_M
-from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
+from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.system.schema import SymbolKind
 from synth3dlanes.world.motion import host_driven
 from synth3dlanes.world.paint import is_double, paint_color, pair_of
@@ -76,24 +74,13 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
 
 def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[PaintedLine]:
     network, markings = world.network, world.scene.markings
-    near = network.stations_near(place[:2], reach_m)
-    for line in network.delimiters:
-        points = _points(line, near)
-        if line.is_measured:
-            points = points[np.linalg.norm(points[:, :2] - place[:2], axis=1) < 2 * reach_m]
+    for line, s in network.delimiters_near(place[:2], reach_m).items():
+        points = line.points_world(s)
+        points = points[np.linalg.norm(points[:, :2] - place[:2], axis=1) < 2 * reach_m]
         if line.marking != "none" and len(points) > 1:
-            # Of the paper's roads stations may fall as the host drives.
-            onwards = 1 if line.is_measured else int(network.onwards)
             paint = paint_color(line, markings) or "white", bool(is_double(line, markings)), pair_of(line, markings)
-            yield PaintedLine(line.id, points[::onwards], line.marking, *paint)
-
-
-def _points(line: LaneCurve, near: Scalars) -> Float[np.ndarray, "_ 3"]:
-    if line.is_measured:
-        s = np.linspace(line.start_m, line.end_m, 2 + int((line.end_m - line.start_m) / LINES_STEP_M))
-    else:
-        s = near[(near >= line.start_m) & (near <= line.end_m)]
-    return line.points_world(s)
+            # Stations may fall as the host drives.
+            yield PaintedLine(line.id, points[:: int(network.onwards)], line.marking, *paint)
 
 
 def _symbols(world: World) -> Iterator[RoadSymbol]:
