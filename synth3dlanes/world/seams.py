@@ -24,7 +24,7 @@ from synth3dlanes.world.paint import towards_eye
 # A line on the road: station, offset and width of each of its points.
 Trace = Float[np.ndarray, "_ 3"]
 # A road between two stations.
-Stretch = tuple[Road, float, float]
+RoadPart = tuple[Road, float, float]
 
 # Distance from lines; up to 1 m is compared with a line's own paint.
 CLEAR_M = 1.1
@@ -86,7 +86,7 @@ def ghost_shade(contrast: float, streams: Streams) -> float:
     return float(GHOST_SHADES[int(streams("ghost_shade").random() < 0.5)] ** contrast)
 
 
-def clear_lanes(network: Network, stretch: Stretch) -> list[NetworkLane]:
+def clear_lanes(network: Network, stretch: RoadPart) -> list[NetworkLane]:
     """The lanes of the host's direction of a stretch, as t grows, that are wide enough to be clear of their lines all
     along it, and lead to no other road within it."""
     road, low_m, high_m = stretch
@@ -112,7 +112,7 @@ def _same(road: Road, s: float) -> list[NetworkLane]:
     return [lane for lane in road.lanes_at(s) if lane.direction == "same"]
 
 
-def _cracks(network: Network, part: Stretch, amount: float, rng: np.random.Generator) -> Iterator[Trace]:
+def _cracks(network: Network, part: RoadPart, amount: float, rng: np.random.Generator) -> Iterator[Trace]:
     """The cracks of a part of a road."""
     road, low_m, high_m = part
     for _ in range(rng.poisson((high_m - low_m) * CRACKS_PER_M * amount)):

@@ -15,8 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.convention import USER_DATA
-from synth3dlanes.formats.opendrive.xml import Element
+from synth3dlanes.formats.opendrive.xml import USER_DATA, Element
 from synth3dlanes.formats.reading import MOST
 from synth3dlanes.system.arrays import AnyScalars
 from synth3dlanes.system.errors import FormatError

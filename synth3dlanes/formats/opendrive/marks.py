@@ -6,7 +6,6 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.convention import LANE_CHANGES
 from synth3dlanes.formats.opendrive.described import PaintedMark
 from synth3dlanes.formats.opendrive.roads import OdrRoad
 from synth3dlanes.roads.lane_curves import LaneCurve
@@ -26,6 +25,8 @@ MARK_M, LENGTH_STEP_M = 50.0, 0.5
 PROBES = np.array([0.2, 0.5, 0.8])
 
 MIRRORED: dict[MapMarkKind, MapMarkKind] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
+# Towards which lane numbers, which increase to the left, a mark may be crossed: from the side of its dashes.
+LANE_CHANGES = {"dashed": "both", "dots": "both", "solid_dashed": "increase", "dashed_solid": "decrease"}
 DOUBLE: frozenset[MapMarkKind] = frozenset({"solid_solid", *MIRRORED})
 # The pattern of a stripe: the lengths of its dashes and gaps, and where the first dash begins.
 Pattern = tuple[float, float, float]

@@ -9,8 +9,7 @@ import numpy as np
 
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
-from synth3dlanes.formats.opendrive.convention import USER_DATA
-from synth3dlanes.formats.opendrive.xml import Element
+from synth3dlanes.formats.opendrive.xml import USER_DATA, Element
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.roads.maps.document import parse_xml
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive

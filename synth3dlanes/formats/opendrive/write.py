@@ -7,11 +7,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from synth3dlanes.formats.format import SampleFrame
-from synth3dlanes.formats.opendrive.convention import MAJOR, MINOR, NO_NUMBER, USER_DATA
 from synth3dlanes.formats.opendrive.described import PaintedMark, lane_ascends, lane_key
 from synth3dlanes.formats.opendrive.maps import described_map
 from synth3dlanes.formats.opendrive.paper import described_paper
-from synth3dlanes.formats.opendrive.xml import Element, add, numbered
+from synth3dlanes.formats.opendrive.xml import MAJOR, MINOR, NO_NUMBER, USER_DATA, Element, add, numbered
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.scene.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
 from synth3dlanes.world.world import World, resolve

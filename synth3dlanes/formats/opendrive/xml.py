@@ -1,4 +1,4 @@
-"""XML elements with numbers and ids as OpenDRIVE files have them."""
+"""XML elements with words, numbers and ids as OpenDRIVE files have them."""
 
 import math
 import re
@@ -10,6 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 Element = ElementTree.Element
+MAJOR, MINOR = "1", "7"
+NO_NUMBER = "-1"
+USER_DATA = "synth3dlanes.segment"
+"""The code of the user data that names a lane's segment in our lane graph."""
 # CARLA and others read ids as whole numbers of 32 bits.
 NUMBER = re.compile(r"0|[1-9]\d{0,8}")
 
