@@ -66,6 +66,8 @@ def info(folder: str, as_json: bool) -> None:
     )
     cameras = f", cameras {', '.join(found.cameras)}" if found.cameras else ""
     click.echo(f"{found.preset}: {', '.join(found.image_sizes)} px{cameras}{clip}")
+    if "where" in recipe:
+        click.echo(f"where {recipe['where']}")
     if "derived" in recipe:
         click.echo(f"derived: {json.dumps(recipe['derived'])}")
     table = Table(box=None, padding=(0, 2, 0, 0))

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import click
 
 from synth3dlanes.production.events import LEVELS, Event, duration
+from synth3dlanes.scene.settings import TRIES
 
 from .idle import refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
 from .options import (
@@ -91,6 +92,13 @@ class PartOf(click.ParamType):
     help="Place scenes on the roads of an OpenDRIVE file (docs/maps.md).",
 )
 @click.option("--at", metavar="ROAD:S:LANE", help="With --map: the host's place, in place of a random one.")
+@click.option(
+    "--where",
+    metavar="QUERY",
+    help='Draw scenes for each sample until one fits, by columns of the index: "max_grade > 0.04 and junction = '
+    "'merge'\" (docs/recipes.md).",
+)
+@click.option("--tries", type=CountRange(min=1), default=TRIES, help="With --where: most scenes to draw for a sample.")
 @camera_option
 @rig_option
 @assets_option
@@ -144,6 +152,8 @@ def generate(
     spreads: tuple[str, ...],
     map_file: Path | None,
     at: str | None,
+    where: str | None,
+    tries: int,
     camera: str | None,
     rig: str | None,
     assets: Path | None,
@@ -170,6 +180,7 @@ def generate(
     from synth3dlanes.draw.like import read_like
     from synth3dlanes.draw.on_map import place_on_map
     from synth3dlanes.draw.sample import Scenes
+    from synth3dlanes.production.condition import Condition
     from synth3dlanes.production.given_scenes import given_scenes
     from synth3dlanes.production.plan import Plan
     from synth3dlanes.production.recipe import Recipe
@@ -179,6 +190,7 @@ def generate(
     refuse_idle(like is not None, ["spreads"], "without --like")
     refuse_idle(map_file is not None, ["at"], "without --map")
     refuse_together("like", "map_file")
+    refuse_idle(where is not None, ["tries"], "without --where")
     refuse_idle_keys(map_file is None, changes, KEYS_OF_ROADS, "with --map")
     refuse_idle(executor == "ray", ["address"], "without --executor ray")
     refuse_idle_keys(image_format == "jpg", (*changes, *spreads), ["sensor.jpeg_quality"], "with --image-format png")
@@ -189,11 +201,13 @@ def generate(
     given = read_like(given_scenes(like, params, library.assets, bool(shots.cameras)), spreads) if like else None
     place = place_on_map(map_file, at or "") if map_file else None
     scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given, map=place)
-    recipe = Recipe(scenes, settings, image_format, library)
+    condition = Condition(where, tries) if where is not None else None
+    recipe = Recipe(scenes, settings, image_format, library, where=condition)
     plan = Plan(out, n, recipe, workers, part)
     drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
     drawn_from += f", {given.text()}" if given else ""
     drawn_from += f", {place.map.text()}" if place else ""
+    drawn_from += f", {condition.probe(scenes)}" if condition else ""
     drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
     if dry_run:
         plan = plan.resolved() if executor == "local" else plan

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from synth3dlanes.scene.settings import MAX_SAMPLES
+from synth3dlanes.scene.settings import MAX_SAMPLES, N_SCENE_NUMBERS
 from synth3dlanes.system.errors import InputError
 
 from .idle import refuse_idle_keys
@@ -30,7 +30,9 @@ from .options import (
 
 
 @click.command()
-@click.option("--index", type=click.IntRange(0, MAX_SAMPLES - 1), default=0, help="Index of the sample in the split.")
+@click.option(
+    "--index", type=click.IntRange(0, N_SCENE_NUMBERS - 1), default=0, help="Index of the sample in the split."
+)
 @click.option(
     "--n",
     type=CountRange(1, MAX_SAMPLES),
@@ -61,8 +63,8 @@ def sample(
     """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
     from synth3dlanes.draw.sample import Scenes, scene_texts
 
-    if index + n > MAX_SAMPLES:
-        raise InputError(f"n: expected at most {MAX_SAMPLES - index} from index {index}, got {n}")
+    if index + n > N_SCENE_NUMBERS:
+        raise InputError(f"n: expected at most {N_SCENE_NUMBERS - index} from index {index}, got {n}")
     library, shots = open_assets(assets), open_shots(camera, rig, frames, fps)
     refuse_idle_changes(changes, shots)
     params = open_params(source, changes, library)

@@ -36,6 +36,7 @@ from synth3dlanes.params.params import load_params as _load_params
 from synth3dlanes.params.params_text import contradictions
 from synth3dlanes.params.rig_files import load_rig as _load_rig
 from synth3dlanes.params.shots import Shots, clips
+from synth3dlanes.production.condition import Condition
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.given_scenes import drawn
 from synth3dlanes.production.plan import Plan
@@ -53,7 +54,7 @@ from synth3dlanes.scene import scene as scene_format
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.scene.change import change_scene as _change_scene
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SEED, SPLIT_NAME
+from synth3dlanes.scene.settings import MAX_SEED, N_SCENE_NUMBERS, SPLIT_NAME, TRIES
 from synth3dlanes.system.arguments import checked
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.files import write
@@ -143,7 +144,7 @@ def sample_scene(
     is no room for the least number of cars or trees in their ranges; FormatError for a map that cannot be read.
     """
     _within(0, MAX_SEED, seed=seed)
-    _within(0, MAX_SAMPLES - 1, index=index)
+    _within(0, N_SCENE_NUMBERS - 1, index=index)
     _named(split=split)
     shots, place = _shots(camera, rig, frames, fps), _map_place(map, at)
     scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, map=place)
@@ -202,6 +203,8 @@ def generate_dataset(
     at: str = "",
     like: Sequence[Scene] = (),
     spreads: str | Sequence[str] = (),
+    where: str = "",
+    tries: int = TRIES,
     assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
 ) -> RunReport:
@@ -211,8 +214,9 @@ def generate_dataset(
     - 1. `map` is an OpenDRIVE file whose roads the scenes are on, `at` one place there for all of them, as ROAD:s:lane
     (docs/maps.md). With `like`, scenes that were drawn from the same parameters, every new scene is drawn near one of
     these; `spreads` sets how near, as shares of the parameters' ranges: `0.1` for all parameters, or
-    `camera.pitch_deg=0.4` for one (docs/like.md). `workers` is the number of processes, 0 for one per core. `notify` is
-    called with every event of the run; `event.message` is a line of text.
+    `camera.pitch_deg=0.4` for one (docs/like.md). With `where`, a query on the columns of the index, every sample shows
+    the first of at most `tries` scenes drawn for it that fits (docs/recipes.md). `workers` is the number of processes,
+    0 for one per core. `notify` is called with every event of the run; `event.message` is a line of text.
 
     Raises InputError, FormatError, MissingPackageError or DiskFullError if the run cannot start. A later problem does
     not raise: see `problem`, `done` and `asked` of the result.
@@ -232,7 +236,10 @@ def generate_dataset(
     if like:
         near = read_like(drawn(like, params, assets.assets, "like", bool(shots.cameras)), several(spreads))
     scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=near, map=_map_place(map, at))
-    recipe = Recipe(scenes, settings, image_format, assets)
+    condition = Condition(where, tries) if where else None
+    if condition is not None:
+        condition.probe(scenes)
+    recipe = Recipe(scenes, settings, image_format, assets, where=condition)
     plan = Plan(out, n, recipe, workers)
     return generate(plan, notify or (lambda event: None))
 

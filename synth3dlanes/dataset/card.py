@@ -146,6 +146,8 @@ def _shots(description: Mapping[str, Any]) -> Iterator[str]:
         yield "A lidar measures each moment (`shots`)."
     if description.get("like"):
         yield "Scenes are near given ones (`like`)."
+    if description.get("where"):
+        yield f"Each scene is the first one drawn for it where `{description['where']}`."
 
 
 def _header(splits: Mapping[str, int], licence: str | None, is_measured: bool) -> str:

@@ -63,6 +63,7 @@ class Description(DocumentPart):
     shots: ShotsPart = ShotsPart()
     like: dict[str, Any] | None = None
     map: dict[str, Any] | None = None
+    where: Annotated[str, Field(max_length=10_000)] | None = None
     shard_size: Annotated[int, Field(ge=1, le=MAX_SHARD_SIZE)]
     splits: Annotated[dict[SplitName, Split], Field(max_length=1000)]
     derived: dict[str, Any] | None = None

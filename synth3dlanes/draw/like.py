@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
 from synth3dlanes.params.params import DAYTIMES, KINDS, REPLACED, Group, Params
-from synth3dlanes.scene.settings import MAX_SAMPLES, SPLIT_NAME
+from synth3dlanes.scene.settings import N_SCENE_NUMBERS, SPLIT_NAME
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import Seed, validation_problems
 
@@ -21,7 +21,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 DrawKey = tuple[
     Seed,
     Annotated[str, Field(pattern=f"^{SPLIT_NAME}$", max_length=200)],
-    Annotated[int, Field(ge=0, lt=MAX_SAMPLES)],
+    Annotated[int, Field(ge=0, lt=N_SCENE_NUMBERS)],
 ]
 
 

@@ -21,6 +21,8 @@ SECONDS_PER_RAY, BYTES_PER_RAY = 7e-6, 2.5
 SECONDS_TO_START = 3.0
 # A sample is given up after this many times the expected seconds, which slow machines and large cameras need.
 PATIENCE, LEAST_PATIENCE_S = 60.0, 120.0
+# More core-seconds than a scene takes to draw and label.
+TRY_S = 2.0
 # While a shard is joined, it is on the disk twice.
 SHARD_SAMPLES = 1000
 
@@ -79,7 +81,8 @@ def forecast(recipe: Recipe, samples: int, workers: int, found: Measured | None 
 
 def patience_s(recipe: Recipe) -> float:
     """The core-seconds that a sample may take before it is given up."""
-    return max(LEAST_PATIENCE_S, PATIENCE * seconds_per_sample(recipe))
+    drawing_s = TRY_S * recipe.where.tries if recipe.where else 0.0
+    return max(LEAST_PATIENCE_S, PATIENCE * seconds_per_sample(recipe)) + drawing_s
 
 
 def _pixels(recipe: Recipe) -> float:

@@ -19,6 +19,7 @@ from synth3dlanes.params.cameras import CameraSpec
 from synth3dlanes.params.distributions import form
 from synth3dlanes.params.params import CameraParams
 from synth3dlanes.params.shots import SINGLE
+from synth3dlanes.production.condition import Condition, scene_number
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, KINDS, Library
 from synth3dlanes.scene.scene import Scene
@@ -32,15 +33,20 @@ from synth3dlanes.world.world import View, World
 @dataclass(frozen=True)
 class Recipe:
     """All values that decide the bytes of a split's samples, except the index: what is drawn, and how it is rendered.
-    `library` has the files of the assets."""
+    `library` has the files of the assets. With `where`, scenes are drawn for each sample until one fits."""
 
     scenes: Scenes
     settings: RenderSettings
     image_format: str
     library: Library = BUILT_IN
+    where: Condition | None = field(default=None, kw_only=True)
 
     def world(self, index: int) -> World:
         """The world of sample `index`."""
+        if self.where is not None:
+            place = self.scenes.shots.place(index)
+            number = scene_number(self.scenes, self.where, place.scene)
+            index = self.scenes.shots.index(place._replace(scene=number))
         return sample_world(self.scenes, index)
 
     def scene(self, index: int) -> Scene:
@@ -60,6 +66,7 @@ class Recipe:
             **({} if scenes.shots == SINGLE else {"shots": scenes.shots.model_dump(mode="json")}),
             **({} if scenes.like is None else {"like": scenes.like.model_dump(mode="json")}),
             **({} if scenes.map is None else {"map": scenes.map.description()}),
+            **({} if self.where is None else {"where": self.where.query}),
         }
 
     @property

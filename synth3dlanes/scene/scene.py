@@ -15,7 +15,7 @@ from synth3dlanes.scene.host import Camera, DrivenTrack, Host, Lidar, Shot
 from synth3dlanes.scene.instance_ids import most_of
 from synth3dlanes.scene.road_map import LaneName, RoadMap, Station
 from synth3dlanes.scene.roadside import Roadside
-from synth3dlanes.scene.settings import JPEG_QUALITY, MAX_SAMPLES
+from synth3dlanes.scene.settings import JPEG_QUALITY, N_SCENE_NUMBERS
 from synth3dlanes.scene.town import Town
 from synth3dlanes.system.schema import (
     Color,
@@ -295,7 +295,7 @@ class Scene(DocumentPart):
     version: Literal[1]
     seed: Seed
     split: Annotated[str, Field(max_length=200)]
-    index: Annotated[int, Field(ge=0, lt=MAX_SAMPLES)]
+    index: Annotated[int, Field(ge=0, lt=N_SCENE_NUMBERS)]
     terrain: Terrain
     road: PaperRoad | None
     markings: Markings

@@ -17,6 +17,7 @@ from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.scenes import Provenance
 from synth3dlanes.draw.sample import sample_scene, world_again
 from synth3dlanes.params.distributions import Distribution
+from synth3dlanes.production.condition import Condition, belongs_to
 from synth3dlanes.production.twins import changed_world
 from synth3dlanes.scene.scene import Scene, Weather
 from synth3dlanes.system.errors import FormatError, InputError
@@ -52,6 +53,7 @@ class Origin(Provenance):
     """What a data set's scenes were drawn from and how they were changed since, according to its dataset.json."""
 
     derived: Derivation | None = None
+    where: str | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
         """How a sample's scene differs from the one drawn again, in one line; "" if they are equal. A scene on a map
@@ -82,6 +84,8 @@ class Origin(Provenance):
     def drawn(self, scene: Scene, split: str, index: int) -> Scene:
         """The scene of a sample, drawn again; of derived data sets `scene`, which lies there, says for what it was
         drawn."""
+        if self.derived is None and self.where is not None:
+            return self._drawn_where(Condition(self.where), scene.index, split, index)
         if self.derived is None:
             return sample_scene(self.scenes(split), index)
         scenes = self.scenes(scene.split)
@@ -89,6 +93,16 @@ class Origin(Provenance):
         for path, value in self.derived.changes(split):
             again = changed_world(again, scenes, path, value).scene
         return again
+
+    def _drawn_where(self, condition: Condition, number: int, split: str, index: int) -> Scene:
+        """The scene `number` as a sample shows it. Raises InputError if it was not drawn for the sample or does not fit
+        the condition."""
+        scenes, place = self.scenes(split), self.shots.place(index)
+        if not belongs_to(number, place.scene):
+            raise InputError(f"index: expected one of the scenes of sample {place.scene}, got {number}")
+        if not condition.fits(scenes, number):
+            raise InputError(f"expected a scene where {condition.query}, got another")
+        return sample_scene(scenes, self.shots.index(place._replace(scene=number)))
 
 
 def read_origin(description: Mapping[str, Any]) -> Origin:
