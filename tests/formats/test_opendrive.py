@@ -128,6 +128,15 @@ def test_lanes_reach_from_end_to_end_of_every_curve(road):
             assert np.linalg.norm(points[:, None] - centers, axis=2).min(axis=1).max() < 3.0
 
 
+def test_the_header_encloses_all_reference_lines():
+    text = opendrive(world_of(topology=3), "test")
+    header = ElementTree.fromstring(text).find("header")
+    west, east, south, north = (float(header.get(key)) for key in ("west", "east", "south", "north"))
+    lines = [file_road.line(np.linspace(0.0, file_road.length, 200))[:2] for file_road in read_roads(text).values()]
+    x, y = np.concatenate(lines, axis=1)
+    assert (x.min(), x.max(), y.min(), y.max()) == pytest.approx((west, east, south, north), abs=0.5)
+
+
 @each_road
 def test_traffic_and_successors_are_those_of_the_lane_graph(road):
     world = world_of(**road)
