@@ -190,6 +190,7 @@ def generate(
     refuse_idle(like is not None, ["spreads"], "without --like")
     refuse_idle(map_file is not None, ["at"], "without --map")
     refuse_together("like", "map_file")
+    refuse_together("like", "where")
     refuse_idle(where is not None, ["tries"], "without --where")
     refuse_idle_keys(map_file is None, changes, KEYS_OF_ROADS, "with --map")
     refuse_idle(executor == "ray", ["address"], "without --executor ray")

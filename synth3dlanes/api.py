@@ -230,6 +230,8 @@ def generate_dataset(
     image_format = one_of("image_format", image_format, IMAGE_FORMATS)
     if like and map is not None:
         raise InputError("map: expected none beside like")
+    if like and where:
+        raise InputError("where: expected none beside like")
     if spreads and not like:
         raise InputError("spreads: expected none without scenes to be like")
     near = None
