@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads import terrain
@@ -20,6 +21,7 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.world.areas import NOTHING, polygon_between, union
 from synth3dlanes.world.horizon import FarHills, far_dam, on_faces
 
 Spread = Float[np.ndarray, "*#n"]
@@ -177,6 +179,15 @@ class Ground:
             for low, high in zip(offsets[::2], offsets[1::2], strict=True):
                 if len(s) > 1:
                     yield road.points(s, low), road.points(s, high)
+
+    def carriageway(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
+        """The pavement of traffic from above, shoulders included, within about `reach_m` of a place of the host."""
+        strips = self.pavement_strips(xy_world, reach_m)
+        return union(polygon_between(low[:, :2], high[:, :2]) for low, high in strips)
+
+    def walkways(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
+        """The walkways that are part of the roads, from above, within about `reach_m` of a place of the host."""
+        return NOTHING
 
     def _pavement_lines(
         self, xy_world: Float[np.ndarray, "2"], reach_m: float

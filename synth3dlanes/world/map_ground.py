@@ -262,8 +262,7 @@ class MapGround(Ground):
     def pavement_edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
         """The edges of the pavement of traffic, walkways left out, within about `reach_m` of a place: lines with points
         a metre apart."""
-        (x0, y0), (x1, y1) = xy_world - AS_FAR * reach_m, xy_world + AS_FAR * reach_m
-        lines = clipped(shapely.boundary(self.carriageways), (x0, y0, x1, y1))
+        lines = clipped(shapely.boundary(self.carriageways), _around(xy_world, reach_m))
         for line in shapely.get_parts(shapely.line_merge(lines)):
             if not line.is_empty:
                 ring = shapely.get_coordinates(shapely.segmentize(line, 1.0))
@@ -288,6 +287,15 @@ class MapGround(Ground):
             left, right = (np.concatenate([at.points(s, edge(at)(s)) for at, s in rows]) for edge in EDGES)
             if (np.hypot(*(left[:, :2] - xy_world).T) < AS_FAR * reach_m).any():
                 yield left, right
+
+    def carriageway(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
+        """The pavement of traffic from above, within about `reach_m` of a place."""
+        return clipped(self.carriageways, _around(xy_world, reach_m))
+
+    def walkways(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
+        """The walkways of roads and junctions from above, within about `reach_m` of a place."""
+        of_junctions = (area.polygon for area in self.areas if area.kind == "walkway")
+        return clipped(union([*self._raised_strips, *of_junctions]), _around(xy_world, reach_m))
 
     def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at lengths along the host's way, so far beside what is about its pavement on both sides."""
@@ -644,3 +652,9 @@ class MapGround(Ground):
                 if len(xy) > 1:
                     found.append(np.column_stack([xy, self.under(xy) + raised_m]))
         return found
+
+
+def _around(xy_world: Float[np.ndarray, "2"], reach_m: float) -> tuple[float, float, float, float]:
+    """The box about a place in which roads are near it."""
+    (x0, y0), (x1, y1) = xy_world - AS_FAR * reach_m, xy_world + AS_FAR * reach_m
+    return float(x0), float(y0), float(x1), float(y1)

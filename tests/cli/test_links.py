@@ -54,6 +54,7 @@ COMMANDS = {
     "apollo": Command("export DATA --format apollo --out OUT --workers 1"),
     "openlane_v2": Command("export DATA --format openlane_v2 --out OUT --workers 1"),
     "argoverse2": Command("export DATA --format argoverse2 --out OUT --workers 1"),
+    "nuscenes": Command("export DATA --format nuscenes --out OUT --workers 1"),
     "kitti": Command("export DATA --format kitti --out OUT --workers 1"),
     "opendrive": Command("export DATA --format opendrive --out OUT --workers 1"),
     "lanelet2": Command("export DATA --format lanelet2 --out OUT --workers 1"),

@@ -148,6 +148,30 @@ def argoverse2(out, fault):
     path.write_text(json.dumps(document))
 
 
+def nuscenes(out, fault):
+    path = out / "maps/expansion/singapore-hollandvillage.json"
+    document = json.loads(path.read_text())
+    paths = document["arcline_path_3"]
+    flipped = {"LSL": "RSR", "RSR": "LSL"}
+    if fault == "swapped":
+        one, other = list(paths)[:2]
+        paths[one], paths[other] = paths[other], paths[one]
+    elif fault == "dropped":
+        del paths[next(iter(paths))]
+    else:
+        for name, arcs in paths.items():
+            for arc in arcs:
+                (x, y, yaw), (x1, y1, yaw1) = arc["start_pose"], arc["end_pose"]
+                if fault == "shifted":
+                    arc["start_pose"] = [x + 0.3, y, yaw]
+                elif fault == "mirrored":
+                    arc |= {"start_pose": [-x, y, np.pi - yaw], "shape": flipped[arc["shape"]]}
+                else:
+                    arc |= {"start_pose": [x1, y1, yaw1 + np.pi], "shape": flipped[arc["shape"]]}
+            paths[name] = arcs[::-1] if fault == "reordered" else arcs
+    path.write_text(json.dumps(document))
+
+
 def opendrive(out, fault):
     path = sorted(out.glob("test/*.xodr"))[0]
     root = ElementTree.fromstring(path.read_text())
@@ -256,6 +280,7 @@ PLANTED = {
     "curvelanes": curvelanes,
     "openlane_v2": openlane_v2,
     "argoverse2": argoverse2,
+    "nuscenes": nuscenes,
     "opendrive": opendrive,
     "lanelet2": lanelet2,
     "coco": coco,

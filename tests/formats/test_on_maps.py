@@ -30,7 +30,7 @@ TOWN = (
 )
 # These need rendered pictures: passes, or which cars are seen.
 OF_PICTURES = {"coco", "cosmos", "kitti", "masks", "yolo"}
-SLOW = ["argoverse2", "openlane_v2"]
+SLOW = ["argoverse2", "nuscenes", "openlane_v2"]
 QUICK = sorted({*format_names()} - OF_PICTURES - {*SLOW})
 
 

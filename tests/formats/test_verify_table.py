@@ -63,7 +63,7 @@ ONE_PICTURE = {
     "given map",
     "fisheye",
 }
-OF_PINHOLES = ("argoverse2", "kitti", "openlane_v2")
+OF_PINHOLES = ("argoverse2", "kitti", "nuscenes", "openlane_v2")
 REFUSED = (
     {("cosmos", kind): "expected a clip of two frames or more" for kind in ONE_PICTURE}
     | {(name, "fisheye"): "expected a camera without distortion" for name in OF_PINHOLES}
@@ -78,6 +78,7 @@ QUICK = {
     ("town", "lanelet2"),
     *(("streets", name) for name in ("coco", "masks", "yolo")),
     ("clip", "cosmos"),
+    ("town rig", "nuscenes"),
     ("fisheye", "kitti"),
 }
 

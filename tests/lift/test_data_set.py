@@ -93,7 +93,7 @@ def test_openlane_takes_it(made: tuple[Path, LiftReport], tmp_path: Path) -> Non
 
 def test_formats_that_say_more_than_lanes_do_not_take_it(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
     """They say more than is known of a real drive."""
-    for name in ("argoverse2", "coco", "kitti", "lanelet2", "masks", "opendrive", "openlane_v2", "yolo"):
+    for name in ("argoverse2", "coco", "kitti", "lanelet2", "masks", "nuscenes", "opendrive", "openlane_v2", "yolo"):
         with pytest.raises(InputError, match=f"expected a data set of scenes for {name}, got one that was lifted"):
             Export(str(made[0]), tmp_path / name, name).write(1)
 

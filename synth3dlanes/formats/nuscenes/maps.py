@@ -1,0 +1,369 @@
+"""The map expansion of nuScenes: the layers of a scene's map from above, in its level frame."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import shapely
+from jaxtyping import Bool, Float
+from shapely.geometry.base import BaseGeometry
+
+from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
+from synth3dlanes.formats.nuscenes.convention import LAYERS, LINKS, PATHS, level_from_world, segment_type, token
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.polylines import stretches, thinned
+from synth3dlanes.labels.labels import LaneGraph
+from synth3dlanes.scene.roadside import Rail
+from synth3dlanes.system.arrays import Matrix4, Points2, Points3, Scalars
+from synth3dlanes.world.areas import (
+    difference,
+    filled,
+    intersection,
+    outset,
+    polygon_between,
+    polygons_of,
+    ring_area,
+    union,
+    valid,
+)
+from synth3dlanes.world.beside import beside
+from synth3dlanes.world.elements import TrafficElement
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.rails import WALKWAY_M, rail_stations
+from synth3dlanes.world.world import World
+
+DECIMALS, LINE_M, SAME_LINE_M = 3, 0.005, 0.2
+"""How far thinned lines may be from those with all points, and how far boundaries that are one line may be apart."""
+ARC_M, LEAST_CURVATURE, STRAIGHT_RADIUS_M = 0.01, 1e-5, 1000.0
+"""How far arcs may be from the middle of a lane, and the least curvature (1/m) of one; a straight path has a radius
+too."""
+MOST_ARC_RAD = 2.0
+SEAM_M = 0.01
+"""How far junctions overlap what is around them, so that tools that join both find no seam."""
+MEDIAN_M, LEAST_POINTS = 20.0, 2
+"""The widest median, and the points (every half metre) of which a divider has more."""
+NEAR_STOP_M, CROSSING_M = 1.0, 6.0
+"""How far a stop line may be from its lane, and from its crosswalk."""
+SHAPES = {"ball": "CIRCLE", "left": "LEFT_ARROW", "straight": "UP_ARROW", "right": "RIGHT_ARROW"}
+
+Record = dict[str, Any]
+
+
+def map_layers(world: World, graph: LaneGraph, log: str, world_from_ego: Matrix4, reach_m: float) -> Record:
+    """All layers of the map of a scene, whose first sample has this vehicle frame."""
+    at = world.view.world_from_host[:3, 3]
+    lanes = list(lane_segments(world, graph.segments, at, reach_m))
+    made = _Layers(log, level_from_world(world_from_ego), world, graph)
+    areas = {lane.id: made.lane(lane) for lane in lanes}
+    made.links(lanes)
+    made.dividers(lanes)
+    junctions = filled(union(areas[lane.id] for lane in lanes if lane.is_connector))
+    made.surfaces(at[:2], reach_m, junctions)
+    made.lights()
+    made.stop_lines(areas, made.crossings())
+    return made.layers
+
+
+class _Layers:
+    """Layers that are being made; places that are equal to the millimetre are one node."""
+
+    def __init__(self, log: str, level_from_world: Matrix4, world: World, graph: LaneGraph) -> None:
+        self.log, self.level_from_world, self.world, self.graph = log, level_from_world, world, graph
+        self.layers: Record = {name: list[Record]() for name in LAYERS} | {PATHS: {}, LINKS: {}}
+        self._nodes = dict[tuple[float, float], str]()
+
+    def level(self, points_world: Points3) -> Points2:
+        """World points from above."""
+        return np.asarray(transform(self.level_from_world, points_world)[:, :2])
+
+    def area(self, area_world: BaseGeometry) -> BaseGeometry:
+        """An area of the ground from above."""
+
+        def placed(xy: Points2) -> Points2:
+            return self.level(np.column_stack([xy, self.world.ground.height(xy)])) if len(xy) else xy
+
+        # Seen square to a slope, an area may fold where one road leaves another at its own height.
+        unfolded = shapely.make_valid(shapely.transform(area_world, placed), method="structure", keep_collapsed=False)
+        return shapely.simplify(unfolded, LINE_M)
+
+    def token(self, *names: object) -> str:
+        """The name of a record of this scene."""
+        return token(self.log, *names)
+
+    def add(self, layer: str, name: str, **fields: Any) -> None:
+        """A record."""
+        self.layers[layer].append({"token": name, **fields})
+
+    def nodes(self, xy: Points2) -> list[str]:
+        """The nodes at places; of equal ones after each other, one."""
+        found = list[str]()
+        for x, y in (np.round(xy, DECIMALS) + 0.0).tolist():
+            if (x, y) not in self._nodes:
+                self._nodes[x, y] = self.token("node", len(self._nodes))
+                self.add("node", self._nodes[x, y], x=x, y=y)
+            if not found or found[-1] != self._nodes[x, y]:
+                found.append(self._nodes[x, y])
+        return found
+
+    def line(self, xy: Points2) -> str:
+        """A line of places."""
+        name = self.token("line", len(self.layers["line"]))
+        self.add("line", name, node_tokens=self.nodes(xy))
+        return name
+
+    def polygon(self, polygon: shapely.Polygon) -> str:
+        """A polygon, whose rings do not name their first node again."""
+        name = self.token("polygon", len(self.layers["polygon"]))
+        rings = [self.nodes(np.array(ring.coords)[:-1]) for ring in (polygon.exterior, *polygon.interiors)]
+        holes = [{"node_tokens": ring} for ring in rings[1:] if len(ring) > 2]
+        self.add("polygon", name, exterior_node_tokens=rings[0], holes=holes)
+        return name
+
+    def lane(self, lane: LaneSegment) -> BaseGeometry:
+        """A lane or a connector with its path; return its area."""
+        name = self.token("lane", lane.id)
+        sides = thinned(np.stack([lane.left.points_world, lane.right.points_world], axis=1), LINE_M)
+        left, right = self.level(sides[:, 0]), self.level(sides[:, 1])
+        parts = _parts(ring_area(np.concatenate([left, right[::-1]]))) or _parts(polygon_between(left, right))
+        area = max(parts, key=lambda part: part.area, default=shapely.Polygon(np.concatenate([left, right[::-1]])))
+        self.layers[PATHS][name] = arcline_paths(self.level(lane.points_world))
+        if lane.is_connector:
+            self.add("lane_connector", name, polygon_token=self.polygon(area))
+            return area
+        segments = (
+            [{"node_token": node, "segment_type": _paint(of)} for node in self.nodes(side)]
+            for side, of in ((left, lane.left), (right, lane.right))
+        )
+        self.add(
+            "lane",
+            name,
+            polygon_token=self.polygon(area),
+            lane_type="CAR",
+            from_edge_line_token=self.line(np.stack([left[0], right[0]])),
+            to_edge_line_token=self.line(np.stack([left[-1], right[-1]])),
+            **dict(zip(("left_lane_divider_segments", "right_lane_divider_segments"), segments, strict=True)),
+        )
+        return area
+
+    def links(self, lanes: Sequence[LaneSegment]) -> None:
+        """Which lanes follow which."""
+        known = {lane.id for lane in lanes}
+        links = [(a, b) for a in known for b in self.graph.successors.get(a, ()) if b in known]
+        for lane in lanes:
+            self.layers[LINKS][self.token("lane", lane.id)] = {
+                "incoming": sorted(self.token("lane", a) for a, b in links if b == lane.id),
+                "outgoing": sorted(self.token("lane", b) for a, b in links if a == lane.id),
+            }
+
+    def dividers(self, lanes: Sequence[LaneSegment]) -> None:
+        """Lines between lanes of one direction, with their paint, where they are beside each other; and those between
+        both directions: one, or one on each side of a median."""
+        lanes = [lane for lane in lanes if not lane.is_connector]
+        for lane in lanes:
+            for other in lanes:
+                if other is not lane:
+                    for line in _runs(lane.right, _apart(lane.right.points_world, [other.left]) < SAME_LINE_M):
+                        of = self.line(self.level(line))
+                        nodes = self.layers["line"][-1]["node_tokens"]
+                        paint = [{"node_token": node, "segment_type": _paint(lane.right)} for node in nodes]
+                        self.add("lane_divider", self.token("divider", of), line_token=of, lane_divider_segments=paint)
+            self._between_directions(lane, lanes)
+
+    def _between_directions(self, lane: LaneSegment, lanes: Sequence[LaneSegment]) -> None:
+        """The line to the oncoming lanes beside a lane, which are to the right where traffic keeps left."""
+        on, own = self.world.network.lanes, self.world.network.lanes[lane.id]
+        across = [of for of in lanes if on[of.id].road == own.road and on[of.id].ascends != own.ascends]
+        sides = (lane.left, [of.left for of in across]), (lane.right, [of.right for of in across])
+        beside = self.world.network.neighbours(self.graph.segments[lane.index])
+        for (side, others), neighbour in zip(sides, beside, strict=True):
+            if neighbour is None and others:
+                apart_m, middle = _apart(side.points_world, others), _apart(lane.points_world, others)
+                # One line has two sides, of which one is enough.
+                is_between = (apart_m < np.minimum(middle, MEDIAN_M)) & (own.ascends | (apart_m > SAME_LINE_M))
+                for line in _runs(side, is_between):
+                    of = self.line(self.level(line))
+                    self.add("road_divider", self.token("divider", of), line_token=of, road_segment_token="")
+
+    def surfaces(self, at: Float[np.ndarray, "2"], reach_m: float, junctions: BaseGeometry) -> None:
+        """The pavement of traffic, cut where junctions begin, and the walkways beside it."""
+        ground, rails = self.world.ground, self.world.site.roadside.rails
+        paved = self.area(ground.carriageway(at, reach_m))
+        inner = intersection(outset(junctions, SEAM_M), paved)
+        drivable = self.token("drivable_area")
+        self.add("drivable_area", drivable, polygon_tokens=[self.polygon(part) for part in _parts(paved)])
+        for area, is_junction in ((difference(paved, junctions), False), (inner, True)):
+            for part in _parts(area):
+                of = self.polygon(part)
+                self.add(
+                    "road_segment",
+                    self.token("road_segment", of),
+                    polygon_token=of,
+                    is_intersection=is_junction,
+                    drivable_area_token=drivable,
+                )
+        paths = [walkway(ground, rail) for rail in rails if rail.kind == "walkway"]
+        for part in _parts(self.area(union([ground.walkways(at, reach_m), *paths]))):
+            of = self.polygon(part)
+            self.add("walkway", self.token("walkway", of), polygon_token=of)
+
+    def crossings(self) -> dict[str, BaseGeometry]:
+        """Crosswalks; return their areas."""
+        found = dict[str, BaseGeometry]()
+        for area in self._symbols("crosswalk"):
+            of = self.polygon(area)
+            found[self.token("crossing", of)] = area
+            self.add("ped_crossing", self.token("crossing", of), polygon_token=of, road_segment_token="")
+        return found
+
+    def _symbols(self, kind: str) -> Iterator[shapely.Polygon]:
+        for form in self.world.symbol_shapes:
+            if form.kind == kind:
+                yield from _parts(shapely.simplify(ring_area(self.level(form.points_world(form.outline))), LINE_M))
+
+    def lights(self) -> None:
+        """Signals: a line of a metre from each along which it looks."""
+        for number, element in self._signals():
+            pose = self.level_from_world @ element.place.world_from_face
+            (x, y, z), (dx, dy, _) = pose[:3, 3].tolist(), (-pose[:3, 1]).tolist()
+            high_m, yaw_rad = float(element.place.size_m[2]), float(np.arctan2(dy, dx))
+            lamps = [
+                {
+                    "color": color,
+                    "shape": SHAPES[element.kind],
+                    "rel_pos": _pose(0.0, 0.0, share * high_m, 0.0),
+                    "to_road_block_tokens": [],
+                }
+                for color, share in (("RED", 1 / 3), ("YELLOW", 0.0), ("GREEN", -1 / 3))
+            ]
+            self.add(
+                "traffic_light",
+                self.token("light", number),
+                line_token=self.line(np.array([[x, y], [x + dx, y + dy]])),
+                traffic_light_type="VERTICAL",
+                from_road_block_token="",
+                items=lamps,
+                pose=_pose(x, y, z, yaw_rad),
+            )
+
+    def _signals(self) -> list[tuple[int, TrafficElement]]:
+        elements = enumerate(self.world.site.elements)
+        return [(number, element) for number, element in elements if element.category == "traffic_light"]
+
+    def stop_lines(self, areas: Mapping[str, BaseGeometry], crossings: Mapping[str, BaseGeometry]) -> None:
+        """Stop lines with what they are for: lights and signs of the lanes that they cross, or a crosswalk beyond."""
+        for kind in ("stop_line", "give_way_line"):
+            for area in self._symbols(kind):
+                near = shapely.buffer(area, NEAR_STOP_M)
+                crossed = {name for name, lane in areas.items() if shapely.intersects(lane, near)}
+                ahead = crossed | {after for name in crossed for after in self.graph.successors.get(name, ())}
+                lights = [self.token("light", i) for i, element in self._signals() if ahead & {*element.lanes}]
+                signs = {element.kind for element in self.world.site.elements if ahead & {*element.lanes}}
+                beyond = [name for name, of in crossings.items() if shapely.distance(of, area) < CROSSING_M]
+                if lights:
+                    why = "TRAFFIC_LIGHT"
+                elif kind == "give_way_line":
+                    why = "YIELD"
+                elif "stop" in signs or not beyond:
+                    why = "STOP_SIGN"
+                else:
+                    why = "PED_CROSSING"
+                of = self.polygon(area)
+                self.add(
+                    "stop_line",
+                    self.token("stop_line", of),
+                    polygon_token=of,
+                    stop_line_type=why,
+                    ped_crossing_tokens=beyond if why == "PED_CROSSING" else [],
+                    traffic_light_tokens=lights,
+                    road_block_token="",
+                )
+
+
+def _parts(area: BaseGeometry) -> list[shapely.Polygon]:
+    """The polygons of an area with corners of as many decimals as nodes have, still valid."""
+    return polygons_of(shapely.set_precision(valid(area), 10.0**-DECIMALS))
+
+
+def walkway(ground: Ground, rail: Rail) -> BaseGeometry:
+    """The paved path behind the kerb of a walkway, from above."""
+    s = rail_stations(ground, rail)
+    front, back = (beside(ground, rail.road, rail.side, s, rail.aside_m + across) for across in (0.0, WALKWAY_M))
+    return polygon_between(front, back)
+
+
+def arcline_paths(middle: Points2) -> list[Record]:
+    """The middle of a lane as arcs and straight pieces, each as long as it is within ARC_M of all points."""
+    paths, first = [], 0
+    while first < len(middle) - 1:
+        last, step = first + 1, 1
+        while step:
+            tried = min(last + step, len(middle) - 1)
+            fits = tried > last and _arc_gap(middle[first : tried + 1]) <= ARC_M
+            last, step = (tried, 2 * step) if fits else (last, step // 2)
+        paths.append(_arc(middle[first : last + 1]))
+        first = last
+    return paths
+
+
+def _curvature(points: Points2) -> float:
+    """That of the circle through the first, the middle and the last of some points, positive to the left; 0 of what is
+    straight."""
+    a, b, c = points[0], points[len(points) // 2], points[-1]
+    (ux, uy), (vx, vy) = b - a, c - b
+    sides = np.linalg.norm(b - a) * np.linalg.norm(c - b) * np.linalg.norm(c - a)
+    found = 2 * (ux * vy - uy * vx) / max(float(sides), 1e-12) if len(points) > 2 else 0.0
+    return float(found) if abs(found) >= LEAST_CURVATURE else 0.0
+
+
+def _arc_gap(points: Points2) -> float:
+    """How far points are from the arc through the first, the middle and the last of them; infinite if it turns much."""
+    chord, k = points[-1] - points[0], _curvature(points)
+    length_m = max(float(np.linalg.norm(chord)), 1e-9)
+    along = np.array([chord[0], chord[1]]) / length_m
+    left = np.array([-along[1], along[0]])
+    if k == 0:
+        return float(np.abs((points - points[0]) @ left).max())
+    if abs(k) * length_m / 2 >= np.sin(MOST_ARC_RAD / 2):
+        return np.inf
+    to_center = np.sqrt(1 / k**2 - length_m**2 / 4)
+    center = (points[0] + points[-1]) / 2 + left * to_center * np.sign(k)
+    return float(np.abs(np.linalg.norm(points - center, axis=1) - 1 / abs(k)).max())
+
+
+def _arc(points: Points2) -> Record:
+    (dx, dy), k = points[-1] - points[0], _curvature(points)
+    chord_m, yaw_rad = float(np.hypot(dx, dy)), float(np.arctan2(dy, dx))
+    half_rad = float(np.arcsin(k * chord_m / 2))
+    length_m = 2 * half_rad / k if k else chord_m
+    ends = (*points[0].tolist(), yaw_rad - half_rad), (*points[-1].tolist(), yaw_rad + half_rad)
+    return {
+        "start_pose": list(ends[0]),
+        "end_pose": list(ends[1]),
+        "shape": "RSR" if k < 0 else "LSL",
+        "radius": 1 / abs(k) if k else STRAIGHT_RADIUS_M,
+        "segment_length": [length_m, 0.0, 0.0] if k else [0.0, length_m, 0.0],
+    }
+
+
+def _apart(points: Points3, others: Sequence[Boundary]) -> Scalars:
+    """How far points are from the nearest of some boundaries; infinite if none is near any of them."""
+    lines = shapely.MultiLineString([other.points_world[:, :2] for other in others])
+    box = shapely.box(*points[:, :2].min(axis=0), *points[:, :2].max(axis=0))
+    if shapely.distance(box, lines) > MEDIAN_M:
+        return np.full(len(points), np.inf)
+    return np.asarray(shapely.distance(shapely.points(points[:, :2]), lines))
+
+
+def _runs(side: Boundary, kept: Bool[np.ndarray, " n"]) -> Iterator[Points3]:
+    """The unbroken parts of a boundary of points that are kept."""
+    for first, end in stretches(kept):
+        if end - first > LEAST_POINTS:
+            yield thinned(side.points_world[first:end, None], LINE_M)[:, 0]
+
+
+def _paint(side: Boundary) -> str:
+    return segment_type(side.marking, side.color, side.double, side.pair)
+
+
+def _pose(x: float, y: float, z: float, yaw_rad: float) -> dict[str, float]:
+    return {"tx": x, "ty": y, "tz": z, "rx": 0.0, "ry": 0.0, "rz": yaw_rad}

@@ -1,0 +1,168 @@
+"""Write nuScenes: for each picture its image and lines of which rows are made, for each instant a sweep, and with the
+first picture of a scene its map."""
+
+import json
+from typing import Any
+
+import numpy as np
+
+from synth3dlanes.formats.format import SampleFrame
+from synth3dlanes.formats.nuscenes.convention import (
+    ATTRIBUTES,
+    CATEGORIES,
+    EGO_FROM_LIDAR,
+    FRONT_CAMERA,
+    HALF_PX,
+    HOST_FROM_EGO,
+    LIDAR,
+    LOCATIONS,
+    MORE_SCENES,
+    MOVING_M_S,
+    OF_BOXES,
+    OF_PICTURES,
+    PATHS,
+    REACH_M,
+    REAR_M,
+    ROOM_US,
+    START_US,
+    VERSIONS,
+    map_file,
+    mask_file,
+    pose_record,
+    table_file,
+)
+from synth3dlanes.formats.nuscenes.maps import map_layers
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, world_from_host
+from synth3dlanes.geometry.frames import from_axes, invert
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.scene.scene import Car
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.world.motion import host_driven
+from synth3dlanes.world.world import resolve
+
+README = f"""nuScenes (v1.0) with its map expansion: a scene for each of ours, a sample for each frame of its clip.
+
+- `v1.0-trainval` (and `v1.0-test`): the tables; `samples/CHANNEL/*`: images and sweeps; `maps/expansion/*.json` and
+  `maps/*.png`: the maps and their masks. All samples are key frames; there are no sweeps between them and no radar.
+- Scenes have the names of the original's train, val and test scenes, and the names of its four places, because tools
+  tell parts and maps by these: train is in {" and ".join(LOCATIONS["train"])}, val in {LOCATIONS["val"][0]}, test in
+  {LOCATIONS["test"][0]}. Nothing else is of these places. Scenes beyond the original's number (700, 150 and 150, less
+  four that converters leave out) are named from scene-{MORE_SCENES["train"]} on: `splits.json` beside the tables lists
+  all of a part under `synth3dlanes_train`, `synth3dlanes_val` and `synth3dlanes_test`.
+- Vehicle frame: x forward, y left, z up, on the road below the rear axle, {REAR_M:g} m behind the middle of the host.
+  Global frame: that of the vehicle at the first sample of a scene is level and at height 0, so the map's plane is the
+  road plane there. Poses are 3D; the road leaves the plane where it bends up or down.
+- Tools of map learners want the six cameras and `{LIDAR}`: generate with `--rig nuscenes`. One camera is
+  `{FRONT_CAMERA}`. Without a lidar sweeps are empty, and `num_lidar_pts` is 1 for a box that a camera sees and 0 for
+  others: tools leave out boxes without points.
+- Boxes are those of all cars of the labels. Attributes are by speed; single pictures have none.
+- `visibility` is the greatest share that one camera sees.
+"""
+
+
+def annotate(frame: SampleFrame) -> FrameAnnotation:
+    """The image of a picture and its lines; with the first of an instant also its sweep, with the first of a scene its
+    map."""
+    labels, shot, where = frame.labels, frame.scene.shot, f"{frame.split}:{frame.key}"
+    if labels.objects is None:
+        raise InputError(f"{where}: expected labels with objects, got older ones; generate the data set again")
+    if not labels.camera.lens.is_pinhole:
+        raise InputError(f"{where}: expected a camera without distortion, got {labels.camera.lens}")
+    before = shot.frame * shot.n_cameras + shot.camera
+    first, log = frame.number - before, f"{frame.split}-{int(frame.key) - before:08d}"
+    time_us, reach_m = START_US + first * ROOM_US + round(shot.time_s * 1e6), _reach(frame)
+    world_from_ego, head = ego_frame(frame), f"{first} {frame.part} {reach_m:.1f}"
+
+    def data(channel: str, ending: str, ego_from_sensor: Matrix4) -> dict[str, Any]:
+        name = f"samples/{channel}/{log}__{channel}__{time_us}.{ending}"
+        return {"channel": channel, "file": name, "pose": pose_record(ego_from_sensor)}
+
+    ego_from_cam = invert(world_from_ego) @ labels.camera.world_from_cam
+    camera = data(labels.camera.name or FRONT_CAMERA, frame.image_format, _cv(ego_from_cam)) | _lens(labels.camera)
+    picture: dict[str, Any] = {
+        "log": log,
+        "frame": shot.frame,
+        "time_us": time_us,
+        "world_from_ego": world_from_ego.tolist(),
+        "data": [camera],
+    }
+    files, n_lanes = dict[str, str | bytes](), 0
+    if frame.cameras:
+        ego_from_lidar = EGO_FROM_LIDAR
+        if labels.lidar is not None:
+            ego_from_lidar = ego_from_cam @ labels.lidar.cam_from_lidar
+        lidar = data(LIDAR, "pcd.bin", ego_from_lidar)
+        files[lidar["file"]], picture["data"] = _sweep(frame), [camera, lidar]
+    cars = zip(labels.objects, frame.scene.cars, strict=True)
+    boxes = [_box(item, car, ego_from_cam if frame.cameras else None) for item, car in cars]
+    versions = dict.fromkeys(VERSIONS[part] for part in PARTS if frame.serves_as(part))
+    shared = [
+        (
+            f"{head} {json.dumps(picture)}",
+            tuple(table_file(version, name) for version in versions for name in OF_PICTURES),
+        ),
+        (
+            f"{head} {json.dumps(picture | {'boxes': boxes})}",
+            tuple(table_file(version, name) for version in versions for name in OF_BOXES),
+        ),
+    ]
+    if frame.is_first:
+        layers = map_layers(resolve(frame.scene), labels.graph, log, world_from_ego, reach_m)
+        n_lanes = len(layers[PATHS])
+        places = LOCATIONS[frame.part]
+        shared.append(
+            (f"{head} {json.dumps(layers)}", tuple(path(at) for at in places for path in (map_file, mask_file)))
+        )
+    return FrameAnnotation(camera["file"], n_lanes, files=files, shared=tuple(shared))
+
+
+def ego_frame(frame: SampleFrame) -> Matrix4:
+    """World from the vehicle frame, in which sensors keep their places through a clip."""
+    mounted = frame.scene.camera
+    return world_from_host(frame.labels.camera, mounted.right_m, mounted.forward_m) @ HOST_FROM_EGO
+
+
+def _reach(frame: SampleFrame) -> float:
+    shot = frame.scene.shot
+    return REACH_M + host_driven(shot, shot.duration_s)
+
+
+def _cv(ego_from_cam: Matrix4) -> Matrix4:
+    ego_from_cv = ego_from_cam.copy()
+    ego_from_cv[:3, :3] = ego_from_cam[:3, :3] @ CV_FROM_CAM.T
+    return ego_from_cv
+
+
+def _lens(camera: CameraLabel) -> dict[str, Any]:
+    matrix = camera.img_from_cam @ CV_FROM_CAM.T
+    matrix[:2, 2] -= HALF_PX
+    return {"camera_intrinsic": matrix.tolist(), "width": camera.width_px, "height": camera.height_px}
+
+
+def _sweep(frame: SampleFrame) -> bytes:
+    """Points in the lidar's frame: x, y, z, no intensity, the number of the beam."""
+    if frame.sweep is None:
+        return b""
+    points = frame.sweep.points()
+    columns = np.column_stack([points.xyz_lidar, np.zeros(len(points.beam)), points.beam])
+    return columns.astype("<f4").tobytes()
+
+
+def _box(item: ObjectLabel, car: Car, ego_from_cam: Matrix4 | None) -> dict[str, Any]:
+    """A car as a picture sees it; for the first of an instant with its box, whose frame is x forward, y left, z up."""
+    seen = {"id": item.id, "visible": item.visible_fraction}
+    if ego_from_cam is None:
+        return seen
+    pose = ego_from_cam @ item.cam_from_object
+    x, y, z = pose[:3, :3].T
+    speed_m_s = None if item.velocity_cam is None else float(np.linalg.norm(item.velocity_cam))
+    attribute = ATTRIBUTES[0] if speed_m_s and speed_m_s > MOVING_M_S else ATTRIBUTES[1 if car.track else 2]
+    return seen | {
+        "category": CATEGORIES[item.category],
+        "size": item.size_m.tolist(),
+        "pose": pose_record(from_axes(y, -x, z, pose[:3, 3])),
+        "attribute": None if speed_m_s is None else attribute,
+        "points": item.lidar_points,
+    }
