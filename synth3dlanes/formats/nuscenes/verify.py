@@ -5,7 +5,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -19,9 +19,12 @@ from synth3dlanes.formats.comparing import (
     Gap,
     Rule,
     SourceSample,
+    compare_camera,
     compare_map,
+    compare_sweep,
     distances,
     is_beside,
+    pinhole_pixels,
     stations,
 )
 from synth3dlanes.formats.format import FrameList, ReadFrame
@@ -65,13 +68,12 @@ ON_LINE_M, ON_LINE, LEAST_POINTS = 0.06, 0.9, 10
 MOST = 0.5
 # Lanes of the other direction are at most so far beyond the line beside a median.
 FACING_M = 25.0
-# Pixels, as shares of the image, and depths at which a camera is compared.
-SHARES, DEPTHS_M = (0.1, 0.5, 0.9), (5.0, 50.0)
 # An endless road of the paper is measured so far.
 ARC_STEP_M, ENDLESS_M = 0.5, 300.0
 PNG_HEAD = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 TURN = {"L": 1, "S": 0, "R": -1}
 MIRRORED = {"SOLID_DASHED": "DASHED_SOLID", "DASHED_SOLID": "SOLID_DASHED"}
+EGO_FROM_HOST = np.array([[0, 1.0, 0, REAR_M], [-1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
 CV_FROM_OURS = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
 
 
@@ -413,28 +415,17 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     return compared + _map(picture, global_from_cam, truth)
 
 
-def _ego(truth: SourceSample, points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Points of a camera in the vehicle frame: forward of the rear axle, to the left, and over the road."""
-    mounted = truth.scene.camera
-    host_from_road = turned(0.0, mounted.right_m, mounted.forward_m)
-    right, forward, up = transform(host_from_road @ truth.labels.camera.road_from_cam, points_cam).T
-    return np.column_stack([forward + REAR_M, -right, up])
-
-
 def _camera(picture: _Picture, truth: SourceSample) -> Comparison:
     """How far places that a camera sees are from their pixels, by its place on the vehicle."""
-    camera, data, calibrated = truth.labels.camera, picture.data, picture.calibrated(picture.data)
+    camera, mounted, data = truth.labels.camera, truth.scene.camera, picture.data
+    calibrated = picture.calibrated(data)
     if (data.width, data.height) != (camera.width_px, camera.height_px) or len(calibrated.camera_intrinsic) != 3:
         expected = f"a matrix and a size of {camera.width_px}x{camera.height_px}"
         return Comparison(problems=(f"camera: expected {expected}, got {data.width}x{data.height}",))
-    shares = np.array([(u, v, depth) for u in SHARES for v in SHARES for depth in DEPTHS_M])
-    uv = shares[:, :2] * (camera.width_px, camera.height_px)
-    x, y, z = transform(invert(calibrated.matrix), _ego(truth, camera.points(uv, shares[:, 2]))).T
-    (fx, _, cx), (_, fy, cy), _ = calibrated.camera_intrinsic
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.column_stack([cx + fx * x / z, cy + fy * y / z])
-    apart = np.where(z > 0, np.linalg.norm(found - (uv - 0.5), axis=1), np.inf)
-    return Comparison.within([Gap.of(f"camera {picture.channel}", "px", apart, "camera")], {"px": LIMIT_PX})
+    host_from_cam = turned(0.0, mounted.right_m, mounted.forward_m) @ camera.road_from_cam
+    img_from_cv = np.array(calibrated.camera_intrinsic) + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    cv_from_cam = invert(calibrated.matrix) @ EGO_FROM_HOST @ host_from_cam
+    return compare_camera(picture.channel, camera, partial(pinhole_pixels, img_from_cv, cv_from_cam), LIMIT_PX)
 
 
 def _pose(picture: _Picture, global_from_ego: Matrix4, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
@@ -505,16 +496,10 @@ def _sweep(picture: _Picture, global_from_cam: Matrix4, truth: SourceSample) -> 
     if len(numbers) % 20:
         raise FormatError(f"{path}: expected points of five numbers of 4 bytes, got {len(numbers)} bytes")
     found = np.frombuffer(numbers, "<f4").reshape(-1, 5).astype(float)
-    ours = None if truth.sweep is None else truth.sweep.points()
-    n_points = 0 if ours is None else len(ours.beam)
-    if len(found) != n_points:
-        return Comparison(problems=(f"expected {n_points} points of the lidar, got {len(found)}",))
-    if ours is None or not n_points:
-        return Comparison()
-    there = transform(picture.pose(data) @ picture.calibrated(data).matrix, found[:, :3])
-    apart = np.linalg.norm(there - transform(global_from_cam, ours.xyz_cam), axis=1)
-    compared = Comparison.within([Gap.of("points of the lidar", "m", apart, "sweep")], {"m": POINT_M})
-    return compared.because([] if (found[:, 4] == ours.beam).all() else ["expected the beams of our sweep, got others"])
+    cam_from_lidar = invert(global_from_cam) @ picture.pose(data) @ picture.calibrated(data).matrix
+    compared = compare_sweep(transform(cam_from_lidar, found[:, :3]), truth, POINT_M)
+    is_other = bool(compared.gaps and truth.sweep is not None and (found[:, 4] != truth.sweep.points().beam).any())
+    return compared.because(["expected the beams of our sweep, got others"] if is_other else [])
 
 
 class _FromAbove(SourceSample):
