@@ -10,8 +10,8 @@ from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads.section_road import KERB_M
 from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.world.map_ground import MapGround
-from synth3dlanes.world.passages import CEILING_M, COVER_M, DECK_M, WALL_M, Span
 from synth3dlanes.world.solids import SINK_M, Body, GroundFrame, Quads
+from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M, WALL_M, Span
 
 # The walls of tunnels stand on the edges of the pavement.
 INSET_M = 0.12
