@@ -14,12 +14,12 @@ from synth3dlanes.scene.road_map import MapRoad, RoadMap
 from synth3dlanes.scene.scene import HeightGrid, Terrain
 from synth3dlanes.system.arrays import Points3, Scalars
 
-# The grid reaches so far from the world's origin, in steps; at its edge the ground is level.
+# Reach of the grid from the world's origin, its step, and how many coefficients at its edge are level.
 REACH_M, STEP_M, LEVEL = 640.0, 20.0, 4
 # Places of roads that the ground is fitted to, along roads.
 ALONG_M = 6.0
-# Of two roads one above the other the ground meets the lower one: of places so close, with so much and more than their
-# distance between.
+# Of two roads one above the other the ground meets the lower one: the height between their places, beyond the distance
+# from above of these, and how close they are.
 ABOVE_M, BESIDE_M = 3.0, 15.0
 # How much a bend of the ground counts beside a metre off a road, and its distance from the mean height.
 STIFF, MEAN = 0.02, 1e-4

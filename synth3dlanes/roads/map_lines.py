@@ -21,7 +21,7 @@ NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # t
 NODES = NODES + 0.5
 # An arc of less curvature (1/m) is a parabola here, to a tenth of a millimetre in a kilometre.
 STRAIGHT = 1e-9
-# Lengths along a cubic are measured in so many steps.
+# Steps in which lengths along a cubic are measured.
 CUBIC_STEPS = 2000
 # Metres per parameter; what is slower stands still.
 LEAST_SPEED = 1e-9

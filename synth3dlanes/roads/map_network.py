@@ -30,7 +30,7 @@ STEP_M = 1.0
 ACROSS_M = 0.5
 # The host's direction is measured over this length to both sides.
 TANGENT_M = 0.01
-# Roads of maps turn: what lies so many times as far from a place, from above, is near it.
+# Roads of maps turn: what lies at most this many times a reach from a place, from above, is near it.
 AS_FAR = 2.0
 
 

@@ -16,7 +16,7 @@ from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapLane, MapLaneKind, MapRoad, MapShape, MapSpan, Polynomial
 from synth3dlanes.system.arrays import AnyPoints3, AnyScalars, Numbers
 
-# Lanes of these kinds are raised over the pavement by so much, but for a seam at edges where they are alone.
+# Height of raised lanes over the pavement, the width of the seam at their edges that is not raised, and their kinds.
 KERB_M, SEAM_M = 0.12, 0.005
 RAISED: frozenset[MapLaneKind] = frozenset({"walkway", "kerb"})
 # Width that is assumed where a road has no lanes of traffic.

@@ -26,10 +26,10 @@ EMBANKMENT_M = 40.0
 BETWEEN_M = 0.5
 # The ground is this much lower than the lower side of a deck above it. A tunnel covers places nearer to it than this.
 BELOW_DECK_M, COVERED_M = 0.3, 0.5
-# Cells of the grid of the highest ground, and a height that nothing there has; between rows of places GUESS_STEP_M
-# apart, at these shares of its width, a road is nowhere higher by more than this than at the nearest of them.
+# Limits of the ground: the size of the cells in which they are found, and a height that nothing has. They are asked of
+# rows of places across roads, at shares of their width; between these, a road is higher by less than ROUGH_M.
 CELL_M, NOWHERE_M, ROUGH_M, SHARES = 4.0, 1e4, 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)
-# So many places are asked together: more take no less time each, but more memory.
+# Places that are asked together: more take no less time each, but more memory.
 TOGETHER = 40_000
 # What is no farther from pavement is on it.
 EDGE_M = 1e-4

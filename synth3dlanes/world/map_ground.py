@@ -50,15 +50,16 @@ ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.
 COARSE_M = 4.0
 # Half the width of a street with its walkways, about.
 HALF_STREET_M = 6.0
-# The terrain under the edges of the pavement is so much lower than that, times the size of its cells.
+# Depth of the terrain below the edges of the pavement, times the size of its cells.
 UNDER_FALL_M = 0.03
-# Kerbs this near to the host's way hide what is labelled; as lines that are simplified by so much, in such steps.
+# Kerbs this near to the host's way hide what is labelled: the tolerance of their simplified lines, and the distance of
+# points along these.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 # Paint farther than this from the host's way is not drawn; places along a line that are asked.
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # The edges of a road's pavement.
 EDGES = attrgetter("left"), attrgetter("right")
-# Junctions are cut so far beside their decks.
+# Distance beside a junction's decks at which the ground ends.
 OFF_M = 0.3
 
 
@@ -128,7 +129,7 @@ class MapGround(Ground):
 
     @cached_property
     def fine(self) -> tuple[float, float, float, float]:
-        """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and as far as it looks."""
+        """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and FINE_M ahead of it."""
         ahead = self.network.way.xy_world(np.array([self.near_m, self.near_m + 1.0]))
         angle = np.arctan2(*(ahead[1] - ahead[0])[::-1]) + np.linspace(-0.9, 0.9, 9)
         reach = FINE_M * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -253,7 +254,7 @@ class MapGround(Ground):
         return clipped(union([*self._raised_strips, *of_junctions]), _around(xy_world, reach_m))
 
     def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
-        """Places at lengths along the host's way, so far beside what is about its pavement on both sides."""
+        """Places at lengths along the host's way, `aside_m` beside what is about its pavement on both sides."""
         way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
         s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))
         return way.points_beside(s, np.repeat(aside, len(driven_m)))[:, :2]
@@ -496,15 +497,15 @@ class MapGround(Ground):
         return signed_distance(self._outlined, xy_world)
 
     def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than so much from any pavement."""
+        """Which points are farther than `room_m` from any pavement."""
         return ~np.asarray(shapely.dwithin(self.pavement, shapely.points(xy_world), room_m))
 
     def is_off_ground_pavement(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than so much from pavement that lies on the ground, below decks too."""
+        """Which points are farther than `room_m` from pavement that lies on the ground, below decks too."""
         return ~np.asarray(shapely.dwithin(self.graded_pavement, shapely.points(xy_world), room_m))
 
     def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are at most so far from a pavement, to half a per cent of that."""
+        """Which points are at most `reach_m` from a pavement, to half a per cent of that."""
         area = shapely.buffer(self.pavement, reach_m)
         shapely.prepare(area)
         return contains(area, xy_world)

@@ -30,7 +30,7 @@ COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
 SKIRT_M = 0.12
-# The terrain goes down to its bed so far inside the edges of the pavement.
+# Distance inside the edges of the pavement from which the terrain goes down to its bed.
 UNDER_M = 0.15
 # Columns of cells are cut out a little wider; lines of the terrain's grid keep off corners of the pavement.
 ASIDE_M, HAIR_M = 0.01, 1e-5

@@ -1,7 +1,7 @@
 """Where roads of a map leave the ground: on decks over it, in tunnels below it. World frame, metres.
 
-A road is on a deck where a file says that it has a bridge, and where it passes over another road: as far as a slope
-down from it would reach that road.
+A road is on a deck where a file says that it has a bridge, and over and beside another road, up to where a slope down
+from it would no longer reach that road.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,15 +18,17 @@ from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.areas import intersection, polygon_between
 from synth3dlanes.world.ground import EMBANKMENT_SLOPE
 
-# A road so far above another passes over it, on a deck of this thickness; roads are looked at in such steps first.
+# Height above another road from which a road passes over it, the thickness of its deck, and the distance of places
+# along roads that are looked at first.
 PASSAGE_M, DECK_M, STEP_M = 3.0, 0.5, 20.0
 LEAST_M2 = 0.02
 # Level ground beside a road before its slopes begin.
 BERM_M = 1.5
-# Ends of decks are found in such steps; a piece between two decks, or up to an end of the road, that is shorter is one.
+# Distance of places along roads at which decks may end. A piece of ground between two decks, or between a deck and an
+# end of the road, that is shorter than the second belongs to the deck.
 END_STEP_M, LEAST_GROUND_M = 1.0, 12.0
-# The ground falls below the deck of a bridge of a file, at most so far; the ceiling of tunnels, the ground over it, and
-# the thickness of their walls.
+# Most depth of the valley below the deck of a bridge of a file; height of the ceiling of tunnels and of the ground over
+# that, and thickness of their walls.
 VALLEY_M, CEILING_M, COVER_M, WALL_M = 4.0, 5.5, 1.0, 0.6
 # The ground over a tunnel begins this much before its ends.
 BEFORE_M = 0.02
@@ -139,8 +141,8 @@ def _passages(
 
 
 def _over(s: Scalars, rows: Float[np.ndarray, "3 n 3"], at: _Passage) -> Iterator[tuple[float, float]]:
-    """The stations of a road between which it is so high over a passage, and so near to it, that a slope down from it
-    would reach the road there."""
+    """The stations of a road between which it passes over a passage, or a slope down from it would reach the road in
+    that."""
     above_m = rows[..., 2] - at.z
     reach_m = BERM_M + 1.0 + EMBANKMENT_SLOPE * np.maximum(above_m, 0.0)
     x0, y0, x1, y1 = shapely.bounds(at.area)
