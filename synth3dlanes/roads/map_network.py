@@ -16,7 +16,7 @@ from synth3dlanes.labels.labels import LaneGraph, Segment
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
 from synth3dlanes.roads.maps.cubics import SAME_M
 from synth3dlanes.roads.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
-from synth3dlanes.roads.road_table import Places, RoadTable
+from synth3dlanes.roads.road_table import OnRoads, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.roads.section_road import SectionRoad
 from synth3dlanes.scene.host import Camera
@@ -321,7 +321,7 @@ class MapNetwork(Network):
                 listed.append(Nearby(self.roads[road[0]], which, s, t))
         return near, listed
 
-    def places(self, xy_world: Float[np.ndarray, "n 2"], reach_m: Float[np.ndarray, " r"] | float) -> Places:
+    def places(self, xy_world: Float[np.ndarray, "n 2"], reach_m: Float[np.ndarray, " r"] | float) -> OnRoads:
         """Where points are along every road whose pavement they may be within `reach_m` of, a number or that of each
         road: road by road, points in ascending order."""
         index, points, roads, guesses = self._index, [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
@@ -342,7 +342,7 @@ class MapNetwork(Network):
                 guesses.append(index.stations[i][place[is_near]])
         point, road = np.concatenate(points), np.concatenate(roads)
         s, t, is_foot = self.table.project(road, xy_world[point], np.concatenate(guesses))
-        return Places(point, road, s, t).of(is_foot)
+        return OnRoads(point, road, s, t).of(is_foot)
 
     @cached_property
     def table(self) -> RoadTable:

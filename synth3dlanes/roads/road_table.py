@@ -22,7 +22,7 @@ from synth3dlanes.system.arrays import Points2, Points3, Scalars
 # Steps of a projection, and how far from the perpendicular through a foot its point may be.
 MOST_STEPS, FOOT_M = 12, 1e-3
 
-Numbers = Int[np.ndarray, " n"]
+Indices = Int[np.ndarray, " n"]
 
 
 class TableLine(NamedTuple):
@@ -35,17 +35,17 @@ class TableLine(NamedTuple):
     last_m: float
 
 
-class Places(NamedTuple):
+class OnRoads(NamedTuple):
     """Places of points along roads: the number of each point and of its road, its station and its offset."""
 
-    point: Numbers
-    road: Numbers
+    point: Indices
+    road: Indices
     s: Scalars
     t: Scalars
 
-    def of(self, which: Bool[np.ndarray, " n"] | Numbers) -> "Places":
+    def of(self, which: Bool[np.ndarray, " n"] | Indices) -> "OnRoads":
         """Some of the places."""
-        return Places(*(values[which] for values in self))
+        return OnRoads(*(values[which] for values in self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class _Ragged:
         flat = np.array([start for row in rows for start in row], dtype=float)
         return cls(np.cumsum([0, *counts]), flat, _keys(np.repeat(np.arange(len(rows)), counts), flat))
 
-    def at(self, owner: Numbers, s: Scalars) -> Numbers:
+    def at(self, owner: Indices, s: Scalars) -> Indices:
         """The number of the row that holds at a station: of those that begin at or before it the last, else the very
         first."""
         first = self.first[owner]
@@ -76,8 +76,8 @@ class _Ragged:
         return found
 
 
-def _keys(owner: Numbers, s: Scalars) -> np.ndarray:
-    """Numbers that are sorted by owner first: complex ones are, by their real parts."""
+def _keys(owner: Indices, s: Scalars) -> np.ndarray:
+    """Indices that are sorted by owner first: complex ones are, by their real parts."""
     keys = np.zeros(len(s), dtype=complex)
     keys.real, keys.imag = owner, s
     return keys
@@ -91,7 +91,7 @@ class _Cubics:
         self._rows = _Ragged.of(starts.tolist() for starts, _ in tables)
         self._numbers = np.concatenate([np.zeros((4, 0)), *(numbers for _, numbers in tables)], axis=1)
 
-    def __call__(self, profile: Numbers, s: Scalars) -> Scalars:
+    def __call__(self, profile: Indices, s: Scalars) -> Scalars:
         """The value of a profile at each station."""
         row = self._rows.at(profile, s)
         x, (a, b, c, d) = s - self._rows.starts[row], self._numbers[:, row]
@@ -131,11 +131,11 @@ class RoadTable:
         self._is_shaped = np.array([at.shapes is not None or any(lane.level for lane in at.lanes) for at in sections])
         self._is_shaped &= self._has_heights
 
-    def frames(self, road: Numbers, s: Scalars) -> LineFrames:
+    def frames(self, road: Indices, s: Scalars) -> LineFrames:
         """Each road's line at a station."""
         return self._frames(self._pieces.at(road, s), s)
 
-    def _frames(self, piece: Numbers, s: Scalars) -> LineFrames:
+    def _frames(self, piece: Indices, s: Scalars) -> LineFrames:
         x = s - self._pieces.starts[piece]
         found, other = spiral_frames(self._spirals[piece], x), self._is_other[piece]
         for i in np.unique(piece[other]):
@@ -144,13 +144,13 @@ class RoadTable:
                 whole[at] = part
         return found
 
-    def xy(self, road: Numbers, s: Scalars, t: Scalars) -> Points2:
+    def xy(self, road: Indices, s: Scalars, t: Scalars) -> Points2:
         """World (x, y) of places."""
         points, normals, _, _ = self.frames(road, s)
         return np.asarray(points + t[:, None] * normals)
 
     def project(
-        self, road: Numbers, xy_world: Points2, guess: Scalars
+        self, road: Indices, xy_world: Points2, guess: Scalars
     ) -> tuple[Scalars, Scalars, Bool[np.ndarray, " n"]]:
         """(s, t) of points on the road of each, by Newton's method as `ReferenceLine.project` finds them, and which of
         them are feet of their points: inside a bend it may find none."""
@@ -174,11 +174,11 @@ class RoadTable:
         is_foot[left] = np.abs(along) < FOOT_M
         return s, t, is_foot
 
-    def section(self, road: Numbers, s: Scalars) -> Numbers:
+    def section(self, road: Indices, s: Scalars) -> Indices:
         """The number of the section at each station."""
         return self._by_road.at(road, s)
 
-    def edge(self, section: Numbers, edge: Numbers, s: Scalars) -> Scalars:
+    def edge(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
         """The offset of an edge of a section at each station."""
         middle, x = self._n_left[section], s - self._section_start_m[section]
         low, high = np.minimum(edge, middle), np.maximum(edge, middle)
@@ -201,7 +201,7 @@ class RoadTable:
         road, t = self._on_lines(lines, which, s)
         return list(zip(np.split(s, ends[:-1]), np.split(self.xy(road, s, t), ends[:-1]), strict=True))
 
-    def points(self, lines: Sequence[TableLine], which: Numbers, s: Scalars) -> Points3:
+    def points(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> Points3:
         """Points on the surface along lines, by the number of each, at stations."""
         road, t = self._on_lines(lines, which, s)
         points = self.base_points(road, s, t)
@@ -211,20 +211,20 @@ class RoadTable:
                 points[at, 2] += self.roads[i].kerb(s[at], t[at])
         return points
 
-    def _on_lines(self, lines: Sequence[TableLine], which: Numbers, s: Scalars) -> tuple[Numbers, Scalars]:
+    def _on_lines(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> tuple[Indices, Scalars]:
         """The roads and the offsets of lines at stations."""
         road, low, high = np.array([(line.road, *line.edges) for line in lines], dtype=int).reshape(-1, 3)[which].T
         section = self.section(road, s)
         t = self.edge(section, low, s)
         return road, np.where(low == high, t, (t + self.edge(section, high, s)) / 2)
 
-    def edges(self, road: Numbers, s: Scalars) -> tuple[Scalars, Scalars]:
+    def edges(self, road: Indices, s: Scalars) -> tuple[Scalars, Scalars]:
         """The offsets of the left and the right edge of the pavement of each road at a station."""
         section = self.section(road, s)
         left, right = (self.edge(section, self._paved[side][section], s) for side in (0, 1))
         return left, right
 
-    def base_points(self, road: Numbers, s: Scalars, t: Scalars) -> Points3:
+    def base_points(self, road: Indices, s: Scalars, t: Scalars) -> Points3:
         """Points on the surface of each road without raised lanes."""
         xy, section = self.xy(road, s, t), self.section(road, s)
         z = self._height(section, s, t)
@@ -232,7 +232,7 @@ class RoadTable:
         z[low] = height_at(self._terrain, xy[low])
         return np.column_stack([xy, z])
 
-    def _height(self, section: Numbers, s: Scalars, t: Scalars) -> Scalars:
+    def _height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
         at = np.clip(s, self._section_start_m[section], self._section_end_m[section])
         z, banked = self._heights(section, at), self._is_banked[section]
         if banked.any():

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.roads.map_lines import GUESS_STEP_M
 from synth3dlanes.roads.map_network import MapNetwork
-from synth3dlanes.roads.road_table import Places
+from synth3dlanes.roads.road_table import OnRoads
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.ground import EMBANKMENT_SLOPE
@@ -175,7 +175,7 @@ class GradedGround:
         total = np.bincount(places.point, weight * raised_m, n)
         return np.asarray(total / np.maximum(np.bincount(places.point, weight, n), 1e-12))
 
-    def _beside(self, places: Places, on_ground: bool) -> tuple[Places, Scalars, Scalars]:
+    def _beside(self, places: OnRoads, on_ground: bool) -> tuple[OnRoads, Scalars, Scalars]:
         """Of places how far they are from the pavement of their roads, and how high that is there; of places of roads
         that are nowhere on the ground none, if they are to be `on_ground`."""
         table = self.network.table
