@@ -89,7 +89,7 @@ class PartOf(click.ParamType):
     "map_file",
     metavar="FILE",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Place scenes on the roads of an OpenDRIVE file (docs/maps.md).",
+    help="Place scenes on the roads of an OpenDRIVE or Lanelet2 file (docs/maps.md).",
 )
 @click.option("--at", metavar="ROAD:S:LANE", help="With --map: the host's place, in place of a random one.")
 @click.option(

@@ -139,9 +139,10 @@ def sample_scene(
     """Draw the scene of sample `index` of a split. Equal arguments give equal scenes.
 
     `camera`, or the cameras of a `rig`, replace the camera of the parameters. With `frames` above 1, samples are frames
-    of clips at `fps` frames per second. `map` is an OpenDRIVE file whose roads the scene is on, `at` the host's place
-    there as ROAD:s:lane, in place of a random one (docs/maps.md). Raises InputError for a wrong argument, and if there
-    is no room for the least number of cars or trees in their ranges; FormatError for a map that cannot be read.
+    of clips at `fps` frames per second. `map` is an OpenDRIVE or Lanelet2 file whose roads the scene is on, `at` the
+    host's place there as ROAD:s:lane, in place of a random one (docs/maps.md). Raises InputError for a wrong argument,
+    and if there is no room for the least number of cars or trees in their ranges; FormatError for a map that cannot be
+    read.
     """
     _within(0, MAX_SEED, seed=seed)
     _within(0, N_SCENE_NUMBERS - 1, index=index)
@@ -211,9 +212,9 @@ def generate_dataset(
     """Make samples 0 to n - 1 of a split in `out`, a folder or a URL. Samples that are already there are kept.
 
     With `frames` above 1, samples are frames of clips at `fps` frames per second: the first clip is samples 0 to frames
-    - 1. `map` is an OpenDRIVE file whose roads the scenes are on, `at` one place there for all of them, as ROAD:s:lane
-    (docs/maps.md). With `like`, scenes that were drawn from the same parameters, every new scene is drawn near one of
-    these; `spreads` sets how near, as shares of the parameters' ranges: `0.1` for all parameters, or
+    - 1. `map` is an OpenDRIVE or Lanelet2 file whose roads the scenes are on, `at` one place there for all of them, as
+    ROAD:s:lane (docs/maps.md). With `like`, scenes that were drawn from the same parameters, every new scene is drawn
+    near one of these; `spreads` sets how near, as shares of the parameters' ranges: `0.1` for all parameters, or
     `camera.pitch_deg=0.4` for one (docs/like.md). With `where`, a query on the columns of the index, every sample shows
     the first of at most `tries` scenes drawn for it that fits (docs/recipes.md). `workers` is the number of processes,
     0 for one per core. `notify` is called with every event of the run; `event.message` is a line of text.

@@ -20,9 +20,10 @@ from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_network import MapNetwork
 from synth3dlanes.roads.map_roads import map_network
-from synth3dlanes.roads.maps.given_map import GivenMap, read_map
+from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.roads.maps.part import MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
+from synth3dlanes.roads.maps.read import read_map
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.roads.section_road import CrossSection
 from synth3dlanes.scene.assets.catalogue import Assets

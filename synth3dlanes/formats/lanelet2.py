@@ -318,14 +318,15 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
     for element in world.site.elements:
         lanes = [lane for lane in element.lanes if lane in found.pieces]
         kind = str(element.kind)
+        # The face of a limit without a number has none.
+        limit = kind.removeprefix(SPEED) if kind.removeprefix(SPEED).isdigit() else ""
         if not lanes:
             continue
         if element.category == "traffic_light":
             light = _write_light(document, element)
             for lane in lanes:
                 lights.setdefault(lane, []).append(light)
-        elif element.category == "road_sign" and (kind in SIGNS or kind.startswith(SPEED)):
-            limit = kind.removeprefix(SPEED) if kind.startswith(SPEED) else ""
+        elif element.category == "road_sign" and (kind in SIGNS or limit):
             tags = {"type": "traffic_sign", "subtype": f"de274-{limit}" if limit else SIGNS[kind]}
             members = [("way", _write_board(document, element, tags), "refers")]
             last = [found.pieces[lane][-1] for lane in lanes]

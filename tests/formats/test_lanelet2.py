@@ -1,5 +1,6 @@
 """Lanelet2 maps of scenes, read by rules of the format alone: shared bounds, lane changes, what follows what, rules."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -243,6 +244,8 @@ def test_lanelets_have_what_autoware_asks_of_them(name: str) -> None:
         else:
             assert (lane.tags["subtype"], lane.tags["participant:pedestrian"]) == ("crosswalk", "yes")
     assert all({"local_x", "local_y", "ele"} <= {*tags} for _, tags in file.nodes.values())
+    signs = [tags["subtype"] for _, tags in file.ways.values() if tags["type"] == "traffic_sign"]
+    assert all(re.fullmatch(r"de\d{3}(-\d+)?", sign) for sign in signs), signs
 
 
 def test_a_connector_to_the_left_turns_left() -> None:

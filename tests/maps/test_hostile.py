@@ -15,7 +15,8 @@ from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps import document
-from synth3dlanes.roads.maps.given_map import read_map, read_opendrive
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.read import read_map
 from synth3dlanes.scene.road_map import PlanPiece
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.truth.ground_truth import ground_truth

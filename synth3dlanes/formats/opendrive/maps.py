@@ -7,11 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from synth3dlanes.formats.opendrive.described import SHAPE_PLACES, Described, cubics, lane_ascends, lane_key, shapes
+from synth3dlanes.formats.opendrive.described import SHAPE_PLACES, Described, lane_ascends, lane_key, shapes
 from synth3dlanes.formats.opendrive.map_signals import RoadPlace, add_signals, line_of, places_beside
 from synth3dlanes.formats.opendrive.xml import Element, add, add_crosswalk
 from synth3dlanes.roads.maps.cubics import steepened, times, value
 from synth3dlanes.roads.maps.furniture import edges_at
+from synth3dlanes.roads.maps.profiles import cubics
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapRoad, PlanPiece, RoadMap

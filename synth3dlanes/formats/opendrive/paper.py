@@ -5,10 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from synth3dlanes.formats.opendrive.described import SHAPE_PLACES, Described, cubics, lane_ascends, pieces, shapes
+from synth3dlanes.formats.opendrive.described import SHAPE_PLACES, Described, lane_ascends, shapes
 from synth3dlanes.formats.opendrive.marks import marks
 from synth3dlanes.formats.opendrive.objects import add_objects
 from synth3dlanes.formats.opendrive.roads import JUNCTION, OdrRoad, roads
+from synth3dlanes.roads.maps.profiles import cubics, pieces
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.road_map import (
     LaneName,

@@ -1,4 +1,5 @@
-"""GivenMap: what an OpenDRIVE file has of roads, junctions and paint, and what is left out. Map frame, metres."""
+"""GivenMap: what a map file has of roads, junctions and paint, and what is left out; OpenDRIVE files as such. Map
+frame, metres."""
 
 import hashlib
 import math
@@ -8,7 +9,6 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
@@ -17,7 +17,7 @@ from jaxtyping import Int
 from pydantic import ValidationError
 
 from synth3dlanes.roads.maps.cubics import SAME_M, is_zero, part, read_cubics, steepened, times, value, values
-from synth3dlanes.roads.maps.document import MAX_FILE_BYTES, inflated, number, parse_xml, passing_over
+from synth3dlanes.roads.maps.document import inflated, number, parse_xml, passing_over
 from synth3dlanes.roads.maps.elements import (
     FileRoad,
     GivenBody,
@@ -45,8 +45,7 @@ from synth3dlanes.scene.road_map import (
     Polynomial,
 )
 from synth3dlanes.system.arrays import Points2, Scalars
-from synth3dlanes.system.errors import FormatError, InputError
-from synth3dlanes.system.files import read_bounded
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import MAX_NUMBER, Name, shown, validation_problems
 from synth3dlanes.system.words import counted
 
@@ -95,12 +94,12 @@ class LanePlace(NamedTuple):
 class GivenMap:
     """A map file, read. `origin` is where (0, 0) lies in the file, `names` are our ids of its roads by its own.
     `left_out` counts what has no counterpart here, by what it is; `broken` has a line for each road that is left out,
-    with the reason. A copy for another process is the `packed` file,
-    which that process reads once."""
+    with the reason. A copy for another process is the `packed` file, which that process reads once with `read`."""
 
     source: str
     digest: str
     packed: bytes
+    read: Callable[[bytes, str, str], "GivenMap"]
     origin: tuple[float, float]
     names: dict[str, Name]
     roads: dict[Name, MapRoad]
@@ -114,8 +113,8 @@ class GivenMap:
     left_out: dict[str, int] = field(default_factory=dict)
     broken: tuple[str, ...] = ()
 
-    def __reduce__(self) -> tuple[Callable[[bytes, str, str], "GivenMap"], tuple[bytes, str, str]]:
-        return _read_packed, (self.packed, self.source, f"map {self.source}")
+    def __reduce__(self) -> tuple[Callable[..., "GivenMap"], tuple[object, ...]]:
+        return read_packed, (self.read, self.packed, self.source, f"map {self.source}")
 
     @cached_property
     def lanes(self) -> dict[LaneName, LanePlace]:
@@ -194,29 +193,25 @@ class GivenMap:
         left = [f"{n} {what}" for what, n in sorted(self.left_out.items())]
         if self.broken:
             more = [f"{len(self.broken) - MOST_TOLD} more"] if len(self.broken) > MOST_TOLD else []
+            noun = self.broken[0].partition(" ")[0]
             told = "; ".join([*self.broken[:MOST_TOLD], *more])
-            left.append(f"{counted(len(self.broken), 'broken road')} ({told})")
+            left.append(f"{counted(len(self.broken), f'broken {noun}')} ({told})")
         driving = f"{driving_m / 1000:.1f} km of driving lanes"
         return f"map {self.source}: {read}, {driving}; left out: {', '.join(left) or 'nothing'}"
 
 
-def read_map(path: Path) -> GivenMap:
-    """Read an OpenDRIVE file; the one that was read last is kept. Raises InputError or FormatError with one line for a
-    file that is none, or hostile."""
-    try:
-        data = read_bounded(path, MAX_FILE_BYTES)
-    except OSError as error:
-        raise InputError(f"map {path}: cannot read: {error.strerror or error}") from None
-    return _read_packed(_packed(data), path.name, f"map {path}")
+Reader = Callable[[bytes, str, str], GivenMap]
 
 
-def _packed(data: bytes) -> bytes:
+def packed(data: bytes) -> bytes:
+    """The bytes of a file as a map keeps them."""
     return zlib.compress(data, 1)
 
 
 @lru_cache(maxsize=1)
-def _read_packed(packed: bytes, source: str, where: str) -> GivenMap:
-    return read_opendrive(zlib.decompress(packed), source, where)
+def read_packed(read: Reader, data: bytes, source: str, where: str) -> GivenMap:
+    """The map in a packed file; the one that was read last is kept."""
+    return read(zlib.decompress(data), source, where)
 
 
 def read_opendrive(data: bytes, source: str, where: str) -> GivenMap:
@@ -225,12 +220,12 @@ def read_opendrive(data: bytes, source: str, where: str) -> GivenMap:
     if root.tag.rpartition("}")[2].rpartition(":")[2] != "OpenDRIVE":
         raise FormatError(f"{where}: expected an OpenDRIVE file, got one of {shown(root.tag)}")
     try:
-        return _read(root, hashlib.sha256(data).hexdigest(), _packed(data), source, where)
+        return _read(root, hashlib.sha256(data).hexdigest(), packed(data), source, where)
     except ValidationError as error:
         raise FormatError(validation_problems(error, where)[0]) from None
 
 
-def _read(root: Element, digest: str, packed: bytes, source: str, where: str) -> GivenMap:
+def _read(root: Element, digest: str, packed_file: bytes, source: str, where: str) -> GivenMap:
     left_out: Counter[str] = Counter()
     elements = root.findall("road")
     if not 0 < len(elements) <= MAX_MAP_ROADS:
@@ -238,11 +233,11 @@ def _read(root: Element, digest: str, packed: bytes, source: str, where: str) ->
     header = root.find("header")
     if header is not None and header.find("offset") is not None:
         left_out["the offset of the header"] += 1
-    origin, names = _origin(elements, where), _names([element.get("id", "") for element in elements])
+    origin, names = _origin(elements, where), names_of([element.get("id", "") for element in elements])
     roads, linked, broken = dict[Name, MapRoad](), dict[str, LinkedRoad](), list[str]()
     paint, islands, in_file = list[MapPaint](), list[MapIsland](), list[FileRoad]()
     by_id = {element.get("id", ""): element for element in root.iterfind("junction")}
-    junction_names = _names([name for name, at in by_id.items() if at.get("type", "default") == "default"])
+    junction_names = names_of([name for name, at in by_id.items() if at.get("type", "default") == "default"])
     for element in elements:
         id_of_file, of_road = element.get("id", ""), Counter[str]()
         name, at = names[id_of_file], f"road {id_of_file}"
@@ -269,8 +264,8 @@ def _read(root: Element, digest: str, packed: bytes, source: str, where: str) ->
     if not roads:
         more = f"; {len(broken) - 1} more roads are broken" if len(broken) > 1 else ""
         raise FormatError(f"{where}: {broken[0] if broken else 'expected a road with a length, got none'}{more}")
-    roads = _with_heights(roads)
-    links = _touching(lane_links(linked, by_id, left_out), roads, left_out)
+    roads = with_heights(roads)
+    links = touching(lane_links(linked, by_id, left_out), roads, left_out)
     junctions = tuple(
         MapJunction(id=name, yields=_yields(by_id[id_of_file], linked, left_out))
         for id_of_file, name in junction_names.items()
@@ -289,7 +284,7 @@ def _read(root: Element, digest: str, packed: bytes, source: str, where: str) ->
     lying = tuple(paint), tuple(islands)
     standing = signs, bodies, rails
     read = origin, names, roads, links, junctions, *lying, *standing
-    return GivenMap(source, digest, packed, *read, counts, tuple(broken))
+    return GivenMap(source, digest, packed_file, read_opendrive, *read, counts, tuple(broken))
 
 
 def _origin(elements: list[Element], where: str) -> tuple[float, float]:
@@ -311,7 +306,7 @@ def _origin(elements: list[Element], where: str) -> tuple[float, float]:
     return round(x / ROUND_M) * ROUND_M, round(y / ROUND_M) * ROUND_M
 
 
-def _names(ids: Sequence[str]) -> dict[str, Name]:
+def names_of(ids: Sequence[str]) -> dict[str, Name]:
     """Our ids of roads or junctions by those of the file, which differ: equal where they can be."""
     plain = {
         text: "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in text)[:40] or "_"
@@ -328,7 +323,7 @@ def _names(ids: Sequence[str]) -> dict[str, Name]:
     return found
 
 
-def _with_heights(roads: dict[Name, MapRoad]) -> dict[Name, MapRoad]:
+def with_heights(roads: dict[Name, MapRoad]) -> dict[Name, MapRoad]:
     """The roads, all with heights if any has a height, a bank, a shape, a bridge or a tunnel, else all without."""
     if all(
         is_zero(road.heights) and is_zero(road.banks) and not (road.shapes or road.bridges or road.tunnels)
@@ -373,7 +368,7 @@ def _road(
         tunnels=_spans(element, "tunnel", length_m, where, left_out),
         keeps_left=keeps_left,
     )
-    _check_sizes(road, where)
+    check_sizes(road, where)
     parts = divided(road, whole)
     road = road.model_copy(update={"sections": _whole(parts)})
     joints = (section for section in sections if section.is_short)
@@ -385,7 +380,7 @@ def _whole(sections: Iterable[Section]) -> tuple[MapSection, ...]:
     return tuple(section.whole() for section in sections)
 
 
-def _check_sizes(road: MapRoad, where: str) -> None:
+def check_sizes(road: MapRoad, where: str) -> None:
     """Raise FormatError for a road that is somewhere absurdly wide, high or banked."""
     for i, section in enumerate(road.sections):
         start_m, end_m = road.span_m(i)
@@ -405,7 +400,7 @@ def _check_sizes(road: MapRoad, where: str) -> None:
                 raise FormatError(f"{where}: {what}: expected at most {most:g}, got {got}")
 
 
-def _touching(
+def touching(
     links: Sequence[tuple[LaneName, LaneName]], roads: dict[Name, MapRoad], left_out: Counter[str]
 ) -> tuple[tuple[LaneName, LaneName], ...]:
     """The links of lanes that end where the next one begins."""

@@ -10,6 +10,8 @@ from synth3dlanes.system.arrays import Polyline3
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import shown
 
+MAX_LENGTH_M = 10_000.0
+
 
 @dataclass(frozen=True, eq=False)
 class LaneletBound:
@@ -71,7 +73,10 @@ def _bound(osm: Osm, name: str, relation: OsmRelation, role: str) -> LaneletBoun
     # The ends are those of the way also where points lie on each other.
     moved[-1:] = True
     kept = np.flatnonzero(moved)
-    if len(kept) < 2 or not np.linalg.norm(np.diff(points, axis=0), axis=1).sum() > 0:
+    length_m = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    if length_m > MAX_LENGTH_M:
+        raise FormatError(f"lanelet {name}: expected bounds of at most {MAX_LENGTH_M:g} m, got {length_m:.0f} m")
+    if len(kept) < 2 or not length_m > 0:
         raise FormatError(
             f"lanelet {name}: expected a {role} bound of some length, got way {shown(ways[0])} without one"
         )

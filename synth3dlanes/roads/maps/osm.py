@@ -38,14 +38,15 @@ class OsmRelation:
 @dataclass(frozen=True, eq=False)
 class Osm:
     """A file. `xyz` are the places of its nodes in its local coordinates (the tags local_x, local_y) if all have these,
-    else in those of UTM; `degrees` their latitude and longitude, NaN where the file has none. `left_out` counts what is
-    broken."""
+    else in those of UTM; `degrees` their latitude and longitude, NaN where the file has none; `arrows` the arrows of
+    those that are lenses of lights. `left_out` counts what is broken."""
 
     rows: dict[str, int]
     xyz: Points3
     degrees: np.ndarray
     ways: dict[str, OsmWay]
     relations: dict[str, OsmRelation]
+    arrows: dict[str, str] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
 
     def points(self, way: str) -> Points3:
@@ -65,11 +66,13 @@ def read_osm(data: bytes, where: str) -> Osm:
     if root.tag != "osm":
         raise FormatError(f"{where}: expected an OSM file, got one of {shown(root.tag)}")
     left_out, rows, read = Counter[str](), dict[str, int](), list[tuple[float, ...]]()
+    arrows = dict[str, str]()
     for node in root.iterfind("node"):
         with passing_over(node, left_out):
             place = _place(node)
             rows[node.get("id", "")] = len(read)
             read.append(place)
+            arrows |= {node.get("id", ""): tag.get("v", "") for tag in node.iterfind("tag[@k='arrow']")}
     if not read:
         raise FormatError(f"{where}: expected nodes with places, got none")
     table = np.array(read, float)
@@ -92,7 +95,7 @@ def read_osm(data: bytes, where: str) -> Osm:
         )
         for relation in root.iterfind("relation")
     }
-    return Osm(rows, np.column_stack([local, table[:, 4]]), degrees, ways, relations, left_out)
+    return Osm(rows, np.column_stack([local, table[:, 4]]), degrees, ways, relations, arrows, left_out)
 
 
 def _place(node: Element) -> tuple[float, ...]:
