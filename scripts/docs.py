@@ -13,7 +13,8 @@ from synth3dlanes_cli.main import main
 from scripts.latency import table as latency_table
 from scripts.results import models_page, with_benchmarks
 from synth3dlanes.labels.labels import LabelsDocument
-from synth3dlanes.params.params import DAYTIMES, KINDS, REFERENCE, REPLACED, Params, forms, load_params, preset_names
+from synth3dlanes.params.groups import DAYTIMES, KINDS, REPLACED
+from synth3dlanes.params.params import REFERENCE, Params, forms, load_params, preset_names
 from synth3dlanes.params.params_text import comments_of
 from synth3dlanes.scene.assets.catalogue import BUILT_IN
 from synth3dlanes.scene.scene import Scene

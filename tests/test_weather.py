@@ -11,7 +11,8 @@ from synth3dlanes import api
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.stats import is_fine, scene_statistics
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.params.params import REPLACED, Params, load_params
+from synth3dlanes.params.groups import REPLACED
+from synth3dlanes.params.params import Params, load_params
 from synth3dlanes.params.params_text import params_yaml
 from synth3dlanes.scene.host import Host
 from synth3dlanes.scene.scene import Weather, from_json, to_json

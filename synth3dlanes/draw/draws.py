@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from synth3dlanes.draw.like import DrawKey, Neighbourhood, near
 from synth3dlanes.params.distributions import Uniform, extent
-from synth3dlanes.params.params import Group, Params
+from synth3dlanes.params.groups import Group
+from synth3dlanes.params.params import Params
 from synth3dlanes.system.streams import stream
 
 # Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.

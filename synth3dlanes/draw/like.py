@@ -6,7 +6,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError, field_validator
 
-from synth3dlanes.params.params import DAYTIMES, KINDS, REPLACED, Group, Params
+from synth3dlanes.params.groups import DAYTIMES, KINDS, REPLACED, Group
+from synth3dlanes.params.params import Params
 from synth3dlanes.scene.settings import N_SCENE_NUMBERS, SPLIT_NAME
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import Seed, validation_problems

@@ -7,7 +7,7 @@ from typing import Any
 
 from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
 from synth3dlanes.params.distributions import extent
-from synth3dlanes.params.params import MotionParams
+from synth3dlanes.params.groups import MotionParams
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import Assets

@@ -14,8 +14,9 @@ from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.paper import paper_roads
 from synth3dlanes.draw.town.draw import town_roads
 from synth3dlanes.draw.trees import draw_trees
+from synth3dlanes.params.groups import NO_JUNCTION
 from synth3dlanes.params.lidars import LidarSpec
-from synth3dlanes.params.params import NO_JUNCTION, Params
+from synth3dlanes.params.params import Params
 from synth3dlanes.params.shots import SINGLE, ShotNumbers, Shots
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.scene.host import Camera, Lidar

@@ -15,7 +15,8 @@ from synth3dlanes.figures.describe import road_words
 from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.distributions import Choice, Distribution, Uniform
-from synth3dlanes.params.params import NO_JUNCTION, OPTIONAL, Params
+from synth3dlanes.params.groups import NO_JUNCTION, OPTIONAL
+from synth3dlanes.params.params import Params
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.town import Town
 from synth3dlanes.system.arrays import Scalars

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.geometry.lens import COEFFICIENTS, MAX_COEFFICIENT, MAX_TILT_RAD, PRISM_AND_TILT, Lens, LensModel
 from synth3dlanes.params.distributions import Choice, Distribution, Integer, Real, Uniform, integers, reals
-from synth3dlanes.params.params import Group
+from synth3dlanes.params.groups import Group
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import AHEAD_DEG, MAX_PX, Name
 

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from synth3dlanes.params.cameras import ZERO, Angle, Mount
 from synth3dlanes.params.distributions import Real, reals
-from synth3dlanes.params.params import Group
+from synth3dlanes.params.groups import Group
 from synth3dlanes.scene.host import MAX_BEAMS
 from synth3dlanes.system.schema import MAX_PX, Name
 

@@ -11,10 +11,9 @@ import yaml
 from pydantic import ValidationError
 
 from synth3dlanes.params.distributions import extent, form
+from synth3dlanes.params.groups import DAYTIMES, KINDS
 from synth3dlanes.params.params import (
     BASE,
-    DAYTIMES,
-    KINDS,
     REFERENCE,
     Params,
     files_of,

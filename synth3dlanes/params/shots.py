@@ -5,8 +5,8 @@ from typing import Annotated, NamedTuple
 from pydantic import Field, ValidationError
 
 from synth3dlanes.params.cameras import CameraSpec
+from synth3dlanes.params.groups import Group
 from synth3dlanes.params.lidars import LidarSpec
-from synth3dlanes.params.params import Group
 from synth3dlanes.scene.host import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import validation_problems

@@ -17,7 +17,7 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.params.cameras import CameraSpec
 from synth3dlanes.params.distributions import form
-from synth3dlanes.params.params import CameraParams
+from synth3dlanes.params.groups import CameraParams
 from synth3dlanes.params.shots import SINGLE
 from synth3dlanes.production.condition import Condition, scene_number
 from synth3dlanes.scene import scene as scene_module

@@ -79,7 +79,7 @@ def test_a_camera_of_ones_own_keeps_the_hosts_place(key: str, run: Run) -> None:
 def test_every_other_key_of_the_camera_is_the_files(run: Run) -> None:
     from synth3dlanes_cli.options import KEYS_OF_CAMERA_FILES
 
-    from synth3dlanes.params.params import CameraParams
+    from synth3dlanes.params.groups import CameraParams
 
     own = {f"camera.{name}" for name in CameraParams.model_fields} - set(KEYS_OF_CAMERA_FILES)
     assert own == {"camera.lane", "camera.y_m", "camera.offset_m"}

@@ -14,7 +14,8 @@ from synth3dlanes.figures.histograms import _of_labels, declared_shares, histogr
 from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
 from synth3dlanes.params.distributions import Choice, Integers, Uniform
-from synth3dlanes.params.params import DAYTIMES, KINDS, forms, load_params
+from synth3dlanes.params.groups import DAYTIMES, KINDS
+from synth3dlanes.params.params import forms, load_params
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.thorough import presets
 

@@ -7,7 +7,8 @@ import pytest
 
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.params.distributions import Distribution
-from synth3dlanes.params.params import DAYTIMES, KINDS, load_params
+from synth3dlanes.params.groups import DAYTIMES, KINDS
+from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import RenderSettings
