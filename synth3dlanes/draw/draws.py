@@ -57,6 +57,14 @@ class Draw:
         """The value of parameter `key` of the group for a random number in [0, 1), not rounded, in its own unit."""
         return getattr(self.group, key).draw(u)
 
+    def next(self, key: str) -> Any:
+        """The value of parameter `key` of the group for the next random number, not rounded, in its own unit."""
+        return self.at(key, self.rng.random())
+
+    def with_numbers_of(self, rng: np.random.Generator) -> "Draw":
+        """Draws of the same group with the numbers of another stream, from where it is."""
+        return Draw(self.group, rng)
+
     def weights(self, key: str) -> dict[str, float]:
         """The weights of the names that parameter `key` of the group may have."""
         names = getattr(self.group, key)

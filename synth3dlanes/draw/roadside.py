@@ -69,6 +69,15 @@ class PostRow(NamedTuple):
     height_m: float
 
 
+class CrossingDraw(NamedTuple):
+    """Gantries or bridges: how many, their free height, and the least distance between any two crossings."""
+
+    kind: Literal["gantry", "bridge"]
+    n: int
+    clearance_m: float
+    apart_m: float
+
+
 class Edge(NamedTuple):
     """An edge of the pavement and the stations where it bounds a place."""
 
@@ -84,6 +93,7 @@ def draw_roadside(ground: Ground, draw: Draw, own: Draw) -> Roadside:
     rng = draw.rng
     lamp_aside_m, delineator_aside_m = own("lamp_aside_m"), own("delineator_aside_m")
     signs_apart_m, crossings_apart_m = own("signs_apart_m"), own("crossings_apart_m")
+    things = own.with_numbers_of(rng)
     kinds: dict[Place, Any] = {"left": draw("outer"), "right": draw("outer"), "inner": draw("inner")}
     has_ramp_rail, aside_m = draw("ramp_rail"), draw("rail_aside_m")
     wall_m = draw("wall_height_m")
@@ -99,10 +109,10 @@ def draw_roadside(ground: Ground, draw: Draw, own: Draw) -> Roadside:
                 height_m = RAILS[on_ramp].height_m or wall_m
                 rails += _rails(ground, edge, RailDraw(on_ramp, RAISED_ASIDE_M, height_m, color), True)
     rails += _median_rail(ground, draw("median"), shaded(rng, GRAYS))
-    crossings = _crossings(ground, "bridge", draw("n_bridges"), draw("clearance_m"), crossings_apart_m, rng, own, [])
-    crossings += _crossings(
-        ground, "gantry", draw("n_gantries"), draw("clearance_m"), crossings_apart_m, rng, own, crossings
-    )
+    bridges = CrossingDraw("bridge", draw("n_bridges"), draw("clearance_m"), crossings_apart_m)
+    crossings = _crossings(ground, bridges, things, [])
+    gantries = CrossingDraw("gantry", draw("n_gantries"), draw("clearance_m"), crossings_apart_m)
+    crossings += _crossings(ground, gantries, things, crossings)
     behind_m = {place: _behind(kind, aside_m) for place, kind in kinds.items()}
     lamp_sides, spacing_m, height_m = draw("lamps"), draw("lamp_spacing_m"), draw("lamp_height_m")
     posts: list[Post] = []
@@ -114,9 +124,9 @@ def draw_roadside(ground: Ground, draw: Draw, own: Draw) -> Roadside:
     for side in SIDES:
         if has_delineators and kinds[side] == "none":
             posts += _row(ground, PostRow("delineator", side, delineator_aside_m, spacing_m, 1.0), rng, crossings)
-    posts += _signs(ground, draw("n_signs"), signs_apart_m, behind_m, rng, own, crossings)
-    line, pole_m = draw("power_line"), round(own.at("pole_height_m", rng.random()), DECIMALS)
-    pole_aside_m = round(aside_m + own.at("pole_aside_m", rng.random()), DECIMALS)
+    posts += _signs(ground, draw("n_signs"), signs_apart_m, behind_m, things, crossings)
+    line, pole_m = draw("power_line"), round(things.next("pole_height_m"), DECIMALS)
+    pole_aside_m = round(aside_m + things.next("pole_aside_m"), DECIMALS)
     if line != "none" and not any(crossing.kind == "bridge" for crossing in crossings):
         for edge in _edges(ground.network, line):
             rails += _rails(ground, edge, RailDraw("power_line", pole_aside_m, pole_m, WOOD), False)
@@ -124,7 +134,7 @@ def draw_roadside(ground: Ground, draw: Draw, own: Draw) -> Roadside:
     taken, buildings = footprints(ground, drawn), list[Building]()
     for kind in BUILDINGS:
         for _ in range(draw(f"n_{kind}s")):
-            buildings += _building(ground, taken, buildings, kind, draw("building_aside_m"), rng, own)
+            buildings += _building(ground, taken, buildings, kind, draw("building_aside_m"), things)
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
@@ -153,11 +163,11 @@ def _stations(ground: Ground, edge: Edge | None = None) -> Scalars:
     return np.arange(np.ceil(low), np.floor(high) + 0.5)
 
 
-def _ahead(ground: Ground, rng: Rng, own: Draw, key: str) -> float:
+def _ahead(ground: Ground, things: Draw, key: str) -> float:
     """A station at a distance ahead of the host where it drives; with `both_ways` ahead or behind."""
-    u = rng.random()
-    away_m = np.array([own.at(key, u) + ground.driven_m * u])
-    if ground.both_ways and rng.random() < 0.5:
+    u = things.rng.random()
+    away_m = np.array([things.at(key, u) + ground.driven_m * u])
+    if ground.both_ways and things.rng.random() < 0.5:
         away_m = ground.driven_m - away_m
     return round(float(ground.network.stations(ground.near_m + away_m)[0]), DECIMALS)
 
@@ -232,24 +242,22 @@ def _is_apart(s_m: float, crossings: list[Crossing]) -> bool:
 
 
 def _signs(
-    ground: Ground, n: int, apart_m: float, behind_m: dict[Place, float], rng: Rng, own: Draw, crossings: list[Crossing]
+    ground: Ground, n: int, apart_m: float, behind_m: dict[Place, float], things: Draw, crossings: list[Crossing]
 ) -> Iterator[Post]:
     """Signs beside the outer edges, for the traffic there; guide boards stand farther away. None beside oncoming lanes
     forbids entry: it would face the host."""
     taken: list[float] = []
-    least_m = own.least("sign_aside_m")
+    rng, least_m = things.rng, things.least("sign_aside_m")
     for _ in range(n):
         for _ in range(TRIES):
             place: Place = "left" if rng.random() < 0.5 else "right"
             sign = SIGNS[int(rng.random() * len(SIGNS))]
             edges = _edges(ground.network, place)
             edge = edges[int(rng.random() * len(edges))]
-            s_m = _ahead(ground, rng, own, "sign_ahead_m")
+            s_m = _ahead(ground, things, "sign_ahead_m")
             width_m = float(np.ptp(FACES[sign.right - 1][0].outline[:, 0]))
-            aside_m = round(
-                own.at("sign_aside_m", rng.random()) + max(0.0, behind_m[place] - least_m) + width_m / 2, DECIMALS
-            )
-            height_m = round(own.at("sign_height_m", rng.random()), DECIMALS)
+            aside_m = round(things.next("sign_aside_m") + max(0.0, behind_m[place] - least_m) + width_m / 2, DECIMALS)
+            height_m = round(things.next("sign_height_m"), DECIMALS)
             is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > apart_m for other in taken)
             if is_here and _is_apart(s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
                 taken.append(s_m)
@@ -270,25 +278,16 @@ def _signs(
                 break
 
 
-def _crossings(
-    ground: Ground,
-    kind: Literal["gantry", "bridge"],
-    n: int,
-    clearance_m: float,
-    apart_m: float,
-    rng: Rng,
-    own: Draw,
-    others: list[Crossing],
-) -> list[Crossing]:
+def _crossings(ground: Ground, drawn: CrossingDraw, things: Draw, others: list[Crossing]) -> list[Crossing]:
     """Crossings with a span of plausible length, apart from each other, whose dams end clear of all pavements."""
-    found = list(others)
-    for _ in range(n):
+    rng, found, kind = things.rng, list(others), drawn.kind
+    for _ in range(drawn.n):
         for _ in range(TRIES):
-            s_m = _ahead(ground, rng, own, "crossing_ahead_m")
-            width_m = round(own.at(f"{kind}_width_m", rng.random()), DECIMALS)
+            s_m = _ahead(ground, things, "crossing_ahead_m")
+            width_m = round(things.next(f"{kind}_width_m"), DECIMALS)
             color = shaded(rng, GRAYS) if kind == "bridge" else BOARDS[int(rng.random() * len(BOARDS))]
-            crossing = Crossing(kind=kind, s_m=s_m, clearance_m=clearance_m, width_m=width_m, color=color)
-            if all(abs(s_m - other.s_m) > apart_m for other in found) and _spans(ground, crossing):
+            crossing = Crossing(kind=kind, s_m=s_m, clearance_m=drawn.clearance_m, width_m=width_m, color=color)
+            if all(abs(s_m - other.s_m) > drawn.apart_m for other in found) and _spans(ground, crossing):
                 found.append(crossing)
                 break
     return found[len(others) :]
@@ -313,15 +312,14 @@ def _building(
     others: list[Building],
     kind: BuildingKind,
     aside_m: float,
-    rng: Rng,
-    own: Draw,
+    things: Draw,
 ) -> Iterator[Building]:
     """A building along the road on nearly level ground, clear of all pavements and structures."""
-    narrowest_m = own.least(f"{kind}_width_m")
+    rng, narrowest_m = things.rng, things.least(f"{kind}_width_m")
     for _ in range(TRIES):
-        width_m, length_m, height_m = (round(size_m, DECIMALS) for size_m in building_size(own, kind, rng))
+        width_m, length_m, height_m = (round(size_m, DECIMALS) for size_m in building_size(things, kind))
         side: RoadSide = "left" if rng.random() < 0.5 else "right"
-        s = _ahead(ground, rng, own, "building_ahead_m") + np.array([0.0, 1.0])
+        s = _ahead(ground, things, "building_ahead_m") + np.array([0.0, 1.0])
         far_m = aside_m + (width_m - narrowest_m) / 2 + (0.0 if kind == "house" else width_m / 2)
         (x, y), ahead = beside(ground, ground.network.main.id, side, s, far_m)
         turn = rng.normal(0, 0.06) + np.pi / 2 * int(rng.random() * 2)
@@ -340,9 +338,9 @@ def _building(
             return
 
 
-def building_size(own: Draw, kind: BuildingKind, rng: Rng) -> tuple[float, float, float]:
+def building_size(things: Draw, kind: BuildingKind) -> tuple[float, float, float]:
     """The width, length and height of the walls of a building, in metres."""
-    width_m, length_m, height_m = (own.at(f"{kind}_{of}_m", rng.random()) for of in ("width", "length", "height"))
+    width_m, length_m, height_m = (things.next(f"{kind}_{of}_m") for of in ("width", "length", "height"))
     return width_m, length_m, height_m
 
 

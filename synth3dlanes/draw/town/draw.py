@@ -11,7 +11,7 @@ from synth3dlanes.draw.cars import car_look
 from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
 from synth3dlanes.draw.makers import Roads, draw_camera, draw_hills, first_shot
 from synth3dlanes.draw.on_map import map_roads
-from synth3dlanes.draw.town.furniture import furnish, street_trees
+from synth3dlanes.draw.town.furniture import StreetDraws, furnish, street_trees
 from synth3dlanes.draw.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.draw.town.layout import TownMap, lay_out
 from synth3dlanes.draw.town.plan import poses
@@ -21,6 +21,7 @@ from synth3dlanes.draw.town.traffic import (
     HostPlan,
     MovingCar,
     TownDrive,
+    Usual,
     body_places,
     plan_host,
     simulate,
@@ -68,12 +69,11 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     def body(may_be_long: bool) -> CarBody:
         return _body(bodies, assets, lambda body, _: may_be_long or body.length_m <= LONG_M)[0]
 
-    traffic = simulate(town_map, town.host, body, flow("traffic"), shot.duration_s, own, bodies.rng)
+    traffic = simulate(town_map, town.host, body, flow("traffic"), shot.duration_s, Usual.draw(own, bodies.rng))
 
     def stand(scene: Scene, ground: Ground) -> Roadside:
-        return furnish(
-            town_map, traffic.lights, ground, of("town", "town_fronts"), of("roadside"), of("structures"), own
-        )
+        draws = StreetDraws(of("town", "town_fronts"), of("roadside"), of("structures"), own)
+        return furnish(town_map, traffic.lights, ground, draws)
 
     def drive(scene: Scene, ground: Ground) -> tuple[Car, ...]:
         moving = _cars_of(town, traffic, scene.terrain, looks, assets)

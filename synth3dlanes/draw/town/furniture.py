@@ -3,6 +3,7 @@ metres."""
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,13 +38,22 @@ ROOM_M, RIM_M, MOST_BUILDINGS = 1.2, 1.5, 110
 TREE_BEHIND_M = 1.2
 
 
-def furnish(
-    town_map: TownMap, lights: dict[str, Lights], ground: Ground, draw: Draw, lamps: Draw, sizes: Draw, own: Draw
-) -> Roadside:
-    """All that stands along the streets, but trees: the share of fronts by `draw`, sizes of buildings by `sizes`."""
-    rng = draw.rng
+class StreetDraws(NamedTuple):
+    """What stands along streets: the share of fronts, which has the random numbers of all others, the lamps, the sizes
+    of buildings, and what `town_streets` has."""
+
+    town: Draw
+    lamps: Draw
+    sizes: Draw
+    streets: Draw
+
+
+def furnish(town_map: TownMap, lights: dict[str, Lights], ground: Ground, draws: StreetDraws) -> Roadside:
+    """All that stands along the streets, but trees."""
+    rng = draws.town.rng
+    streets = draws.streets.with_numbers_of(rng)
     signals, signs = list[TrafficSignal](), list[TrafficSign]()
-    has_far = own.at("far_signals", rng.random())
+    has_far = streets.next("far_signals")
     for rules in town_map.junctions:
         for number in range(len(rules.junction.arms)):
             back_m = line_m(town_map.town.has_crosswalks)
@@ -51,11 +61,12 @@ def furnish(
                 signals += _signals(rules, number, lights[rules.junction.id], (has_far, back_m))
             else:
                 signs += _signs(rules, number, back_m)
-    limit: SignKind = own.at("speed_limit", rng.random())
+    limit: SignKind = streets.next("speed_limit")
     signs += _speed_signs(town_map, limit)
-    posts = tuple(_lamps(town_map, lamps))
+    posts = tuple(_lamps(town_map, draws.lamps))
     drawn = Roadside(posts=posts, signals=tuple(signals), signs=tuple(signs))
-    buildings = _buildings(town_map, ground, draw("fronts"), sizes, own, rng)
+    alike, share = draws.streets("alike"), draws.town("fronts")
+    buildings = _buildings(town_map, ground, (share, alike), streets, draws.sizes.with_numbers_of(rng))
     return drawn.model_copy(update={"buildings": tuple(buildings)})
 
 
@@ -185,31 +196,33 @@ def _lamps(town_map: TownMap, draw: Draw) -> Iterator[Post]:
                 yield Post(kind="lamp", height_m=height_m, **place)
 
 
-def _buildings(town_map: TownMap, ground: Ground, share: float, sizes: Draw, own: Draw, rng: Rng) -> list[Building]:
+def _buildings(
+    town_map: TownMap, ground: Ground, shares: tuple[float, float], streets: Draw, sizes: Draw
+) -> list[Building]:
     """Buildings along the streets, the first ones at the corners; rows of one kind."""
     found: list[Building] = []
     taken: list[np.ndarray] = []
-    alike = own("alike")
+    share, alike = shares
     if not share:
         return found
-    usual: BuildingKind = own.at("building", rng.random())
+    rng, usual = streets.rng, streets.next("building")
     for street in town_map.streets:
         for side in ("left", "right"):
             s_m = FIRST_M + float(rng.uniform(0, 2))
             while s_m < street.length_m - 8 and len(found) < MOST_BUILDINGS:
                 kind = usual if rng.random() < alike else KINDS[int(rng.random() * 3)]
-                width_m, length_m, height_m = building_size(sizes, kind, rng)
+                width_m, length_m, height_m = building_size(sizes, kind)
                 form = kind, width_m, length_m, height_m
                 if rng.random() >= share:
-                    s_m += length_m + own.at("gap_m", rng.random())
+                    s_m += length_m + streets.next("gap_m")
                     continue
-                building = _building(street, side, s_m, form, own, rng)
+                building = _building(street, side, s_m, form, streets)
                 outline = floor_plan(building)
                 corners = outline[[0, 6, 48, 42]]
                 if _has_room(ground, outline, height_m) and not (taken and overlaps_any(corners, np.array(taken))):
                     found.append(building)
                     taken.append(corners)
-                    s_m += length_m + own.at("gap_m", rng.random()) * (0.3 if kind == "block" else 1.0)
+                    s_m += length_m + streets.next("gap_m") * (0.3 if kind == "block" else 1.0)
                 else:
                     s_m += STEP_M
     return found
@@ -231,11 +244,10 @@ def _building(
     side: str,
     s_m: float,
     form: tuple[BuildingKind, float, float, float],
-    own: Draw,
-    rng: Rng,
+    streets: Draw,
 ) -> Building:
-    kind, width_m, length_m, height_m = form
-    aside_m = street.profile.walkway_m + width_m / 2 + own.at(f"{kind}_setback_m", rng.random()) + 0.3
+    (kind, width_m, length_m, height_m), rng = form, streets.rng
+    aside_m = street.profile.walkway_m + width_m / 2 + streets.next(f"{kind}_setback_m") + 0.3
     at = _along(street, side, min(s_m + length_m / 2, street.length_m), aside_m)
     yaw_rad = at.heading - np.pi / 2 + float(rng.normal(0, 0.01))
     return coloured(kind, (at.x, at.y), yaw_rad, (width_m, length_m, height_m), rng)

@@ -66,6 +66,21 @@ class HostPlan(NamedTuple):
     offset_m: float = 0.0
 
 
+class Usual(NamedTuple):
+    """What all cars of a town have in common: the parameters, the mean time between those that enter a street, a number
+    in [0, 1) that is part of the one for their speed, and the seed of all that they do."""
+
+    own: Draw
+    arrival_s: float
+    u: float
+    seed: int
+
+    @classmethod
+    def draw(cls, own: Draw, rng: Rng) -> "Usual":
+        """That of one town."""
+        return cls(own, own("arrival_s"), own.rng.random(), int(rng.integers(2**62)))
+
+
 def plan_host(town_map: TownMap, lines: LaneLines, own: Draw, rng: Rng) -> HostPlan:
     """A way of the host through the first junction with the turn that was drawn, and its place before, in or behind."""
     town, rules = town_map.town, town_map.junctions[0]
@@ -98,28 +113,16 @@ def simulate(
     draw_body: Callable[[bool], CarBody],
     flow: float,
     duration_s: float,
-    own: Draw,
-    rng: Rng,
+    usual: Usual,
 ) -> TownDrive:
     """Traffic until the host is at its place, and from then on for a clip. Where the host does not get there, with
     fewer cars. `draw_body` draws a car that is long only if it may be; `flow` is the share of the most traffic."""
     lines = LaneLines(town_map)
-    seed, usual = int(rng.integers(2**62)), _Usual(own, own("arrival_s"), own.rng.random())
     for share in (1.0, 0.4, 0.0):
-        again = np.random.default_rng(seed)
-        found = _Simulation(town_map, lines, host, draw_body, flow * share, usual, again).run(duration_s)
+        found = _Simulation(town_map, lines, host, draw_body, flow * share, usual).run(duration_s)
         if found is not None:
             return found
     raise AssertionError("a host alone gets to its place")
-
-
-class _Usual(NamedTuple):
-    """What all cars of a town have in common: the parameters, the mean time between those that enter a street, and a
-    number in [0, 1) that is part of the one for their speed."""
-
-    own: Draw
-    arrival_s: float
-    u: float
 
 
 class _Simulation:
@@ -130,19 +133,18 @@ class _Simulation:
         host: HostPlan,
         draw_body: Callable[[bool], CarBody],
         flow: float,
-        usual: _Usual,
-        rng: Rng,
+        usual: Usual,
     ) -> None:
-        self.town_map, self.lines, self.flow, self.rng = town_map, lines, flow, rng
+        self.town_map, self.lines, self.flow, self.rng = town_map, lines, flow, np.random.default_rng(usual.seed)
         self.draw_body, self.usual = draw_body, usual
         self.has_crosswalks = town_map.town.has_crosswalks
         self.lights = {
-            each.junction.id: Lights.draw(each, usual.own, rng)
+            each.junction.id: Lights.draw(each, usual.own, self.rng)
             for each in town_map.junctions
             if each.control == "signals"
         }
         # Three parts of [0, 1) by this stream, as in earlier versions, and a place in the part.
-        self.wish = usual.own.at("speed_m_s", (int(rng.integers(3)) + usual.u) / 3)
+        self.wish = usual.own.at("speed_m_s", (int(self.rng.integers(3)) + usual.u) / 3)
         self.traffic = TownTraffic(lines, self.lights)
         self.bodies: dict[int, CarBody] = {}
         self._gates: dict[tuple[str, ...], tuple[Route, tuple[Gate, ...]]] = {}
