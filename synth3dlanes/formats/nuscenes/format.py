@@ -2,8 +2,9 @@
 
 from synth3dlanes.formats.format import SampleFormat
 from synth3dlanes.formats.nuscenes.convention import LOCATIONS, map_file, mask_file
+from synth3dlanes.formats.nuscenes.read import read
 from synth3dlanes.formats.nuscenes.tables import document
-from synth3dlanes.formats.nuscenes.verify import LIMIT_PX, RULE, read, verify
+from synth3dlanes.formats.nuscenes.verify import LIMIT_PX, RULE, verify
 from synth3dlanes.formats.nuscenes.write import README, annotate
 
 PLACES = [place for places in LOCATIONS.values() for place in places]

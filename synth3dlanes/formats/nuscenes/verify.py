@@ -1,18 +1,14 @@
 """Read a nuScenes export back and compare it with our labels: what its cameras see in pixels; poses, boxes, sweeps and
 lanes in metres. Maps are compared from above, in the global frame."""
 
-import struct
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property, partial
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any
 
 import numpy as np
 import shapely
 from jaxtyping import Float
-from pydantic import BaseModel, Field, RootModel, ValidationError
 
 from synth3dlanes.formats.comparing import (
     Comparison,
@@ -27,34 +23,27 @@ from synth3dlanes.formats.comparing import (
     pinhole_pixels,
     stations,
 )
-from synth3dlanes.formats.format import FrameList, ReadFrame
+from synth3dlanes.formats.format import ReadFrame
 from synth3dlanes.formats.lane_map import link_gaps
 from synth3dlanes.formats.nuscenes.convention import (
     ATTRIBUTES,
     CATEGORIES,
     FRONT_CAMERA,
     LIDAR,
-    MASK_M,
-    MASK_PX_PER_M,
-    MASKS,
     MOVING_M_S,
     REAR_M,
-    VERSIONS,
     VISIBLE,
     map_file,
-    mask_file,
     segment_type,
-    table_file,
     token,
 )
+from synth3dlanes.formats.nuscenes.read import Arc, InstanceRow, MapLane, NamedRow, Picture, PlaceMap
 from synth3dlanes.formats.reading import read_file
-from synth3dlanes.geometry.frames import from_axes, invert, rotation, transform, turned
+from synth3dlanes.geometry.frames import invert, transform, turned
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.labels.object_labels import CORNERS
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.system.errors import FormatError
-from synth3dlanes.system.json_arrays import Row3, Row4
-from synth3dlanes.system.schema import Excerpt, Number, PathBelow, Positive, validation_problems
 from synth3dlanes.world.world import scene_network
 
 # Lanes are within this of the labels from above: arcs are fitted, and on a slope heights between the labels' points
@@ -70,342 +59,18 @@ MOST = 0.5
 FACING_M = 25.0
 # An endless road of the paper is measured so far.
 ARC_STEP_M, ENDLESS_M = 0.5, 300.0
-PNG_HEAD = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 TURN = {"L": 1, "S": 0, "R": -1}
 MIRRORED = {"SOLID_DASHED": "DASHED_SOLID", "DASHED_SOLID": "SOLID_DASHED"}
 EGO_FROM_HOST = np.array([[0, 1.0, 0, REAR_M], [-1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
 CV_FROM_OURS = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
 
 
-class _Row(Excerpt):
-    token: str
-
-
-class _Mask(_Row):
-    filename: PathBelow
-
-
-class _Splits(RootModel[dict[str, list[str]]]):
-    """The names of scenes by parts."""
-
-
-class _Posed(_Row):
-    translation: Row3
-    rotation: Row4
-
-    @property
-    def matrix(self) -> Matrix4:
-        """The pose."""
-        wxyz = np.array(self.rotation)
-        x, y, z = rotation(wxyz).T if wxyz.any() else np.full((3, 3), np.nan)
-        return from_axes(x, y, z, np.array(self.translation))
-
-
-class _Scene(_Row):
-    log_token: str
-    first_sample_token: str
-
-
-class _Log(_Row):
-    logfile: str
-    location: str
-
-
-class _Sample(_Row):
-    scene_token: str
-    timestamp: int
-
-
-class _Data(_Row):
-    sample_token: str
-    ego_pose_token: str
-    calibrated_sensor_token: str
-    filename: PathBelow
-    width: int
-    height: int
-    timestamp: int
-
-
-class _Calibrated(_Posed):
-    sensor_token: str
-    camera_intrinsic: list[Row3]
-
-
-class _Sensor(_Row):
-    channel: str
-    modality: str
-
-
-class _Annotation(_Posed):
-    sample_token: str
-    instance_token: str
-    visibility_token: str
-    attribute_tokens: list[str]
-    size: Row3
-    num_lidar_pts: int
-
-
-class _Instance(_Row):
-    category_token: str
-
-
-class _Named(_Row):
-    name: str
-
-
-class _Node(_Row):
-    x: Number
-    y: Number
-
-
-class _Line(_Row):
-    node_tokens: list[str]
-
-
-class _Polygon(_Row):
-    exterior_node_tokens: list[str]
-    holes: list["_Hole"]
-
-
-class _Hole(Excerpt):
-    node_tokens: list[str]
-
-
-class _Area(_Row):
-    polygon_token: str
-
-
-class _Drivable(_Row):
-    polygon_tokens: list[str]
-
-
-class _Paint(Excerpt):
-    node_token: str
-    segment_type: str
-
-
-class _Lane(_Area):
-    left_lane_divider_segments: list[_Paint]
-    right_lane_divider_segments: list[_Paint]
-
-
-class _RoadDivider(_Row):
-    line_token: str
-
-
-class _LaneDivider(_RoadDivider):
-    lane_divider_segments: list[_Paint]
-
-
-class _Place(Excerpt):
-    tx: Number
-    ty: Number
-    tz: Number
-
-
-class _Light(_Row):
-    pose: _Place
-
-
-_Length = Annotated[float, Field(ge=0, le=1e4)]
-
-
-class _Arc(Excerpt):
-    start_pose: Row3
-    shape: str
-    radius: Positive
-    segment_length: tuple[_Length, _Length, _Length]
-
-
-class _Links(Excerpt):
-    incoming: list[str]
-    outgoing: list[str]
-
-
-class _Map(Excerpt):
-    """A place's map as its file says."""
-
-    canvas_edge: tuple[Positive, Positive]
-    node: list[_Node]
-    line: list[_Line]
-    polygon: list[_Polygon]
-    drivable_area: list[_Drivable]
-    lane: list[_Lane]
-    lane_connector: list[_Area]
-    ped_crossing: list[_Area]
-    stop_line: list[_Area]
-    road_divider: list[_RoadDivider]
-    lane_divider: list[_LaneDivider]
-    traffic_light: list[_Light]
-    arcline_path_3: dict[str, list[_Arc]]
-    connectivity: dict[str, _Links]
-
-    def places(self, tokens: list[str]) -> Points2:
-        """The places of nodes."""
-        return np.array([self._nodes[name] for name in tokens]).reshape(-1, 2)
-
-    @cached_property
-    def _nodes(self) -> dict[str, tuple[float, float]]:
-        return {node.token: (node.x, node.y) for node in self.node}
-
-    @cached_property
-    def lines(self) -> dict[str, Points2]:
-        """Lines by their tokens."""
-        return {line.token: self.places(line.node_tokens) for line in self.line}
-
-    @cached_property
-    def polygons(self) -> dict[str, shapely.Polygon]:
-        """Polygons by their tokens; empty ones of rings that are none."""
-        found = dict[str, shapely.Polygon]()
-        for of in self.polygon:
-            shell, *holes = (
-                self.places(ring) for ring in (of.exterior_node_tokens, *(at.node_tokens for at in of.holes))
-            )
-            rings = [ring for ring in holes if len(ring) > 2]
-            found[of.token] = shapely.Polygon(shell, rings) if len(shell) > 2 else shapely.Polygon()
-        return found
-
-
 Line = Float[np.ndarray, "_ 2"]
-Row = TypeVar("Row", bound=_Row)
-Model = TypeVar("Model", bound=BaseModel)
-
-
-@dataclass(eq=False)
-class _Version:
-    """The tables of a version below the folder of an export; a file is read when it is asked for. `anchors` are the
-    global frames from the world by the first picture of each scene that was compared."""
-
-    out: Path
-    name: str
-    anchors: dict[str, Matrix4] = field(default_factory=dict)
-    _read: dict[str, Any] = field(default_factory=dict)
-
-    def rows(self, table: str, model: type[Row]) -> dict[str, Row]:
-        """The rows of a table by their tokens."""
-        if table not in self._read:
-            path = self.out / table_file(self.name, table)
-            rows: list[Row] = _validated(RootModel[list[model]], path).root  # type: ignore[valid-type]
-            self._read[table] = {row.token: row for row in rows}
-        found: dict[str, Row] = self._read[table]
-        return found
-
-    def row(self, table: str, model: type[Row], name: str) -> Row:
-        """The row of a token. Raises FormatError where there is none."""
-        rows = self.rows(table, model)
-        if name not in rows:
-            path = self.out / table_file(self.name, table)
-            raise FormatError(f"{path}: expected a row with the token {name[:40]}, got none")
-        return rows[name]
-
-    def map(self, location: str) -> _Map:
-        """The map of a place."""
-        if location not in self._read:
-            self._read[location] = _validated(_Map, self.out / map_file(location))
-        found: _Map = self._read[location]
-        return found
-
-    @cached_property
-    def boxes(self) -> dict[str, list[_Annotation]]:
-        """The boxes of each sample."""
-        found = defaultdict[str, list[_Annotation]](list)
-        for row in self.rows("sample_annotation", _Annotation).values():
-            found[row.sample_token].append(row)
-        return found
-
-    @cached_property
-    def sensors(self) -> dict[str, dict[str, _Data]]:
-        """What each sample's sensors measured, by their channels."""
-        found = defaultdict[str, dict[str, _Data]](dict)
-        for row in self.rows("sample_data", _Data).values():
-            calibrated = self.row("calibrated_sensor", _Calibrated, row.calibrated_sensor_token)
-            found[row.sample_token][self.row("sensor", _Sensor, calibrated.sensor_token).channel] = row
-        return found
-
-
-def _validated(model: type[Model], path: Path) -> Model:
-    try:
-        return model.model_validate_json(read_file(path), strict=True)
-    except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, str(path)))) from None
-
-
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    """A camera's picture: the version, its row, its channel, and whether it is the first of its sample."""
-
-    version: _Version
-    data: _Data
-    channel: str
-    is_first: bool
-
-    @property
-    def sample(self) -> _Sample:
-        """Its sample."""
-        return self.version.row("sample", _Sample, self.data.sample_token)
-
-    @property
-    def scene(self) -> _Scene:
-        """Its scene."""
-        return self.version.row("scene", _Scene, self.sample.scene_token)
-
-    @property
-    def log(self) -> _Log:
-        """Its log."""
-        return self.version.row("log", _Log, self.scene.log_token)
-
-    def calibrated(self, data: _Data) -> _Calibrated:
-        """The calibration of a sensor."""
-        return self.version.row("calibrated_sensor", _Calibrated, data.calibrated_sensor_token)
-
-    def pose(self, data: _Data) -> Matrix4:
-        """The global frame from the vehicle as a sensor measured."""
-        return self.version.row("ego_pose", _Posed, data.ego_pose_token).matrix
-
-
-def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The pictures of each version."""
-    for name in dict.fromkeys(VERSIONS.values()):
-        if (out / name).is_dir():
-            yield FrameList(name, _frames(_Version(out, name), most_frames), "picture")
-
-
-def _read_others(version: _Version) -> None:
-    """Read what no picture is compared with. Raises FormatError where it is not what tools expect."""
-    for name in ("category", "attribute", "visibility"):
-        version.rows(name, _Row if name == "visibility" else _Named)
-    _validated(_Splits, version.out / table_file(version.name, "splits"))
-    files = [row.filename for row in version.rows("map", _Mask).values()]
-    if sorted(files) != sorted(map(mask_file, MASKS)):
-        raise FormatError(
-            f"{version.out / table_file(version.name, 'map')}: expected the masks of all places, got {files}"
-        )
-    for place in MASKS:
-        path, canvas_m = version.out / mask_file(place), version.map(place).canvas_edge
-        # Pillow takes an image of this size for an attack.
-        head, size_px = read_file(path)[:24], [round(MASK_PX_PER_M * edge) for edge in canvas_m]
-        is_whole = head[16:] == struct.pack(">II", *size_px)
-        if head[:16] != PNG_HEAD or not (is_whole or max(canvas_m) > MASK_M):
-            raise FormatError(f"{path}: expected a PNG of {size_px[0]}x{size_px[1]} as its map says, got another file")
-
-
-def _frames(version: _Version, most: int) -> Iterator[ReadFrame]:
-    _read_others(version)
-    samples = sorted(version.rows("sample", _Sample).values(), key=lambda sample: sample.timestamp)
-    for sample in samples:
-        cameras = [channel for channel in version.sensors.get(sample.token, {}) if channel != LIDAR]
-        for channel in cameras:
-            if most == 0:
-                return
-            most -= 1
-            data = version.sensors[sample.token][channel]
-            picture = _Picture(version, data, channel, channel == cameras[0])
-            yield ReadFrame(data.filename, str(version.out / data.filename), data.filename, picture)
 
 
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """The camera and the pose of every picture; of a sample the boxes, the sweep and the map."""
-    picture: _Picture = frame.content
+    picture: Picture = frame.content
     global_from_ego = picture.pose(picture.data)
     global_from_cam = global_from_ego @ picture.calibrated(picture.data).matrix @ CV_FROM_OURS
     compared = _camera(picture, truth) + _pose(picture, global_from_ego, global_from_cam, truth)
@@ -415,7 +80,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     return compared + _map(picture, global_from_cam, truth)
 
 
-def _camera(picture: _Picture, truth: SourceSample) -> Comparison:
+def _camera(picture: Picture, truth: SourceSample) -> Comparison:
     """How far places that a camera sees are from their pixels, by its place on the vehicle."""
     camera, mounted, data = truth.labels.camera, truth.scene.camera, picture.data
     calibrated = picture.calibrated(data)
@@ -428,7 +93,7 @@ def _camera(picture: _Picture, truth: SourceSample) -> Comparison:
     return compare_camera(picture.channel, camera, partial(pinhole_pixels, img_from_cv, cv_from_cam), LIMIT_PX)
 
 
-def _pose(picture: _Picture, global_from_ego: Matrix4, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _pose(picture: Picture, global_from_ego: Matrix4, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """How far places are from where the first picture of the scene has them; the first vehicle must be level."""
     global_from_world = global_from_cam @ invert(truth.labels.camera.world_from_cam)
     anchor = picture.version.anchors.setdefault(picture.sample.scene_token, global_from_world)
@@ -441,7 +106,7 @@ def _pose(picture: _Picture, global_from_ego: Matrix4, global_from_cam: Matrix4,
     return compared
 
 
-def _boxes(picture: _Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _boxes(picture: Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """Corners of boxes in metres, their class, attribute, visibility, points and track."""
     version, items = picture.version, list(truth.labels.objects or ())
     problems, gaps, tracks, left = list[str](), list[Gap](), dict[str, str](), {item.id: item for item in items}
@@ -458,14 +123,14 @@ def _boxes(picture: _Picture, global_from_cam: Matrix4, truth: SourceSample) -> 
         item = left.pop(nearest)
         gaps.append(Gap.of(f"object {item.id}", "m", np.linalg.norm(found - ours[item.id], axis=1), "box"))
         tracks[row.instance_token] = f"object {item.id} of {picture.log.logfile}"
-        instance = version.row("instance", _Instance, row.instance_token)
-        attributes = [version.row("attribute", _Named, name).name for name in row.attribute_tokens]
+        instance = version.row("instance", InstanceRow, row.instance_token)
+        attributes = [version.row("attribute", NamedRow, name).name for name in row.attribute_tokens]
         speed_m_s = None if item.velocity_cam is None else float(np.linalg.norm(item.velocity_cam))
         allowed = [()] if speed_m_s is None else [(name,) for name in ATTRIBUTES[:1] if speed_m_s > MOVING_M_S]
         shares = None if seen[item.id] is None else str(1 + sum(seen[item.id] >= least for least in VISIBLE))
         points = int(bool(seen[item.id])) if item.lidar_points is None else item.lidar_points
         for what, got, expected in (
-            ("class", version.row("category", _Named, instance.category_token).name, [CATEGORIES[item.category]]),
+            ("class", version.row("category", NamedRow, instance.category_token).name, [CATEGORIES[item.category]]),
             ("attribute", tuple(attributes), allowed or [(name,) for name in ATTRIBUTES[1:]]),
             ("level of visibility", row.visibility_token, [shares or ""]),
             ("number of points", row.num_lidar_pts, [points]),
@@ -476,7 +141,7 @@ def _boxes(picture: _Picture, global_from_cam: Matrix4, truth: SourceSample) -> 
     return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(tracks=tracks)
 
 
-def _seen(picture: _Picture, truth: SourceSample) -> dict[int, Any]:
+def _seen(picture: Picture, truth: SourceSample) -> dict[int, Any]:
     """The greatest share of each object that a camera of the sample sees, None where nothing is known of it."""
     channels, found = picture.version.sensors[picture.data.sample_token], dict[int, Any]()
     for other in truth.moment:
@@ -487,7 +152,7 @@ def _seen(picture: _Picture, truth: SourceSample) -> dict[int, Any]:
     return found
 
 
-def _sweep(picture: _Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _sweep(picture: Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """How far points of the lidar are from those of our sweep."""
     data = picture.version.sensors[picture.data.sample_token].get(LIDAR)
     if data is None:
@@ -521,7 +186,7 @@ class _FromAbove(SourceSample):
         return np.asarray(transform(self.global_from_cam, points_cam) * [1, 1, 0])
 
 
-def _map(picture: _Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _map(picture: Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """Lanes in metres; sides, links and paint; what else is on the road."""
     found, above = picture.version.map(picture.log.location), _FromAbove(truth, global_from_cam)
     names = {token(picture.log.logfile, "lane", segment.id): segment.id for segment in truth.labels.graph.segments}
@@ -540,7 +205,7 @@ def _map(picture: _Picture, global_from_cam: Matrix4, truth: SourceSample) -> Co
     return compare_map(flat, above, RULE).because(problems)
 
 
-def _places(arcs: list[_Arc]) -> Points2:
+def _places(arcs: list[Arc]) -> Points2:
     """Places along the arcs of a path."""
     found = list[tuple[float, float]]()
     for arc in arcs:
@@ -573,7 +238,7 @@ def _half_widths(truth: SourceSample, names: list[str], global_from_cam: Matrix4
 
 
 def _side_problems(
-    found: _Map, names: Mapping[str, str], paths: Mapping[str, Points2], halves_m: Mapping[str, tuple[float, float]]
+    found: PlaceMap, names: Mapping[str, str], paths: Mapping[str, Points2], halves_m: Mapping[str, tuple[float, float]]
 ) -> Iterator[str]:
     """Findings where a boundary is on the other side, or not half a lane's width from the middle, or the middle is not
     in the lane's polygon."""
@@ -585,7 +250,7 @@ def _side_problems(
         area = shapely.buffer(found.polygons[lane.polygon_token], SIDE_M)
         if not shapely.contains_xy(area, *path.T).all():
             yield f"lane {name}: expected its middle in its polygon, got it outside"
-        if not isinstance(lane, _Lane):
+        if not isinstance(lane, MapLane):
             continue
         for side, sign, segments in (
             ("left", 1, lane.left_lane_divider_segments), ("right", -1, lane.right_lane_divider_segments)
@@ -603,7 +268,7 @@ def _side_problems(
 
 
 def _link_problems(
-    found: _Map, names: Mapping[str, str], paths: Mapping[str, Points2], truth: SourceSample
+    found: PlaceMap, names: Mapping[str, str], paths: Mapping[str, Points2], truth: SourceSample
 ) -> Iterator[str]:
     """Findings where links are not those of the lane graph, or lanes do not meet."""
     links = [(a, b) for a, after in truth.labels.graph.successors.items() for b in after if a in paths and b in paths]
@@ -625,7 +290,7 @@ def _link_problems(
             yield f"lane {a}: expected {b} to begin where it ends, got it {gap_m:.3f} m away"
 
 
-def _divider_problems(found: _Map, labels: Labels) -> Iterator[str]:
+def _divider_problems(found: PlaceMap, labels: Labels) -> Iterator[str]:
     """Findings where a painted line between two lanes is no divider, or one of another kind or paint."""
     centers = {lane.id: lane for lane in labels.lanes if lane.kind == "centerline" and len(lane.xyz_cam) > 1}
     kinds: dict[str, list[tuple[Points2, set[str] | None]]] = {
@@ -700,7 +365,7 @@ def _paint(line: Lane, of: Line, xy: Line) -> str:
     return text
 
 
-def _thing_problems(found: _Map, above: Labels, truth: SourceSample, global_from_cam: Matrix4) -> Iterator[str]:
+def _thing_problems(found: PlaceMap, above: Labels, truth: SourceSample, global_from_cam: Matrix4) -> Iterator[str]:
     """Findings where symbols, signals or the pavement below lanes are not in the map."""
     for word, rows, kinds in (
         ("pedestrian crossing", found.ped_crossing, ("crosswalk",)),
