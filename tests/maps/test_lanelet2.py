@@ -122,6 +122,10 @@ def test_a_scene_on_a_map_that_is_read_again_has_its_lanes_and_links() -> None:
         assert set(world.network.lanes) <= set(given.lanes)
         inside = {(a, b) for a, b in given.links if {a, b} <= set(world.network.lanes)}
         assert set(world.network.links) == inside
+        # Out once more: lanes meet as in the first file.
+        again, lost = lanelet2(world)
+        assert lost == 0
+        assert len(read(again.encode()).links) == len(world.network.links)
 
 
 # -- small maps

@@ -36,6 +36,9 @@ from synth3dlanes.system.schema import Name
 
 # How far reference lines may be from the points of their bounds, and widths and heights from those of the bounds.
 ARCS_M, WIDTH_M, HEIGHT_M = 0.002, 0.002, 0.003
+# A reference line that ends square to its lanes is at most this far from its bound, turns by at most so much to get
+# there, and bends by at most so much per metre.
+NEAR_M, MOST_TURNED_RAD, MOST_BENT = 0.1, 0.3, 0.03
 # Stations at which widths and heights are measured; a point of a line is this long at least.
 STEP_M, LEAST_M = 0.5, 0.1
 # A step of a polyline is at most this many times as long as the one beside it, so that a bend does not reach into it.
@@ -158,7 +161,7 @@ def road_of(name: Name, row: Sequence[Beside], is_left_hand: bool, is_in_junctio
     # The one that is most square to both ends: roads end square to it. Else that between both directions.
     usual = turns[0] if turns else driving[-1] + 1 if is_left_hand else driving[0]
     middle = min(range(len(edges)), key=lambda i: (_skew(lines[i], lines), _bends(lines[i]), i != usual))
-    plan = arcs(lines[middle][:, :2])
+    plan, is_bound = _reference(lines[middle], lines)
     length_m = sum(piece.length_m for piece in plan)
     s = np.linspace(0.0, length_m, 3 + int(length_m / STEP_M))
     line = plan_line(plan)
@@ -166,7 +169,7 @@ def road_of(name: Name, row: Sequence[Beside], is_left_hand: bool, is_in_junctio
     for i, points in enumerate(lines):
         fine = _fine(points)
         stations, t = line.project(fine[:, :2], _stations_near(fine[:, :2], line.xy(s, np.zeros(len(s))), s))
-        if i == middle:
+        if i == middle and is_bound:
             t = np.zeros(len(t))
         if not (np.diff(stations) > -STEP_M).all():
             raise FormatError(
@@ -194,15 +197,37 @@ def road_of(name: Name, row: Sequence[Beside], is_left_hand: bool, is_in_junctio
         if not is_in_junction and not is_kerb and (last is None or last.kind == "driving") and len(own) < MAX_LANES:
             width = (Polynomial(s_m=0.0, a=BORDER_M),)
             lanes.append(MapLane(number=side * (len(own) + 1), kind="border", widths=width))
+    across = zip(offsets[::-1].T, heights[::-1].T, strict=True)
+    on_line = heights[middle] if is_bound else np.array([np.interp(0.0, t, z) for t, z in across])
     road = MapRoad(
         id=name,
         plan=plan,
+        lane_offsets=() if is_bound else _cubics(s, offsets[middle], WIDTH_M),
         sections=(MapSection(s_m=0.0, lanes=tuple(sorted(lanes, key=lambda lane: -lane.number))),),
-        heights=_cubics(s, heights[middle], HEIGHT_M),
-        shapes=_shapes(s, offsets, heights - heights[middle]),
+        heights=_cubics(s, on_line, HEIGHT_M),
+        shapes=_shapes(s, offsets, heights - on_line),
         keeps_left=is_left_hand,
     )
     return RoadOfLanelets(road, numbers)
+
+
+def _reference(points: Polyline3, lines: Sequence[Polyline3]) -> tuple[tuple[PlanPiece, ...], bool]:
+    """A reference line along a bound, and whether it is that. Where several lanes do not end square to the bound, it
+    leaves the bound by up to NEAR_M to end square to them, so that the next road begins there."""
+    plan = arcs(points[:, :2])
+    if len(lines) < 3 or not _skew(points, lines):
+        return plan, True
+    ends = []
+    for end in (0, -1):
+        right = (lines[-1][end] - lines[0][end])[:2]
+        ends.append(np.array([-right[1], right[0]]) / max(float(np.hypot(*right)), 1e-9))
+    headings = plan[0].heading_rad, plan[-1].heading_rad + plan[-1].curvature * plan[-1].length_m
+    turned = [math.remainder(math.atan2(at[1], at[0]) - of, 2 * math.pi) for at, of in zip(ends, headings, strict=True)]
+    length_m = sum(piece.length_m for piece in plan)
+    # On a short road or at a slanted end it would bend too much.
+    if max(map(abs, turned)) > MOST_TURNED_RAD or max(map(abs, turned)) / length_m > MOST_BENT:
+        return plan, True
+    return arcs(points[:, :2], (ends[0], ends[1]), NEAR_M), False
 
 
 def _skew(points: Polyline3, lines: Sequence[Polyline3]) -> int:
@@ -300,9 +325,10 @@ def _shapes(
 # -- reference lines
 
 
-def arcs(points: Polyline2) -> tuple[PlanPiece, ...]:
-    """Arcs through points of a line that go on into each other, at most ARCS_M from all of its points: the fewest that
-    halving gives. Raises FormatError for a line that turns back."""
+def arcs(points: Polyline2, ends: tuple[Vector, Vector] | None = None, near_m: float = ARCS_M) -> tuple[PlanPiece, ...]:
+    """Arcs through points of a line that go on into each other, at most `near_m` from all of its points: the fewest
+    that halving gives. `ends` are their directions there, if not the line's. Raises FormatError for a line that turns
+    back."""
     points = _graded(points)
     steps = np.diff(points, axis=0)
     lengths = np.hypot(*steps.T)
@@ -314,12 +340,13 @@ def arcs(points: Polyline2) -> tuple[PlanPiece, ...]:
     first, last = ways[0], ways[-1]
     if len(ways) > 1:
         first, last = 2 * ways[0] - inner[0], 2 * ways[-1] - inner[-1]
+    first, last = ends or (first, last)
     tangents = np.concatenate([first[None], inner, last[None]])
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
 
     def cover(a: int, b: int) -> list[PlanPiece]:
         pair = _biarc(points[a], tangents[a], points[b], tangents[b])
-        if b == a + 1 or _is_near(pair, points[a + 1 : b]):
+        if b == a + 1 or _is_near(pair, points[a + 1 : b], near_m):
             return pair
         middle = (a + b) // 2
         return cover(a, middle) + cover(middle, b)
@@ -386,8 +413,8 @@ def _arc(start: Vector, heading: float, end: Vector) -> PlanPiece:
     )
 
 
-def _is_near(plan: Sequence[PlanPiece], points: Polyline2) -> bool:
-    """Whether points are all at most ARCS_M from arcs."""
+def _is_near(plan: Sequence[PlanPiece], points: Polyline2, near_m: float) -> bool:
+    """Whether points are all at most `near_m` from arcs."""
     length_m = sum(piece.length_m for piece in plan)
     # Steps along arcs whose heights are far below that.
     bend = max(abs(piece.curvature) for piece in plan)
@@ -396,4 +423,4 @@ def _is_near(plan: Sequence[PlanPiece], points: Polyline2) -> bool:
     steps = np.diff(line, axis=0)
     to = points[:, None] - line[:-1]
     share = np.clip((to * steps).sum(axis=2) / (steps**2).sum(axis=1), 0, 1)
-    return bool(np.linalg.norm(to - share[..., None] * steps, axis=2).min(axis=1).max() <= ARCS_M)
+    return bool(np.linalg.norm(to - share[..., None] * steps, axis=2).min(axis=1).max() <= near_m)
