@@ -312,6 +312,7 @@ def test_names_of_scenes_are_those_by_which_tools_tell_parts():
     assert (names["train"][696], names["val"][150]) == ("scene-20000", "scene-40000")
 
 
+@pytest.mark.thorough
 def test_bytes_are_the_same_however_the_export_is_written(exported, clips, tmp_path, monkeypatch):
     monkeypatch.setattr(export, "MOST_OPEN", 1)
     job = Export(str(clips), tmp_path / "again", "nuscenes")
@@ -565,7 +566,7 @@ FAULTS = {
     "no areas": (layer("drivable_area", lambda rows: []), "expected it in the drivable area"),
     "no nodes": (layer("node", lambda rows: rows[:1]), "expected a record with the token"),
 }  # fmt: skip
-QUICK = ("w is last", "boxes turned by 6 degrees", "sides", "no middle of the road")
+QUICK = ("w is last", "sides")
 
 
 @pytest.mark.parametrize(
