@@ -28,12 +28,12 @@ CHECK_EVERY_S = 0.05
 # Speeds that are drawn for a car before it gets one of those that others have.
 SPEED_TRIES = 8
 
-Size = tuple[float, float]
+BodySize = tuple[float, float]
 # The corners of a car at distances that it has driven.
 Way = Callable[[Scalars], Float[np.ndarray, "t 4 2"]]
 
 
-class Place(NamedTuple):
+class CarPlace(NamedTuple):
     """A place for a car: the fields of it, its way from there on, and speeds, one of which it takes."""
 
     fields: dict[str, Any]
@@ -74,7 +74,11 @@ def car_look(looks: Draw, assets: Assets, model: int, scale: float, added: Seque
 
 
 def draw_cars(
-    looks: Draw, assets: Assets, traffic: Traffic, places: Callable[[Size], Iterator[Place]], added: Sequence[Draw] = ()
+    looks: Draw,
+    assets: Assets,
+    traffic: Traffic,
+    places: Callable[[BodySize], Iterator[CarPlace]],
+    added: Sequence[Draw] = (),
 ) -> Iterator[Car | None]:
     """The cars, each at the first free one of the places for its length and width and the gap around it; None for each
     that finds none."""
@@ -103,13 +107,13 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
     camera, parked, is_clip = scene.camera, parking("parked"), scene.shot.n_frames > 1
     host = placement.host_footprint(world_from_host(network, camera))[None]
 
-    def way(lane: str, s_m: float, offset_m: float, size: Size, driven_m: Scalars) -> np.ndarray:
+    def way(lane: str, s_m: float, offset_m: float, size: BodySize, driven_m: Scalars) -> np.ndarray:
         stations = np.full(driven_m.shape, s_m)
         if driven_m.any():
             stations = stations_after(network, network.path(lane), s_m, driven_m)
         return placement.footprint(*placement.car_place(network, lane, stations, offset_m), *size)
 
-    def places(size: Size) -> Iterator[Place]:
+    def places(size: BodySize) -> Iterator[CarPlace]:
         is_parked = parking.rng.random() < parked
         drawn_m_s = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES)] if is_clip else [0.0]
         for _ in range(TRIES):
@@ -121,7 +125,7 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
             own = partial(way, lane, s_m, offset_m, size)
             wanted = [0.0] if offset_m or not is_clip else [*drawn_m_s, *traffic.speeds]
             if not is_clip or not placement.overlaps_any(own(np.zeros(1)), host):
-                yield Place({"lane": lane, "s_m": s_m, "offset_m": offset_m}, own, wanted)
+                yield CarPlace({"lane": lane, "s_m": s_m, "offset_m": offset_m}, own, wanted)
 
     own_lane = network.host_lane(camera.lane, camera.y_m).id
     own_way = partial(way, own_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M)

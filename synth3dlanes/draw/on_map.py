@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.draw.cars import SPEED_TRIES, Place, Size, Traffic, Way, draw_cars
+from synth3dlanes.draw.cars import SPEED_TRIES, BodySize, CarPlace, Traffic, Way, draw_cars
 from synth3dlanes.draw.draws import DECIMALS, DrawsOf
 from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, first_shot
 from synth3dlanes.draw.map_standing import map_trees, stand
@@ -166,10 +166,10 @@ def cars_on_map(scene: Scene, network: MapNetwork, of: DrawsOf) -> tuple[Car, ..
     near, chances = _near(scene, network, max(map(abs, extent(of.params.cars.s_m))))
     lines, rng = red_lines(scene, network), looks.rng
 
-    def own(way: LaneCurve, at_m: float, offset_m: float, size: Size) -> Way:
+    def own(way: LaneCurve, at_m: float, offset_m: float, size: BodySize) -> Way:
         return lambda driven_m: _footprints(way, at_m + driven_m, offset_m, size)
 
-    def places(size: Size) -> Iterator[Place]:
+    def places(size: BodySize) -> Iterator[CarPlace]:
         for _ in range(TRIES):
             lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
             s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), DECIMALS)
@@ -179,7 +179,7 @@ def cars_on_map(scene: Scene, network: MapNetwork, of: DrawsOf) -> tuple[Car, ..
             line_m = _line_ahead(way, lines, at_m + size[0] / 2) - size[0] / 2
             wishes = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if is_clip else [0.0]
             possible = [_allowed(way, at_m, wish, shot.duration_s, line_m) if wish else 0.0 for wish in wishes]
-            yield Place({"lane": lane.id, "s_m": s_m, "route": route}, own(way, at_m, 0.0, size), possible)
+            yield CarPlace({"lane": lane.id, "s_m": s_m, "route": route}, own(way, at_m, 0.0, size), possible)
 
     traffic = Traffic(shot, own(network.way, camera.y_m, camera.offset_m, placement.HOST_SIZE_M))
     return tuple(filter(None, draw_cars(looks, scene.assets, traffic, places))) if near else ()

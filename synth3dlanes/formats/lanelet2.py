@@ -28,8 +28,8 @@ from synth3dlanes.formats.lanelet_map import (
     SAME_M,
     STEP_M,
     Bound,
+    LaneletPiece,
     Lanelets,
-    Piece,
     Tags,
     lanelets_of,
     painted_along,
@@ -220,7 +220,7 @@ def _write_lanes(document: _Document, found: Lanelets, borders: Sequence[tuple[P
             nodes[first] = document.node(found.places[first])
         return nodes[first]
 
-    def tags_of(bound: Bound, points: Polyline3, piece: Piece) -> Tags:
+    def tags_of(bound: Bound, points: Polyline3, piece: LaneletPiece) -> Tags:
         if bound.paint is not None:
             return bound.paint.ascending if piece.lane.ascends else bound.paint.descending
         if (paint := painted_along(points[:: 1 if piece.lane.ascends else -1], painted)) is not None:
@@ -231,7 +231,7 @@ def _write_lanes(document: _Document, found: Lanelets, borders: Sequence[tuple[P
                 return BORDERS[str(Counter(kinds[at].tolist()).most_common(1)[0][0])]
         return {"type": "virtual", "lane_change": "no"}
 
-    def way(bound: Bound, piece: Piece) -> int:
+    def way(bound: Bound, piece: LaneletPiece) -> int:
         if id(bound) not in ways:
             points = found.line(bound)
             same = alike.setdefault(frozenset(map(found.first, bound.joints)), [])
@@ -308,7 +308,7 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
     """Lights, signs and right of way as regulatory elements of lanelets."""
     lights = dict[str, list[tuple[int, int]]]()
 
-    def rule(subtype: str, members: Iterable[tuple[str, int, str]], pieces: Sequence[Piece]) -> None:
+    def rule(subtype: str, members: Iterable[tuple[str, int, str]], pieces: Sequence[LaneletPiece]) -> None:
         if not pieces:
             return
         name = document.relation({"type": "regulatory_element", "subtype": subtype}, members)

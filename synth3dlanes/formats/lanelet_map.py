@@ -58,7 +58,7 @@ class Bound:
 
 
 @dataclass(eq=False)
-class Piece:
+class LaneletPiece:
     """A part of a lane that is a lanelet, with its bounds and, once it is written, its id."""
 
     lane: NetworkLane
@@ -82,7 +82,7 @@ class Lanelets:
     """The pieces of all lanes in the order of traffic, and the joints of their bounds: places, of which some are
     one."""
 
-    pieces: dict[str, list[Piece]] = field(default_factory=dict)
+    pieces: dict[str, list[LaneletPiece]] = field(default_factory=dict)
     places: list[Float[np.ndarray, "3"]] = field(default_factory=list)
     same_as: list[int] = field(default_factory=list)
 
@@ -126,7 +126,7 @@ def lanelets_of(world: World) -> tuple[Lanelets, int]:
     for road in network.roads:
         lanes = [(lane, *ends) for lane in road.lanes if (ends := _wide(road, lane))]
         painted = list(_paint_along(world, road))
-        before = dict[str, Piece]()
+        before = dict[str, LaneletPiece]()
         for from_m, to_m in pairwise(_cuts(lanes, painted, road)):
             here = [lane for lane, low, high in lanes if low <= from_m and to_m <= high]
             pieces = _pieces(road, here, from_m, to_m, painted, found) if here else {}
@@ -217,7 +217,7 @@ def _cuts(lanes: Sequence[tuple[NetworkLane, float, float]], painted: Sequence[P
 
 def _pieces(
     road: Road, lanes: Sequence[NetworkLane], from_m: float, to_m: float, painted: Sequence[Paint], found: Lanelets
-) -> dict[str, Piece]:
+) -> dict[str, LaneletPiece]:
     """The pieces of lanes of a road between two stations; where these are beside each other they share a bound."""
     s = np.linspace(from_m, to_m, 3 + int((to_m - from_m) / STEP_M))
     lines, edges, sides = list[Scalars](), list[Polyline3](), dict[str, list[int]]()
@@ -239,7 +239,7 @@ def _pieces(
     made = {}
     for lane in lanes:
         low, high = (bounds[i] for i in sides[lane.id])
-        made[lane.id] = Piece(lane, *((low, high) if lane.ascends != road.line.is_mirrored else (high, low)))
+        made[lane.id] = LaneletPiece(lane, *((low, high) if lane.ascends != road.line.is_mirrored else (high, low)))
     return made
 
 

@@ -33,13 +33,13 @@ from synth3dlanes.system.schema import Excerpt, Number, PathBelow, Positive, val
 PNG_HEAD = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 
 
-class Row(Excerpt):
+class TableRow(Excerpt):
     """A row of a table."""
 
     token: str
 
 
-class _Mask(Row):
+class _Mask(TableRow):
     filename: PathBelow
 
 
@@ -47,7 +47,7 @@ class _Splits(RootModel[dict[str, list[str]]]):
     """The names of scenes by parts."""
 
 
-class PosedRow(Row):
+class PosedRow(TableRow):
     """A row with a pose."""
 
     translation: Row3
@@ -61,28 +61,28 @@ class PosedRow(Row):
         return from_axes(x, y, z, np.array(self.translation))
 
 
-class SceneRow(Row):
+class SceneRow(TableRow):
     """A scene."""
 
     log_token: str
     first_sample_token: str
 
 
-class LogRow(Row):
+class LogRow(TableRow):
     """A log, which says in which place its scene is."""
 
     logfile: str
     location: str
 
 
-class SampleRow(Row):
+class SampleRow(TableRow):
     """A sample."""
 
     scene_token: str
     timestamp: int
 
 
-class DataRow(Row):
+class DataRow(TableRow):
     """What a sensor measured at a sample."""
 
     sample_token: str
@@ -101,7 +101,7 @@ class CalibratedRow(PosedRow):
     camera_intrinsic: list[Row3]
 
 
-class _Sensor(Row):
+class _Sensor(TableRow):
     channel: str
     modality: str
 
@@ -117,28 +117,28 @@ class BoxRow(PosedRow):
     num_lidar_pts: int
 
 
-class InstanceRow(Row):
+class InstanceRow(TableRow):
     """An object through a scene."""
 
     category_token: str
 
 
-class NamedRow(Row):
+class NamedRow(TableRow):
     """A category or an attribute."""
 
     name: str
 
 
-class _Node(Row):
+class _Node(TableRow):
     x: Number
     y: Number
 
 
-class _Line(Row):
+class _Line(TableRow):
     node_tokens: list[str]
 
 
-class _Polygon(Row):
+class _Polygon(TableRow):
     exterior_node_tokens: list[str]
     holes: list["_Hole"]
 
@@ -147,11 +147,11 @@ class _Hole(Excerpt):
     node_tokens: list[str]
 
 
-class _Area(Row):
+class _Area(TableRow):
     polygon_token: str
 
 
-class _Drivable(Row):
+class _Drivable(TableRow):
     polygon_tokens: list[str]
 
 
@@ -160,14 +160,14 @@ class _Paint(Excerpt):
     segment_type: str
 
 
-class MapLane(_Area):
+class LaneOfMap(_Area):
     """A lane with the paint along its sides."""
 
     left_lane_divider_segments: list[_Paint]
     right_lane_divider_segments: list[_Paint]
 
 
-class _RoadDivider(Row):
+class _RoadDivider(TableRow):
     line_token: str
 
 
@@ -181,7 +181,7 @@ class _Place(Excerpt):
     tz: Number
 
 
-class _Light(Row):
+class _Light(TableRow):
     pose: _Place
 
 
@@ -210,7 +210,7 @@ class PlaceMap(Excerpt):
     line: list[_Line]
     polygon: list[_Polygon]
     drivable_area: list[_Drivable]
-    lane: list[MapLane]
+    lane: list[LaneOfMap]
     lane_connector: list[_Area]
     ped_crossing: list[_Area]
     stop_line: list[_Area]
@@ -246,7 +246,7 @@ class PlaceMap(Excerpt):
         return found
 
 
-AnyRow = TypeVar("AnyRow", bound=Row)
+AnyRow = TypeVar("AnyRow", bound=TableRow)
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -310,7 +310,7 @@ def _validated(model: type[Model], path: Path) -> Model:
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class CameraPicture:
     """A camera's picture: the version, its row, its channel, and whether it is the first of its sample."""
 
     version: Version
@@ -352,7 +352,7 @@ def read(out: Path, most_frames: int) -> Iterator[FrameList]:
 def _read_others(version: Version) -> None:
     """Read what no picture is compared with. Raises FormatError where it is not what tools expect."""
     for name in ("category", "attribute", "visibility"):
-        version.rows(name, Row if name == "visibility" else NamedRow)
+        version.rows(name, TableRow if name == "visibility" else NamedRow)
     _validated(_Splits, version.out / table_file(version.name, "splits"))
     files = [row.filename for row in version.rows("map", _Mask).values()]
     if sorted(files) != sorted(map(mask_file, MASKS)):
@@ -378,5 +378,5 @@ def _frames(version: Version, most: int) -> Iterator[ReadFrame]:
                 return
             most -= 1
             data = version.sensors[sample.token][channel]
-            picture = Picture(version, data, channel, channel == cameras[0])
+            picture = CameraPicture(version, data, channel, channel == cameras[0])
             yield ReadFrame(data.filename, str(version.out / data.filename), data.filename, picture)

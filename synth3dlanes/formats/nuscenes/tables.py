@@ -135,7 +135,7 @@ def _table(version: str, name: str, lines: Path) -> Iterator[str]:
     """A table, with a row a line; no row twice."""
     scenes, seen, mark = _scenes(lines), set[str](), "[\n"
     places = _places(scenes)
-    made: Iterator[Row] = (
+    made: Iterator[JsonRow] = (
         row for scene in scenes for row in TABLES[name](_clip(version, lines, scene, places[scene.first]))
     )
     rows = _mask_rows(lines, scenes, places) if name == "map" else made
@@ -221,10 +221,10 @@ def _clip(version: str, lines: Path, scene: _Scene, place: _Place) -> _Clip:
     return _Clip(scene_name(_serves_as(version, scene.part), place.number), place, pictures, global_from_world)
 
 
-Row = dict[str, Any]
+JsonRow = dict[str, Any]
 
 
-def _scene_rows(clip: _Clip) -> Iterator[Row]:
+def _scene_rows(clip: _Clip) -> Iterator[JsonRow]:
     samples = clip.frames
     yield {
         "token": clip.token("scene"),
@@ -237,13 +237,13 @@ def _scene_rows(clip: _Clip) -> Iterator[Row]:
     }
 
 
-def _sample_rows(clip: _Clip) -> Iterator[Row]:
+def _sample_rows(clip: _Clip) -> Iterator[JsonRow]:
     for before, own, after, picture in clip.frames:
         links = {"prev": before, "next": after, "scene_token": clip.token("scene")}
         yield {"token": own, "timestamp": picture["time_us"], **links}
 
 
-def _data_rows(clip: _Clip) -> Iterator[Row]:
+def _data_rows(clip: _Clip) -> Iterator[JsonRow]:
     for channel, pictures in clip.channels.items():
         for before, own, after, picture in pictures:
             of = picture["of"]
@@ -263,26 +263,26 @@ def _data_rows(clip: _Clip) -> Iterator[Row]:
             }
 
 
-def _pose_rows(clip: _Clip) -> Iterator[Row]:
+def _pose_rows(clip: _Clip) -> Iterator[JsonRow]:
     for pictures in clip.channels.values():
         for _, own, _, picture in pictures:
             yield {"token": own, "timestamp": picture["time_us"], **clip.placed(picture, np.eye(4))}
 
 
-def _calibrated_rows(clip: _Clip) -> Iterator[Row]:
+def _calibrated_rows(clip: _Clip) -> Iterator[JsonRow]:
     for channel, ((_, _, _, picture), *_) in clip.channels.items():
         lens = {"camera_intrinsic": picture["of"].get("camera_intrinsic", [])}
         sensor = {"token": clip.token("calibrated", channel), "sensor_token": token("sensor", channel)}
         yield {**sensor, **picture["of"]["pose"], **lens}
 
 
-def _sensor_rows(clip: _Clip) -> Iterator[Row]:
+def _sensor_rows(clip: _Clip) -> Iterator[JsonRow]:
     for channel in clip.channels:
         modality = "lidar" if channel == LIDAR else "camera"
         yield {"token": token("sensor", channel), "channel": channel, "modality": modality}
 
 
-def _instance_rows(clip: _Clip) -> Iterator[Row]:
+def _instance_rows(clip: _Clip) -> Iterator[JsonRow]:
     for key, boxes in clip.objects.items():
         links = clip.linked(f"box {key}", boxes)
         yield {
@@ -294,7 +294,7 @@ def _instance_rows(clip: _Clip) -> Iterator[Row]:
         }
 
 
-def _annotation_rows(clip: _Clip) -> Iterator[Row]:
+def _annotation_rows(clip: _Clip) -> Iterator[JsonRow]:
     for key, boxes in clip.objects.items():
         for before, own, after, box in clip.linked(f"box {key}", boxes):
             visible, points, attribute = box["visible"], box["points"], box["attribute"]
@@ -313,29 +313,29 @@ def _annotation_rows(clip: _Clip) -> Iterator[Row]:
             }
 
 
-def _category_rows(clip: _Clip) -> Iterator[Row]:
+def _category_rows(clip: _Clip) -> Iterator[JsonRow]:
     for name, number in CLASS_NUMBERS.items():
         yield {"token": token("category", name), "name": name, "description": "", "index": number}
 
 
-def _attribute_rows(clip: _Clip) -> Iterator[Row]:
+def _attribute_rows(clip: _Clip) -> Iterator[JsonRow]:
     for name in ATTRIBUTES:
         yield {"token": token("attribute", name), "name": name, "description": ""}
 
 
-def _visibility_rows(clip: _Clip) -> Iterator[Row]:
+def _visibility_rows(clip: _Clip) -> Iterator[JsonRow]:
     shares = (0, *(int(100 * share) for share in VISIBLE), 100)
     for level, (low, high) in enumerate(pairwise(shares), start=1):
         words = {"level": f"v{low}-{high}", "description": f"a camera sees between {low} and {high} % of it"}
         yield {"token": str(level), **words}
 
 
-def _log_rows(clip: _Clip) -> Iterator[Row]:
+def _log_rows(clip: _Clip) -> Iterator[JsonRow]:
     of = {"logfile": clip.pictures[0]["log"], "vehicle": "synth3dlanes", "date_captured": DATE}
     yield {"token": clip.token("log"), **of, "location": clip.place.location}
 
 
-def _mask_rows(lines: Path, scenes: Sequence[_Scene], places: Mapping[int, _Place]) -> Iterator[Row]:
+def _mask_rows(lines: Path, scenes: Sequence[_Scene], places: Mapping[int, _Place]) -> Iterator[JsonRow]:
     logs = defaultdict[str, list[str]](list)
     for scene in scenes:
         logs[places[scene.first].location].append(token(next(_documents(lines, scene))["log"], "log"))
@@ -344,7 +344,7 @@ def _mask_rows(lines: Path, scenes: Sequence[_Scene], places: Mapping[int, _Plac
         yield {"token": name, **of}
 
 
-TABLES: dict[str, Callable[[_Clip], Iterator[Row]]] = {
+TABLES: dict[str, Callable[[_Clip], Iterator[JsonRow]]] = {
     "scene": _scene_rows,
     "sample": _sample_rows,
     "sample_data": _data_rows,

@@ -37,7 +37,7 @@ from synth3dlanes.formats.nuscenes.convention import (
     segment_type,
     token,
 )
-from synth3dlanes.formats.nuscenes.read import Arc, InstanceRow, MapLane, NamedRow, Picture, PlaceMap
+from synth3dlanes.formats.nuscenes.read import Arc, CameraPicture, InstanceRow, LaneOfMap, NamedRow, PlaceMap
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import invert, transform, turned
 from synth3dlanes.labels.labels import Labels, Lane
@@ -65,12 +65,12 @@ EGO_FROM_HOST = np.array([[0, 1.0, 0, REAR_M], [-1.0, 0, 0, 0], [0, 0, 1.0, 0], 
 CV_FROM_OURS = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
 
 
-Line = Float[np.ndarray, "_ 2"]
+MapLine = Float[np.ndarray, "_ 2"]
 
 
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """The camera and the pose of every picture; of a sample the boxes, the sweep and the map."""
-    picture: Picture = frame.content
+    picture: CameraPicture = frame.content
     global_from_ego = picture.pose(picture.data)
     global_from_cam = global_from_ego @ picture.calibrated(picture.data).matrix @ CV_FROM_OURS
     compared = _camera(picture, truth) + _pose(picture, global_from_ego, global_from_cam, truth)
@@ -80,7 +80,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     return compared + _map(picture, global_from_cam, truth)
 
 
-def _camera(picture: Picture, truth: SourceSample) -> Comparison:
+def _camera(picture: CameraPicture, truth: SourceSample) -> Comparison:
     """How far places that a camera sees are from their pixels, by its place on the vehicle."""
     camera, mounted, data = truth.labels.camera, truth.scene.camera, picture.data
     calibrated = picture.calibrated(data)
@@ -93,7 +93,9 @@ def _camera(picture: Picture, truth: SourceSample) -> Comparison:
     return compare_camera(picture.channel, camera, partial(pinhole_pixels, img_from_cv, cv_from_cam), LIMIT_PX)
 
 
-def _pose(picture: Picture, global_from_ego: Matrix4, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _pose(
+    picture: CameraPicture, global_from_ego: Matrix4, global_from_cam: Matrix4, truth: SourceSample
+) -> Comparison:
     """How far places are from where the first picture of the scene has them; the first vehicle must be level."""
     global_from_world = global_from_cam @ invert(truth.labels.camera.world_from_cam)
     anchor = picture.version.anchors.setdefault(picture.sample.scene_token, global_from_world)
@@ -106,7 +108,7 @@ def _pose(picture: Picture, global_from_ego: Matrix4, global_from_cam: Matrix4, 
     return compared
 
 
-def _boxes(picture: Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """Corners of boxes in metres, their class, attribute, visibility, points and track."""
     version, items = picture.version, list(truth.labels.objects or ())
     problems, gaps, tracks, left = list[str](), list[Gap](), dict[str, str](), {item.id: item for item in items}
@@ -141,7 +143,7 @@ def _boxes(picture: Picture, global_from_cam: Matrix4, truth: SourceSample) -> C
     return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(tracks=tracks)
 
 
-def _seen(picture: Picture, truth: SourceSample) -> dict[int, Any]:
+def _seen(picture: CameraPicture, truth: SourceSample) -> dict[int, Any]:
     """The greatest share of each object that a camera of the sample sees, None where nothing is known of it."""
     channels, found = picture.version.sensors[picture.data.sample_token], dict[int, Any]()
     for other in truth.moment:
@@ -152,7 +154,7 @@ def _seen(picture: Picture, truth: SourceSample) -> dict[int, Any]:
     return found
 
 
-def _sweep(picture: Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _sweep(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """How far points of the lidar are from those of our sweep."""
     data = picture.version.sensors[picture.data.sample_token].get(LIDAR)
     if data is None:
@@ -186,7 +188,7 @@ class _FromAbove(SourceSample):
         return np.asarray(transform(self.global_from_cam, points_cam) * [1, 1, 0])
 
 
-def _map(picture: Picture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+def _map(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """Lanes in metres; sides, links and paint; what else is on the road."""
     found, above = picture.version.map(picture.log.location), _FromAbove(truth, global_from_cam)
     names = {token(picture.log.logfile, "lane", segment.id): segment.id for segment in truth.labels.graph.segments}
@@ -250,7 +252,7 @@ def _side_problems(
         area = shapely.buffer(found.polygons[lane.polygon_token], SIDE_M)
         if not shapely.contains_xy(area, *path.T).all():
             yield f"lane {name}: expected its middle in its polygon, got it outside"
-        if not isinstance(lane, MapLane):
+        if not isinstance(lane, LaneOfMap):
             continue
         for side, sign, segments in (
             ("left", 1, lane.left_lane_divider_segments), ("right", -1, lane.right_lane_divider_segments)
@@ -351,12 +353,12 @@ def _goes_on(lane: Lane, xy: Points2) -> bool:
     return bool((last_m > first_m) != (lane.direction == "oncoming"))
 
 
-def _may_touch(of: Line, xy: Line) -> bool:
+def _may_touch(of: MapLine, xy: MapLine) -> bool:
     """Whether the boxes around two lines touch."""
     return bool((of.min(axis=0) <= xy.max(axis=0) + 1).all() and (of.max(axis=0) >= xy.min(axis=0) - 1).all())
 
 
-def _paint(line: Lane, of: Line, xy: Line) -> str:
+def _paint(line: Lane, of: MapLine, xy: MapLine) -> str:
     """The paint of a line of the labels as the traffic along a divider sees it."""
     text = segment_type(line.marking, line.color, line.double, line.pair)
     if line.pair is not None and (xy[-1] - xy[0]) @ (of[-1] - of[0]) < 0:

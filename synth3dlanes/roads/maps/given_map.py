@@ -200,7 +200,7 @@ class GivenMap:
         return f"map {self.source}: {read}, {driving}; left out: {', '.join(left) or 'nothing'}"
 
 
-Reader = Callable[[bytes, str, str], GivenMap]
+FileReader = Callable[[bytes, str, str], GivenMap]
 
 
 def packed(data: bytes) -> bytes:
@@ -209,7 +209,7 @@ def packed(data: bytes) -> bytes:
 
 
 @lru_cache(maxsize=1)
-def read_packed(read: Reader, data: bytes, source: str, where: str) -> GivenMap:
+def read_packed(read: FileReader, data: bytes, source: str, where: str) -> GivenMap:
     """The map in a packed file; the one that was read last is kept."""
     return read(zlib.decompress(data), source, where)
 

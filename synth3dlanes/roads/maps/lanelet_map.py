@@ -33,7 +33,15 @@ from synth3dlanes.roads.maps.given_map import (
     touching,
     with_heights,
 )
-from synth3dlanes.roads.maps.lanelet_roads import DRIVING, KINDS, Beside, RoadOfLanelets, keeps_left, road_of, rows_of
+from synth3dlanes.roads.maps.lanelet_roads import (
+    DRIVING,
+    KINDS,
+    LaneletBeside,
+    RoadOfLanelets,
+    keeps_left,
+    road_of,
+    rows_of,
+)
 from synth3dlanes.roads.maps.lanelets import Lanelet, read_lanelet
 from synth3dlanes.roads.maps.osm import Osm, read_osm
 from synth3dlanes.scene.road_map import LaneName, MapJunction, MapPaint, MapRoad
@@ -133,7 +141,7 @@ class _Roads:
         outside = [lanelet for lanelet in lanelets if lanelet.id not in self.junctions]
         rows = rows_of(outside)
         self.is_left_hand = keeps_left(rows)
-        inside = [[Beside(lanelet, True)] for lanelet in driving if lanelet.id in self.junctions]
+        inside = [[LaneletBeside(lanelet, True)] for lanelet in driving if lanelet.id in self.junctions]
         self.of, self.roads = dict[str, RoadOfLanelets](), dict[Name, MapRoad]()
         self.by_id = {lanelet.id: lanelet for lanelet in driving}
         for row in (*rows, *inside):
@@ -141,13 +149,13 @@ class _Roads:
             if problem and len(row) > 1:
                 # Those beside a broken one may be whole.
                 for at in (at for at in row if at.kind == "driving"):
-                    problem = self._add([Beside(at.lanelet, True)], names)
+                    problem = self._add([LaneletBeside(at.lanelet, True)], names)
                     broken += [problem] if problem else []
             elif problem:
                 broken.append(problem)
         self.driving = [lanelet for lanelet in driving if lanelet.id in self.of]
 
-    def _add(self, row: Sequence[Beside], names: Mapping[str, Name]) -> str:
+    def _add(self, row: Sequence[LaneletBeside], names: Mapping[str, Name]) -> str:
         """Add the road of a row; what is wrong with it, if anything."""
         first = next(at.lanelet for at in row if at.kind == "driving")
         try:

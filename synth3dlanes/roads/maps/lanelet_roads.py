@@ -69,7 +69,7 @@ WIDEST_M = 2.0
 Vector = Float[np.ndarray, "2"]
 
 
-class Beside(NamedTuple):
+class LaneletBeside(NamedTuple):
     """A lanelet of a road, and whether its traffic goes as the road's stations grow."""
 
     lanelet: Lanelet
@@ -99,7 +99,7 @@ class RoadOfLanelets:
         return np.asarray(np.clip(s, 0.0, self.road.length_m))
 
 
-def rows_of(lanelets: Sequence[Lanelet]) -> list[list[Beside]]:
+def rows_of(lanelets: Sequence[Lanelet]) -> list[list[LaneletBeside]]:
     """The lanelets of every road from its left to its right: those that share bounds. One of traffic is in each; where
     traffic would change sides twice, or more than two share a bound, another row begins."""
     by_bound: dict[tuple[str, bool, bool], list[Lanelet]] = {}
@@ -108,7 +108,7 @@ def rows_of(lanelets: Sequence[Lanelet]) -> list[list[Beside]]:
             by_bound.setdefault((bound.way, bound.is_against, is_right), []).append(lanelet)
     taken, found = set[str](), []
 
-    def after(at: Beside, is_right: bool) -> Beside | None:
+    def after(at: LaneletBeside, is_right: bool) -> LaneletBeside | None:
         """What is beside a lanelet on a side of the road."""
         bound, _ = at.edge(is_right)
         # The same bound is on the other side of one that goes the same way, on the same side of an oncoming one.
@@ -117,12 +117,12 @@ def rows_of(lanelets: Sequence[Lanelet]) -> list[list[Beside]]:
         oncoming = by_bound.get((bound.way, not bound.is_against, side), [])
         if len(same) + len(oncoming) != 1:
             return None
-        return Beside(same[0], at.is_along) if same else Beside(oncoming[0], not at.is_along)
+        return LaneletBeside(same[0], at.is_along) if same else LaneletBeside(oncoming[0], not at.is_along)
 
     for lanelet in (at for at in lanelets if KINDS[at.tags.get("subtype", "")] == "driving"):
         if lanelet.id in taken:
             continue
-        row = [Beside(lanelet, True)]
+        row = [LaneletBeside(lanelet, True)]
         taken.add(lanelet.id)
         for is_right in (False, True):
             while len(row) < MAX_LANES:
@@ -138,20 +138,20 @@ def rows_of(lanelets: Sequence[Lanelet]) -> list[list[Beside]]:
     return found
 
 
-def _turns(row: Sequence[Beside]) -> list[int]:
+def _turns(row: Sequence[LaneletBeside]) -> list[int]:
     """The numbers of the lanelets of traffic from which on, from the left, traffic goes the other way."""
     driving = [i for i, at in enumerate(row) if at.kind == "driving"]
     return [b for a, b in pairwise(driving) if row[a].is_along != row[b].is_along]
 
 
-def keeps_left(rows: Sequence[Sequence[Beside]]) -> bool:
+def keeps_left(rows: Sequence[Sequence[LaneletBeside]]) -> bool:
     """Whether traffic keeps left on most roads with lanelets of both directions."""
     one_way = (row for row in rows if all(at.lanelet.tags.get("one_way") != "no" for at in row))
     rights = [row[at].is_along for row in one_way for at in _turns(row)]
     return 2 * sum(rights) < len(rights)
 
 
-def road_of(name: Name, row: Sequence[Beside], is_left_hand: bool, is_in_junction: bool) -> RoadOfLanelets:
+def road_of(name: Name, row: Sequence[LaneletBeside], is_left_hand: bool, is_in_junction: bool) -> RoadOfLanelets:
     """The road of a row. Raises FormatError for bounds that go back or cross each other."""
     turns, driving = _turns(row), [i for i, at in enumerate(row) if at.kind == "driving"]
     if turns:
