@@ -42,7 +42,7 @@ def test_all_that_is_missing_is_told_at_once(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_setup_asks_it_before_anything_is_installed() -> None:
-    command = [sys.executable, "-P", "-S", str(ROOT / "synth3dlanes" / "system_libraries.py")]
+    command = [sys.executable, "-P", "-S", str(ROOT / "synth3dlanes" / "system" / "system_libraries.py")]
     told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
     assert told.split() == missing_packages()
     assert "synth3dlanes/system/system_libraries.py" in (ROOT / "scripts" / "setup").read_text()

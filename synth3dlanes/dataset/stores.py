@@ -26,8 +26,9 @@ from synth3dlanes.system.files import Folder, open_regular, read_bounded
 ATOMIC = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "oci", "cos", "obs", "tos", "memory"}
 # How often what was written is read again and, if another run has written in between, mended.
 MAX_ROUNDS = 20
-# Two runs that begin together have read the same before either writes; this is longer than from reading to writing.
-SETTLE_S = 0.5
+# Two runs that begin together have read the same before either writes. The wait after writing is longer than from
+# reading to writing: at least SETTLE_S, and SLOWER times what this run took, as others may be slower.
+SETTLE_S, SLOWER = 0.5, 4
 
 
 def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
@@ -38,6 +39,7 @@ def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
     """
     files, root = connect(url)
     for _ in range(MAX_ROUNDS):
+        began = time.monotonic()
         with translate_store_errors(url):
             before = _description(files, url, root)
             after = updated_description(before, recipe, split, n, f"{url}/{DESCRIPTION}")
@@ -49,7 +51,8 @@ def announce(url: str, recipe: dict[str, Any], split: str, n: int) -> None:
         for name, data in asked.items():
             if data != there[name]:
                 put_bytes(url, name, data)
-        time.sleep(SETTLE_S * (1 + secrets.randbelow(100) / 100))
+        settle_s = max(SETTLE_S, SLOWER * (time.monotonic() - began))
+        time.sleep(settle_s * (1 + secrets.randbelow(100) / 100))
     raise OutageError(f"{url}/{DESCRIPTION}: other runs change it all the time")
 
 
