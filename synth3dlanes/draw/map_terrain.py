@@ -1,23 +1,25 @@
 """The ground of a given map with heights: smooth, at the heights of its roads near these, with the hills of the
 parameters beyond. World frame."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 from jaxtyping import Float
 
-from synth3dlanes.roads.map_lines import plan_line
-from synth3dlanes.roads.section_road import CrossSection
+from synth3dlanes.roads.map_roads import bare_road
+from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.terrain import grid_weights, height_at
 from synth3dlanes.scene.road_map import MapRoad, RoadMap
 from synth3dlanes.scene.scene import HeightGrid, Terrain
 from synth3dlanes.system.arrays import Points3, Scalars
 
-# The grid reaches so far from the world's origin, in steps; at its edge the ground is level.
+# Reach of the grid from the world's origin, its step, and how many coefficients at its edge are level.
 REACH_M, STEP_M, LEVEL = 640.0, 20.0, 4
 # Places of roads that the ground is fitted to, along roads.
 ALONG_M = 6.0
-# Of two roads one above the other the ground meets the lower one: of places so close, with so much and more than their
-# distance between.
+# Of two roads one above the other the ground meets the lower one: the height between their places, beyond the distance
+# from above of these, and how close they are.
 ABOVE_M, BESIDE_M = 3.0, 15.0
 # How much a bend of the ground counts beside a metre off a road, and its distance from the mean height.
 STIFF, MEAN = 0.02, 1e-4
@@ -26,10 +28,10 @@ DECIMALS = 3
 
 def terrain_of(roads: RoadMap, hills: Terrain) -> Terrain:
     """The hills, on a ground so that both together meet the roads; the hills alone for a map without heights."""
-    points = [road_points(road) for road in roads.roads if road.heights]
-    if not points:
+    raised = [road for road in roads.roads if road.heights]
+    if not raised:
         return hills
-    xyz = _lowest(np.concatenate(points))
+    xyz = _lowest(road_points(raised, hills))
     xyz = xyz[(np.abs(xyz[:, :2]) < REACH_M - LEVEL * STEP_M).all(axis=1)]
     n = 2 * round(REACH_M / STEP_M) + 1
     flat = HeightGrid(corner_m=(-REACH_M, -REACH_M), step_m=STEP_M, rows=((0.0,) * n,) * n)
@@ -38,18 +40,24 @@ def terrain_of(roads: RoadMap, hills: Terrain) -> Terrain:
     return hills.model_copy(update={"base": base})
 
 
-def road_points(road: MapRoad) -> Points3:
-    """Places of a road's surface outside tunnels: on its line and at both edges of its pavement."""
-    line, found = plan_line(road.plan), []
-    for i in range(len(road.sections)):
-        section = CrossSection.of(road, i)
-        length_m = max(section.end_m - section.start_m, 0.0)
-        s = np.linspace(section.start_m, section.end_m, 2 + int(length_m / ALONG_M))
-        s = s[~np.any([(s > at.from_m) & (s < at.to_m) for at in road.tunnels] or [s < 0], axis=0)]
-        edges, own = section.edges(s), line.within(section.start_m, section.end_m)
-        for t in (edges[0], 0 * s, edges[-1]):
-            found.append(np.column_stack([own.xy(s, t), section.height(s, t)]))
-    return np.concatenate(found)
+def road_points(roads: Sequence[MapRoad], terrain: Terrain) -> Points3:
+    """Places of the surfaces of roads with heights outside tunnels: on their lines and at both edges of their pavement,
+    of one section after the other."""
+    bare = [(road, bare_road(road, terrain)) for road in roads]
+    stretches = [(road, stretch) for road, own in bare for stretch in own.stretches]
+    stations = []
+    for road, at in stretches:
+        s = np.linspace(at.start_m, at.end_m, 2 + int(max(at.end_m - at.start_m, 0.0) / ALONG_M))
+        stations.append(s[~np.any([(s > own.from_m) & (s < own.to_m) for own in road.tunnels] or [s < 0], axis=0)])
+    counts = np.repeat([len(s) for s in stations], 3)
+    edges = [edge for _, at in stretches for edge in (0, None, len(at.sections[0].lanes))]
+    number = np.repeat(np.repeat(np.arange(len(stretches)), 3), counts)
+    s, table = (
+        np.concatenate([s for own in stations for s in (own,) * 3]),
+        RoadTable([at for _, at in stretches], terrain),
+    )
+    t = table.edge(number, np.repeat([edge or 0 for edge in edges], counts), s)
+    return table.base_points(number, s, np.where(np.repeat([edge is None for edge in edges], counts), 0.0, t))
 
 
 def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:

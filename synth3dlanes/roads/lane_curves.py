@@ -179,15 +179,42 @@ def joined(parts: Iterable[tuple[Road, Offset, float]]) -> tuple[Piece, ...]:
     return (*pieces, Piece(road, offset, start_m, np.inf))
 
 
-def measured(parts: Iterable[tuple[Road, Offset, float, float]]) -> tuple[Piece, ...]:
-    """The pieces of a curve whose stations are lengths from above, of a road, an offset, and its road's stations where
-    it begins and ends there."""
+class Course(NamedTuple):
+    """A line along a road from one of its stations to another: some stations, and the lengths from above to these."""
+
+    road: Road
+    offset: Offset
+    stations: Float[np.ndarray, " k"]
+    lengths_m: Float[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, road: Road, offset: Offset, first: float, last: float) -> "Course":
+        """The course from a station to another."""
+        stations = np.linspace(first, last, n_knots(first, last))
+        return cls.through(road, offset, stations, road.xy(stations, offset(stations)))
+
+    @classmethod
+    def through(cls, road: Road, offset: Offset, stations: AnyScalars, xy_world: Float[np.ndarray, "k 2"]) -> "Course":
+        """The course with these places at stations."""
+        steps_m = np.hypot(*np.diff(xy_world, axis=0).T)
+        return cls(road, offset, stations, np.concatenate([[0.0], np.cumsum(steps_m)]))
+
+    def turned(self) -> "Course":
+        """The other way."""
+        return self._replace(stations=self.stations[::-1], lengths_m=(self.lengths_m[-1] - self.lengths_m)[::-1])
+
+
+def n_knots(first: float, last: float) -> int:
+    """At how many stations lengths along a course are measured."""
+    return 2 + int(abs(last - first) / KNOT_M)
+
+
+def measured(courses: Iterable[Course]) -> tuple[Piece, ...]:
+    """The pieces of a curve along courses one after the other, whose stations are lengths from above."""
     pieces, length_m = [], 0.0
-    for road, offset, first, last in parts:
-        stations = np.linspace(first, last, 2 + int(abs(last - first) / KNOT_M))
-        steps = np.diff(road.xy(stations, offset(stations)), axis=0)
-        lengths_m = length_m + np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-        along = 1.0 if last > first else -1.0
-        pieces.append(Piece(road, offset, length_m, float(lengths_m[-1]), (lengths_m, stations), along))
-        length_m = float(lengths_m[-1])
+    for road, offset, stations, lengths_m in courses:
+        knots = length_m + lengths_m, stations
+        along = 1.0 if stations[-1] > stations[0] else -1.0
+        pieces.append(Piece(road, offset, length_m, float(knots[0][-1]), knots, along))
+        length_m = float(knots[0][-1])
     return tuple(pieces)

@@ -21,7 +21,7 @@ NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # t
 NODES = NODES + 0.5
 # An arc of less curvature (1/m) is a parabola here, to a tenth of a millimetre in a kilometre.
 STRAIGHT = 1e-9
-# Lengths along a cubic are measured in so many steps.
+# Steps in which lengths along a cubic are measured.
 CUBIC_STEPS = 2000
 # Metres per parameter; what is slower stands still.
 LEAST_SPEED = 1e-9
@@ -35,24 +35,17 @@ class FiniteLine(ReferenceLine):
     start_m: float = field(default=0.0, kw_only=True)
 
     @cached_property
-    def _samples(self) -> tuple[Float[np.ndarray, " k"], Polyline2]:
-        s = self.start_m + np.linspace(0, self.length_m, 2 + int(self.length_m / GUESS_STEP_M))
-        return s, self.frames(s).points_world
+    def stations(self) -> Float[np.ndarray, " k"]:
+        """The stations of places along it, GUESS_STEP_M apart or closer."""
+        return np.asarray(self.start_m + np.linspace(0, self.length_m, 2 + int(self.length_m / GUESS_STEP_M)))
+
+    @cached_property
+    def _tree(self) -> "scipy.spatial.cKDTree":
+        return scipy.spatial.cKDTree(self.frames(self.stations).points_world)
 
     def guess(self, xy_world: AnyPoints2) -> AnyScalars:
         """The station of the nearest of some places."""
-        s, _ = self._samples
-        return np.asarray(s[self.tree.query(xy_world)[1]])
-
-    @property
-    def stations(self) -> Float[np.ndarray, " k"]:
-        """The stations of its places."""
-        return self._samples[0]
-
-    @cached_property
-    def tree(self) -> "scipy.spatial.cKDTree":
-        """Its places GUESS_STEP_M apart or closer, to look for near ones."""
-        return scipy.spatial.cKDTree(self._samples[1])
+        return np.asarray(self.stations[self._tree.query(xy_world)[1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +64,19 @@ class Spiral(FiniteLine):
         return (*self.start_world, self.heading_rad, self.curvature, self.bends)
 
     def frames(self, s: AnyScalars) -> LineFrames:
-        """The line at stations."""
-        return spiral_frames(np.broadcast_to(self.numbers, (*s.shape, 5)), s)
+        """The line at stations, as `spiral_frames` says it: of one line it need not look which are bent."""
+        if self.bends:
+            return spiral_frames(np.broadcast_to(self.numbers, (*s.shape, 5)), s)
+        heading, k = self.heading_rad + s * self.curvature, self.curvature
+        normals, first = (
+            paired(np.sin(heading), -np.cos(heading)),
+            np.array([np.sin(self.heading_rad), -np.cos(self.heading_rad)]),
+        )
+        if abs(k) > STRAIGHT:
+            way = (normals - first) / k
+        else:
+            way = s[..., None] * [-first[1], first[0]] - (k * s**2 / 2)[..., None] * first
+        return LineFrames(self.start_world + way, normals, np.ones(s.shape), np.full(s.shape, -k))
 
 
 def spiral_frames(numbers: Float[np.ndarray, "*n 5"], s: AnyScalars) -> LineFrames:
@@ -167,7 +171,8 @@ class Chain(FiniteLine):
         return cls.of([Spiral(float(np.hypot(dx, dy)), (x, y), float(np.arctan2(dy, dx))) for (x, y), (dx, dy) in ways])
 
     @cached_property
-    def _starts(self) -> Float[np.ndarray, " k"]:
+    def starts(self) -> Float[np.ndarray, " k"]:
+        """Where each line begins."""
         return np.cumsum([self.start_m, *(line.length_m for line in self.lines[:-1])])
 
     @cached_property
@@ -178,16 +183,16 @@ class Chain(FiniteLine):
 
     def within(self, start_m: float, end_m: float) -> "Chain":
         """The lines between two stations, the outer ones with all their length: at the end, the one before it."""
-        first = max(int(np.searchsorted(self._starts, start_m + SAME_M, side="right")) - 1, 0)
-        last = max(int(np.searchsorted(self._starts, end_m - SAME_M)), first + 1)
+        first = max(int(np.searchsorted(self.starts, start_m + SAME_M, side="right")) - 1, 0)
+        last = max(int(np.searchsorted(self.starts, end_m - SAME_M)), first + 1)
         lines = self.lines[first:last]
-        return Chain(sum(line.length_m for line in lines), lines, start_m=float(self._starts[first]))
+        return Chain(sum(line.length_m for line in lines), lines, start_m=float(self.starts[first]))
 
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""
         if len(self.lines) == 1:
             return self.lines[0].frames(s - self.start_m)
-        starts = self._starts
+        starts = self.starts
         which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
         first = int(which.min(initial=len(starts) - 1))
         if first == which.max(initial=first):

@@ -8,13 +8,15 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
-from synth3dlanes.roads.lane_curves import LaneCurve, measured
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
 from synth3dlanes.roads.maps.cubics import SAME_M
 from synth3dlanes.roads.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
+from synth3dlanes.roads.road_table import OnRoads, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.roads.section_road import SectionRoad
 from synth3dlanes.scene.host import Camera
@@ -28,7 +30,7 @@ STEP_M = 1.0
 ACROSS_M = 0.5
 # The host's direction is measured over this length to both sides.
 TANGENT_M = 0.01
-# Roads of maps turn: what lies so many times as far from a place, from above, is near it.
+# Roads of maps turn: what lies at most this many times a reach from a place, from above, is near it.
 AS_FAR = 2.0
 
 
@@ -50,14 +52,26 @@ class _Samples(NamedTuple):
     starts: Int[np.ndarray, " _"]
 
 
+class _Index(NamedTuple):
+    """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
+    line, the stations of these, and a tree of them."""
+
+    low: Float[np.ndarray, "r 2"]
+    high: Float[np.ndarray, "r 2"]
+    half_m: Float[np.ndarray, " r"]
+    stations: list[Scalars]
+    trees: list["scipy.spatial.cKDTree"]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MapNetwork(Network):
     """Roads with stations of their own. `given_paths` are its centre lines: on through links where there is only one
-    way, up to a junction, and every connector through one. `way` is the host's."""
+    way, up to a junction, and every connector through one; `courses` are those of lanes. `way` is the host's."""
 
     roads: tuple[SectionRoad, ...]
     given_paths: tuple[LaneCurve, ...]
     junctions: tuple[Junction, ...]
+    courses: Mapping[str, Course]
     way: LaneCurve
 
     @property
@@ -162,7 +176,7 @@ class MapNetwork(Network):
 
     def way_through(self, lanes: Sequence[NetworkLane]) -> LaneCurve:
         """The centre line along lanes that follow each other, as their traffic drives."""
-        pieces = measured((self.road(lane.road).stretch_of(lane), lane.middle, *lane.driven) for lane in lanes)
+        pieces = measured(self.courses[lane.id] for lane in lanes)
         first = lanes[0]
         ends = 0.0, pieces[-1].end_m
         return LaneCurve(first.id, "centerline", first.road, "none", (), pieces, *ends, lanes=tuple(lanes))
@@ -292,53 +306,71 @@ class MapNetwork(Network):
         return s if (away_m < ahead_m).any() else s[:0]
 
     def nearby(
-        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars | Mapping[str, float]
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
     ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
         """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
-        near. A mapping gives the reach of each road by its id; without one there, a road is left out."""
-        found, near = [], np.zeros(len(xy_world), dtype=bool)
-        order = np.argsort(xy_world[:, 0])
-        x = xy_world[order, 0]
-        for road, low, high, half_m in self._boxes:
-            own_m = reach_m.get(road.id) if isinstance(reach_m, Mapping) else reach_m
-            if own_m is None:
-                continue
-            reach = np.broadcast_to(own_m, near.shape)
-            farthest_m = float(reach.max(initial=0.0))
-            first, end = np.searchsorted(x, [low[0] - farthest_m, high[0] + farthest_m])
-            at = order[first:end]
-            y = xy_world[at, 1]
-            at = np.sort(at[(y > low[1] - farthest_m) & (y < high[1] + farthest_m)])
-            if not at.size:
-                continue
-            apart_m, place = road.plan.tree.query(xy_world[at])
-            close = apart_m < half_m + reach[at]
-            at = at[close]
-            if at.size:
-                guess = road.plan.stations[np.asarray(place)[close]]
-                found.append((road, at, *road.line.project(xy_world[at], guess)))
-                near[at] = True
-        rows = np.cumsum(near) - 1
+        near."""
+        found, near = self.places(xy_world, float(reach_m.max(initial=0.0))), np.zeros(len(xy_world), dtype=bool)
+        near[found.point] = True
+        rows, ends = np.cumsum(near) - 1, np.flatnonzero(np.diff(found.road)) + 1
         listed = []
-        for road, at, s, t in found:
-            which = np.zeros(int(near.sum()), dtype=bool)
-            which[rows[at]] = True
-            listed.append(Nearby(road, which, s, t))
+        for point, road, s, t in zip(*(np.split(values, ends) for values in found), strict=True):
+            if len(point):
+                which = np.zeros(int(near.sum()), dtype=bool)
+                which[rows[point]] = True
+                listed.append(Nearby(self.roads[road[0]], which, s, t))
         return near, listed
 
+    def places(self, xy_world: Float[np.ndarray, "n 2"], reach_m: Float[np.ndarray, " r"] | float) -> OnRoads:
+        """Where points are along every road whose pavement they may be within `reach_m` of, a number or that of each
+        road: road by road, points in ascending order."""
+        index, points, roads, guesses = self._index, [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
+        reach = np.broadcast_to(reach_m, len(self.roads))[:, None]
+        low, high, from_line_m = index.low - reach, index.high + reach, index.half_m + reach[:, 0]
+        ends = xy_world.min(axis=0, initial=np.inf), xy_world.max(axis=0, initial=-np.inf)
+        order = np.argsort(xy_world[:, 0])
+        x = xy_world[order, 0]
+        for i in np.flatnonzero(((low < ends[1]) & (high > ends[0])).all(axis=1)).tolist():
+            first, end = np.searchsorted(x, [low[i, 0], high[i, 0]])
+            y = xy_world[order[first:end], 1]
+            at = np.sort(order[first:end][(y > low[i, 1]) & (y < high[i, 1])])
+            if at.size:
+                _, place = index.trees[i].query(xy_world[at], distance_upper_bound=from_line_m[i])
+                is_near = place < index.trees[i].n
+                points.append(at[is_near])
+                roads.append(np.full(len(points[-1]), i))
+                guesses.append(index.stations[i][place[is_near]])
+        point, road = np.concatenate(points), np.concatenate(roads)
+        s, t, is_foot = self.table.project(road, xy_world[point], np.concatenate(guesses))
+        return OnRoads(point, road, s, t).of(is_foot)
+
     @cached_property
-    def _boxes(self) -> list[tuple[SectionRoad, Float[np.ndarray, "2"], Float[np.ndarray, "2"], float]]:
-        """Of every road: the corners of a box around its pavement, and the farthest that this is from a place of its
-        line."""
-        found = []
-        for road in self._road_of.values():
-            s = road.plan.stations
-            left, right = road.left(s), road.right(s)
-            xy = np.concatenate([road.xy(s, left), road.xy(s, right)])
-            step_m = float(s[1] - s[0])
-            half_m = float(max(np.abs(left).max(), np.abs(right).max())) + step_m
-            found.append((road, xy.min(axis=0) - step_m, xy.max(axis=0) + step_m, half_m))
-        return found
+    def table(self) -> RoadTable:
+        """All roads as arrays, numbered as in `roads`."""
+        return RoadTable(self.roads, self.terrain)
+
+    @property
+    def boxes(self) -> tuple[Float[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
+        """The lowest and the highest (x, y) of the pavement of every road."""
+        return self._index.low, self._index.high
+
+    @cached_property
+    def _index(self) -> "_Index":
+        stations = [road.plan.stations for road in self.roads]
+        starts = np.cumsum([0, *map(len, stations)])[:-1]
+        s, road = np.concatenate(stations), np.repeat(np.arange(len(stations)), list(map(len, stations)))
+        points, normals, _, _ = self.table.frames(road, s)
+        offsets = self.table.edges(road, s)
+        sides = np.stack([points + t[:, None] * normals for t in offsets], axis=1)
+        step_m = np.array([own[1] - own[0] for own in stations])
+        widest_m = np.maximum.reduceat(np.abs(offsets).max(axis=0), starts)
+        return _Index(
+            np.minimum.reduceat(sides.min(axis=1), starts) - step_m[:, None],
+            np.maximum.reduceat(sides.max(axis=1), starts) + step_m[:, None],
+            widest_m + step_m,
+            stations,
+            [scipy.spatial.cKDTree(own) for own in np.split(points, starts[1:])],
+        )
 
     def around(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> "MapNetwork":
         """Itself: it has been read around its host."""

@@ -1,7 +1,7 @@
 """The painted lines of a map: stretches of lanes' edges that go on into each other. The rules are in docs/network.md;
 World frame, metres."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 
 from synth3dlanes.labels.labels import Direction, Marking, Pair
-from synth3dlanes.roads.lane_curves import LaneCurve, LinePaint, Neighbour, measured
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, LinePaint, Neighbour, measured
+from synth3dlanes.roads.road_table import RoadTable, TableLine
 from synth3dlanes.roads.roads import NetworkLane, Offset
 from synth3dlanes.roads.section_road import SectionRoad
 from synth3dlanes.scene.road_map import JUMP_M, MapMark, MapRoad
@@ -33,11 +34,13 @@ LEAST_LINE_M = 0.05
 
 
 class PaintedEdge(NamedTuple):
-    """A stretch of a lane's edge with one mark: its road, its line, its stations, its paint as s grows, and
-    the lanes on its left and right."""
+    """A stretch of a lane's edge with one mark: its road in a section, the numbers of that section and of the edge, its
+    line, its stations, its paint as s grows, and the lanes on its left and right."""
 
     name: str
     road: SectionRoad
+    section: int
+    edge: int
     line: Offset
     start_m: float
     end_m: float
@@ -68,7 +71,7 @@ def edges_of(given: MapRoad, road: SectionRoad) -> Iterator[PaintedEdge]:
                 if mark.kind != "none" and end_m - start_m > LEAST_LINE_M:
                     name = f"{road.id}.{i}.{n}.line{k or ''}"
                     line, look = own.edge_line(edge), _look(mark, n)
-                    yield PaintedEdge(name, stretch, line, start_m, end_m, *look, left, right)
+                    yield PaintedEdge(name, stretch, i, edge, line, start_m, end_m, *look, left, right)
 
 
 def _beside(number: int) -> tuple[int, int]:
@@ -87,10 +90,19 @@ def _look(mark: MapMark, number: int) -> tuple[Marking, LinePaint]:
 
 
 def lines(
-    edges: Sequence[PaintedEdge], lanes: dict[str, NetworkLane], path_of: dict[str, str]
+    edges: Sequence[PaintedEdge],
+    table: RoadTable,
+    numbers: Mapping[tuple[str, int], int],
+    lanes: dict[str, NetworkLane],
+    path_of: dict[str, str],
 ) -> Iterator[tuple[LaneCurve, list[PaintedEdge]]]:
-    """Painted lines with their stretches: those of edges that end where another one with the same mark goes on."""
-    follows = _follows(edges)
+    """Painted lines with their stretches: those of edges that end where another one with the same mark goes on.
+    `numbers` are those of roads in the `table`, by their ids and sections."""
+    on_table = [
+        TableLine(numbers[edge.road.id, edge.section], (edge.edge, edge.edge), edge.start_m, edge.end_m)
+        for edge in edges
+    ]
+    follows, knots = _follows(edges, table, on_table), table.knots(on_table)
     seen: set[int] = set()
     for i in range(len(edges)):
         if i in seen:
@@ -105,29 +117,42 @@ def lines(
         parts = []
         while at not in seen:
             seen.add(at)
-            parts.append((edges[at], onwards))
+            parts.append(_Part(edges[at], Course.through(edges[at].road, edges[at].line, *knots[at]), onwards))
             if (at, onwards) not in follows:
                 break
             at, onwards = follows[at, onwards]
-        yield _line(parts, lanes, path_of), [edge for edge, _ in parts]
+        yield _line(parts, lanes, path_of), [part.edge for part in parts]
 
 
-def _follows(edges: Sequence[PaintedEdge]) -> dict[tuple[int, bool], tuple[int, bool]]:
+class _Part(NamedTuple):
+    """A stretch of a painted line, its course as s grows, and whether the line goes that way."""
+
+    edge: PaintedEdge
+    course: Course
+    is_up: bool
+
+    def turned(self) -> "_Part":
+        """The part of the line the other way."""
+        return self._replace(is_up=not self.is_up)
+
+
+def _follows(
+    edges: Sequence[PaintedEdge], table: RoadTable, on_table: Sequence[TableLine]
+) -> dict[tuple[int, bool], tuple[int, bool]]:
     """By a stretch, and whether it is left at its end or at its beginning: the one that goes on there, and whether that
     is entered at its beginning."""
     if not edges:
         return {}
-    points, out, keys = [], [], []
-    for i, edge in enumerate(edges):
-        step = min(0.05, (edge.end_m - edge.start_m) / 2)
-        for at_end in (False, True):
-            s = np.array([edge.end_m, edge.end_m - step] if at_end else [edge.start_m, edge.start_m + step])
-            end, inner = edge.road.points(s, edge.line(s))
-            points.append(end)
-            out.append((end - inner) / np.linalg.norm(end - inner))
-            keys.append((i, at_end))
+    start, end = (np.array([getattr(edge, name) for edge in edges]) for name in ("start_m", "end_m"))
+    step = np.minimum(0.05, (end - start) / 2)
+    s, inner_s = np.column_stack([start, end]).ravel(), np.column_stack([start + step, end - step]).ravel()
+    which = np.repeat(np.arange(len(edges)), 2)
+    points = table.points(on_table, which, s)
+    out = points - table.points(on_table, which, inner_s)
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    keys = [(i, at_end) for i in range(len(edges)) for at_end in (False, True)]
     found: dict[int, list[int]] = {}
-    for a, b in scipy.spatial.cKDTree(np.array(points)).query_pairs(JUMP_M):
+    for a, b in scipy.spatial.cKDTree(points).query_pairs(JUMP_M):
         (i, i_end), (k, k_end) = keys[a], keys[b]
         is_alike = edges[i].look(i_end) == edges[k].look(not k_end)
         if i != k and is_alike and out[a] @ out[b] < -JOINED_COS:
@@ -138,14 +163,14 @@ def _follows(edges: Sequence[PaintedEdge]) -> dict[tuple[int, bool], tuple[int, 
     }
 
 
-def _line(parts: list[tuple[PaintedEdge, bool]], lanes: dict[str, NetworkLane], path_of: dict[str, str]) -> LaneCurve:
+def _line(parts: list[_Part], lanes: dict[str, NetworkLane], path_of: dict[str, str]) -> LaneCurve:
     """One painted line of stretches, each as s grows or falls. It goes as the traffic beside it does, along oncoming
     lanes against it; of several, that of the host's lanes counts first, then that on its right."""
-    sides = [(edge.left, edge.right) if up else (edge.right, edge.left) for edge, up in parts]
+    sides = [(edge.left, edge.right) if up else (edge.right, edge.left) for edge, _, up in parts]
     # Lanes beside it, with whether their traffic goes as the parts do.
     beside = [
         (lanes[name], lanes[name].ascends == up)
-        for (edge, up) in parts
+        for edge, _, up in parts
         for name in (edge.right, edge.left)
         if name is not None
     ]
@@ -155,20 +180,18 @@ def _line(parts: list[tuple[PaintedEdge, bool]], lanes: dict[str, NetworkLane], 
         lane, goes_along = min(beside, key=lambda at: order.index(at[0].direction))
         direction = lane.direction
         if goes_along == (direction == "oncoming"):
-            parts = [(edge, not up) for edge, up in reversed(parts)]
+            parts = [part.turned() for part in reversed(parts)]
             sides = [(right, left) for left, right in reversed(sides)]
-    edge, up = parts[0]
+    edge, _, up = parts[0]
     marking, paint = edge.look(up)
-    pieces = measured(
-        (at.road, at.line, *((at.start_m, at.end_m) if goes_up else (at.end_m, at.start_m))) for at, goes_up in parts
-    )
+    pieces = measured(course if goes_up else course.turned() for _, course, goes_up in parts)
     beside_it = tuple(
         Neighbour(path_of[name], is_right, piece.start_m, piece.end_m)
         for names, piece in zip(sides, pieces, strict=True)
         for name, is_right in zip(names, (False, True), strict=True)
         if name is not None
     )
-    junctions = {at.road.junction for at, _ in parts}
+    junctions = {part.edge.road.junction for part in parts}
     return LaneCurve(
         edge.name,
         "delimiter",

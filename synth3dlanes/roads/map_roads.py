@@ -1,16 +1,17 @@
 """A scene's map -> Network: its roads near a place with their sections, lanes, paths and painted lines, and junctions.
 The rules are in docs/network.md; World frame, metres."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from synth3dlanes.labels.labels import Direction
-from synth3dlanes.roads.lane_curves import LaneCurve, measured
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_network import Junction, MapNetwork
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
+from synth3dlanes.roads.road_table import RoadTable, TableLine
 from synth3dlanes.roads.roads import NetworkLane, Offset
 from synth3dlanes.roads.section_road import CrossSection, SectionRoad
 from synth3dlanes.scene.road_map import JUMP_M, MapRoad, RoadMap
@@ -39,17 +40,23 @@ class _Reading:
         near = self._near(at_m)
         lanes = {lane.id: lane for road in near for lane in road.lanes}
         links = [link for link in self.map.links if link[0] in lanes and link[1] in lanes]
-        stretches = {lane.id: road.stretch_of(lane) for road in near for lane in road.lanes}
-        chains = list(_chains(list(lanes.values()), links, lambda a, b: _meets(lanes[a], lanes[b], stretches)))
+        table = RoadTable([stretch for road in near for stretch in road.stretches], self.terrain)
+        numbers = {key: i for i, key in enumerate((road.id, k) for road in near for k in range(len(road.sections)))}
+        middles = {lane.id: _middle(lane, road, numbers) for road in near for lane in road.lanes}
+        meets = _meeting(table, middles, links)
+        chains = list(_chains(list(lanes.values()), links, lambda a, b: (a, b) in meets))
         directions = self._directions(lanes, links, chains)
         lanes = {name: replace(lane, direction=directions[name]) for name, lane in lanes.items()}
         roads = {road.id: replace(road, lanes=tuple(lanes[lane.id] for lane in road.lanes)) for road in near}
-        paths = [self._path([lanes[name] for name in chain], roads) for chain in chains]
+        courses = {
+            lane.id: Course.through(roads[lane.road].stretch_of(lane), lane.middle, *knots)
+            for lane, knots in zip(lanes.values(), table.knots(list(middles.values())), strict=True)
+        }
+        paths = [_path([lanes[name] for name in chain], courses) for chain in chains]
         path_of = {lane.id: path.id for path in paths for lane in path.lanes}
         given = {road.id: road for road in self.map.roads}
-        drawn = list(
-            lines([edge for road in roads.values() for edge in edges_of(given[road.id], road)], lanes, path_of)
-        )
+        edges = [edge for road in roads.values() for edge in edges_of(given[road.id], road)]
+        drawn = list(lines(edges, table, numbers, lanes, path_of))
         beside = beside_lanes(drawn)
         junctions = tuple(
             Junction(
@@ -67,7 +74,8 @@ class _Reading:
             links=tuple(links),
             given_paths=tuple(bounded(path, beside) for path in paths),
             junctions=tuple(at for at in junctions if at.roads),
-            way=self._route(roads, lanes),
+            courses=courses,
+            way=_path([lanes[name] for name in self.map.route], courses),
         )
 
     # -- roads
@@ -77,7 +85,9 @@ class _Reading:
         wanted = {name.rsplit(".", 2)[0] for name in self.map.route}
         by_id = {road.id: self._road(road) for road in self.map.roads if road.id in wanted}
         lanes = {lane.id: lane for road in by_id.values() for lane in road.lanes}
-        host = self._route(by_id, lanes).xy_world(np.array([at_m]))[0]
+        route = [lanes[name] for name in self.map.route]
+        courses = {lane.id: Course.of(by_id[lane.road].stretch_of(lane), lane.middle, *lane.driven) for lane in route}
+        host = _path(route, courses).xy_world(np.array([at_m]))[0]
         found = []
         for road in self.map.roads:
             if road.id in by_id:
@@ -87,58 +97,14 @@ class _Reading:
         return found
 
     def _road(self, road: MapRoad) -> SectionRoad:
-        line = plan_line(road.plan)
-        sections = tuple(CrossSection.of(road, i) for i in range(len(road.sections)))
+        bare = bare_road(road, self.terrain)
         lanes = [
-            lane for i, section in enumerate(sections) if section.end_m > section.start_m
+            lane for i, section in enumerate(bare.sections) if section.end_m > section.start_m
             for lane in _lanes(road, i, section, self.route)
         ]  # fmt: skip
-        return SectionRoad(
-            road.id,
-            line,
-            self.terrain,
-            Offset(0.0),
-            Offset(0.0),
-            0.0,
-            tuple(lanes),
-            start_m=0.0,
-            end_m=line.length_m,
-            sections=sections,
-            plan=line,
-            bridges=road.bridges,
-            tunnels=road.tunnels,
-            junction=road.junction,
-        ).with_edges()
+        return replace(bare, lanes=tuple(lanes))
 
-    # -- lanes and paths
-
-    def _route(self, roads: dict[str, SectionRoad], lanes: dict[str, NetworkLane]) -> LaneCurve:
-        """The way of the host."""
-        return self._path([lanes[name] for name in self.map.route], roads)
-
-    def _path(self, lanes: list[NetworkLane], roads: dict[str, SectionRoad]) -> LaneCurve:
-        """The centre line along lanes that follow each other, against the traffic where that is oncoming."""
-        first = lanes[0]
-        if first.direction == "oncoming":
-            lanes = lanes[::-1]
-        parts = [(roads[lane.road].stretch_of(lane), lane.middle, *lane.driven) for lane in lanes]
-        if first.direction == "oncoming":
-            parts = [(road, middle, end_m, start_m) for road, middle, start_m, end_m in parts]
-        pieces = measured(parts)
-        return LaneCurve(
-            first.id,
-            "centerline",
-            first.road,
-            "none",
-            (),
-            pieces,
-            0.0,
-            pieces[-1].end_m,
-            first.direction,
-            lanes=tuple(lanes),
-            connector=first.junction is not None,
-            junction=first.junction,
-        )
+    # -- lanes
 
     def _directions(
         self, lanes: dict[str, NetworkLane], links: Sequence[tuple[str, str]], chains: Sequence[list[str]]
@@ -162,7 +128,26 @@ class _Reading:
                 found.update(dict.fromkeys(chain, ends[0]))
         return found
 
-    # -- painted lines
+
+def bare_road(road: MapRoad, terrain: Terrain) -> SectionRoad:
+    """A road of a map without its lanes of traffic."""
+    line = plan_line(road.plan)
+    return SectionRoad(
+        road.id,
+        line,
+        terrain,
+        Offset(0.0),
+        Offset(0.0),
+        0.0,
+        (),
+        start_m=0.0,
+        end_m=line.length_m,
+        sections=tuple(CrossSection.of(road, i) for i in range(len(road.sections))),
+        plan=line,
+        bridges=road.bridges,
+        tunnels=road.tunnels,
+        junction=road.junction,
+    ).with_edges()
 
 
 def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[str]) -> Iterator[NetworkLane]:
@@ -192,16 +177,55 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
         )
 
 
-def _meets(lane: NetworkLane, after: NetworkLane, stretches: dict[str, SectionRoad]) -> bool:
-    """Whether the middle of a lane begins where that of another ends: neither aside nor in height, and about along."""
-    (s_end, s_begin), step = (lane.driven[1], after.driven[0]), TANGENT_M if after.ascends else -TANGENT_M
-    (end,), begin = (
-        stretches[at.id].points(s, at.middle(s))
-        for at, s in ((lane, np.array([s_end])), (after, np.array([s_begin, s_begin + step])))
+def _path(lanes: list[NetworkLane], courses: Mapping[str, Course]) -> LaneCurve:
+    """The centre line along lanes that follow each other, against the traffic where that is oncoming."""
+    first, parts = lanes[0], [courses[lane.id] for lane in lanes]
+    if first.direction == "oncoming":
+        lanes, parts = lanes[::-1], [part.turned() for part in parts[::-1]]
+    pieces = measured(parts)
+    return LaneCurve(
+        first.id,
+        "centerline",
+        first.road,
+        "none",
+        (),
+        pieces,
+        0.0,
+        pieces[-1].end_m,
+        first.direction,
+        lanes=tuple(lanes),
+        connector=first.junction is not None,
+        junction=first.junction,
     )
-    gap_m, ahead = begin[0] - end, (begin[1] - begin[0]) / max(np.linalg.norm(begin[1] - begin[0]), TANGENT_M / 2)
-    along_m = gap_m @ ahead
-    return bool(abs(along_m) < GAP_M and np.linalg.norm(gap_m - along_m * ahead) < JUMP_M)
+
+
+def _middle(lane: NetworkLane, road: SectionRoad, numbers: Mapping[tuple[str, int], int]) -> TableLine:
+    """The middle of a lane, as its traffic drives."""
+    section, number = map(int, lane.id.rsplit(".", 2)[1:])
+    edge = next(i for i, own in enumerate(road.sections[section].lanes) if own.number == number)
+    return TableLine(numbers[road.id, section], (edge, edge + 1), *lane.driven)
+
+
+def _meeting(
+    table: RoadTable, middles: Mapping[str, TableLine], links: Sequence[tuple[str, str]]
+) -> set[tuple[str, str]]:
+    """The links in which the middle of a lane begins where that of the one before ends: neither aside nor in height,
+    and about along."""
+    if not links:
+        return set()
+    names, given = {name: i for i, name in enumerate(middles)}, list(middles.values())
+    before, after = np.array([(names[a], names[b]) for a, b in links]).T
+    first, last = (np.array([getattr(line, end) for line in given]) for end in ("first_m", "last_m"))
+    onwards = np.where(last < first, -TANGENT_M, TANGENT_M)
+    end, begin, next_to = (
+        table.points(given, which, s[which]) for which, s in ((before, last), (after, first), (after, first + onwards))
+    )
+    gap_m, ahead = begin - end, next_to - begin
+    ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1), TANGENT_M / 2)[:, None]
+    along_m = (gap_m * ahead).sum(axis=1)
+    aside_m = np.linalg.norm(gap_m - along_m[:, None] * ahead, axis=1)
+    meet = (np.abs(along_m) < GAP_M) & (aside_m < JUMP_M)
+    return {link for link, is_one in zip(links, meet.tolist(), strict=True) if is_one}
 
 
 def _chains(

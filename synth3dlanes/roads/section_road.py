@@ -16,7 +16,7 @@ from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapLane, MapLaneKind, MapRoad, MapShape, MapSpan, Polynomial
 from synth3dlanes.system.arrays import AnyPoints3, AnyScalars, Numbers
 
-# Lanes of these kinds are raised over the pavement by so much, but for a seam at edges where they are alone.
+# Height of raised lanes over the pavement, the width of the seam at their edges that is not raised, and their kinds.
 KERB_M, SEAM_M = 0.12, 0.005
 RAISED: frozenset[MapLaneKind] = frozenset({"walkway", "kerb"})
 # Width that is assumed where a road has no lanes of traffic.
@@ -30,22 +30,23 @@ class Profile:
     pieces: tuple[Polynomial, ...]
 
     @cached_property
-    def _table(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "4 k"]]:
+    def table(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "4 k"]]:
+        """Where each cubic begins, and its coefficients."""
         pieces = sorted(self.pieces, key=lambda piece: piece.s_m) or [Polynomial(s_m=0.0, a=0.0)]
         rows = [[piece.a, piece.b, piece.c, piece.d] for piece in pieces]
         return np.array([piece.s_m for piece in pieces]), np.array(rows, float).T
 
     @cached_property
-    def _constant(self) -> float | None:
-        """Its value if it is the same everywhere, as most widths are."""
-        _, table = self._table
+    def constant(self) -> float | None:
+        """Its value if it is the same everywhere, as most widths are; else None."""
+        _, table = self.table
         return None if table[1:].any() or np.ptp(table[0]) else float(table[0, 0])
 
     def __call__(self, s: AnyScalars) -> AnyScalars:
         """Values at stations."""
-        if self._constant is not None:
-            return np.full(s.shape, self._constant)
-        starts, table = self._table
+        if self.constant is not None:
+            return np.full(s.shape, self.constant)
+        starts, table = self.table
         # Most have one piece, and no time is to be lost with looking for it.
         which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None) if len(starts) > 1 else 0
         x, (a, b, c, d) = s - starts[which], table[:, which]
@@ -119,7 +120,8 @@ class CrossSection:
         )
 
     @cached_property
-    def _widths(self) -> list[Profile]:
+    def widths(self) -> list[Profile]:
+        """The widths of its lanes."""
         return [Profile(lane.widths) for lane in self.lanes]
 
     @cached_property
@@ -130,7 +132,7 @@ class CrossSection:
     def edges(self, s: AnyScalars) -> Numbers:
         """Offsets of all edges (the first axis), from the left; none lies left of its left neighbour."""
         x = s - self.start_m
-        widths = np.array([np.maximum(width(x), 0.0) for width in self._widths]).reshape(len(self.lanes), *s.shape)
+        widths = np.array([np.maximum(width(x), 0.0) for width in self.widths]).reshape(len(self.lanes), *s.shape)
         edges = np.concatenate([np.zeros((1, *s.shape)), np.cumsum(widths, axis=0)])
         return np.asarray(edges - edges[self.n_left] - self.offset(s))
 
@@ -138,7 +140,9 @@ class CrossSection:
         """Offsets of one of them."""
         low, high = sorted((number, self.n_left))
         x, sign = s - self.start_m, 1 if number > self.n_left else -1
-        across = sum((np.maximum(width(x), 0.0) for width in self._widths[low:high]), np.zeros(s.shape))
+        across: AnyScalars | float = 0.0
+        for width in self.widths[low:high]:
+            across = across + (np.maximum(width(x), 0.0) if width.constant is None else max(width.constant, 0.0))
         return np.asarray(sign * across - self.offset(s))
 
     def edge_line(self, number: int) -> Offset:
@@ -215,7 +219,7 @@ class SectionRoad(Road):
     @cached_property
     def is_raised(self) -> bool:
         """Whether it leaves the terrain anywhere."""
-        return self.has_heights or self._has_kerbs
+        return self.has_heights or self.has_kerbs
 
     @property
     def has_heights(self) -> bool:
@@ -276,7 +280,7 @@ class SectionRoad(Road):
     def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface."""
         points = self.base_points(s, t)
-        if self._has_kerbs:
+        if self.has_kerbs:
             points[..., 2] += self.kerb(s, t)
         return points
 
@@ -288,7 +292,8 @@ class SectionRoad(Road):
         return np.concatenate([xy, self._own_height(s, t)[..., None]], -1)
 
     @cached_property
-    def _has_kerbs(self) -> bool:
+    def has_kerbs(self) -> bool:
+        """Whether any of its lanes is raised."""
         return any(section.raised for section in self.sections)
 
     def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
@@ -308,7 +313,7 @@ class SectionRoad(Road):
     def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
         """Height of raised lanes over the pavement at places."""
         found = np.zeros(np.shape(s))
-        if not self._has_kerbs:
+        if not self.has_kerbs:
             return found
         t = np.broadcast_to(t, found.shape)
         for section, here in self._sections_at(s):

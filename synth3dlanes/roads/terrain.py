@@ -1,9 +1,8 @@
 """The terrain: a sum of Gaussians with analytic height and gradient (paper, section 'Terrain 3D'), of some maps over a
 smooth grid of heights. World frame."""
 
-from functools import lru_cache
-
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
 
 from synth3dlanes.scene.scene import Gaussian, HeightGrid, Terrain
@@ -17,7 +16,8 @@ def height_at(terrain: Terrain, xy_world: AnyPoints2) -> AnyScalars:
         (a, b, c), magnitude_m, dx, dy = _local(gaussian, xy_world)
         z += magnitude_m * np.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
     if terrain.base is not None:
-        z += _spline(terrain.base, xy_world, (False, False))
+        at, _ = _places(terrain.base, xy_world)
+        z += scipy.ndimage.map_coordinates(terrain.base.coefficients, [at[..., 1] + 1, at[..., 0] + 1], prefilter=False)
     return z
 
 
@@ -30,8 +30,8 @@ def gradient_at(terrain: Terrain, xy_world: AnyPoints2) -> AnyPoints2:
         gradient[..., 0] -= z * (a * dx + b * dy)
         gradient[..., 1] -= z * (b * dx + c * dy)
     if terrain.base is not None:
-        gradient[..., 0] += _spline(terrain.base, xy_world, (True, False))
-        gradient[..., 1] += _spline(terrain.base, xy_world, (False, True))
+        for axis in (0, 1):
+            gradient[..., axis] += _slope(terrain.base, xy_world, axis)
     return gradient
 
 
@@ -60,25 +60,17 @@ def _b_spline(u: AnyScalars, slope: bool) -> Float[np.ndarray, "*n 4"]:
     return np.stack(parts, axis=-1)
 
 
-@lru_cache(maxsize=4)
-def _coefficients(grid: HeightGrid) -> Float[np.ndarray, "rows columns"]:
-    return np.array(grid.rows)
-
-
-def _spline(grid: HeightGrid, xy_world: AnyPoints2, slopes: tuple[bool, bool]) -> AnyScalars:
-    """The grid's height at points, or its slope along x or y."""
+def _slope(grid: HeightGrid, xy_world: AnyPoints2, axis: int) -> AnyScalars:
+    """The grid's rise along x (0) or y (1) at points; none beyond it."""
     at, inside = _places(grid, xy_world)
     first = at.astype(int)
-    u, table = at - first, _coefficients(grid)
-    x, y = (_b_spline(u[..., axis], slopes[axis]) for axis in (0, 1))
+    u, table = at - first, grid.coefficients
+    x, y = (_b_spline(u[..., k], k == axis) for k in (0, 1))
     z = np.zeros(u.shape[:-1])
     for i in range(4):
         row = first[..., 1] + i
-        across = sum((x[..., k] * table[row, first[..., 0] + k] for k in range(4)), np.zeros(z.shape))
-        z += y[..., i] * across
-    if any(slopes):
-        z = np.where(inside[..., 0 if slopes[0] else 1], z / grid.step_m, 0.0)
-    return np.asarray(z)
+        z += y[..., i] * sum((x[..., k] * table[row, first[..., 0] + k] for k in range(4)), np.zeros(z.shape))
+    return np.where(inside[..., axis], z / grid.step_m, 0.0)
 
 
 def _local(

@@ -4,10 +4,12 @@ World frame, metres and radians. Pure data: nothing here reads files or computes
 added later; older scenes can still be read and render as before. New ones have every key: all are of one schema.
 """
 
+from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from synth3dlanes.scene.assets.catalogue import AssetKind, Assets
@@ -66,6 +68,11 @@ class HeightGrid(DocumentPart):
         tuple[Annotated[tuple[Number, ...], Field(min_length=8, max_length=MAX_GRID)], ...],
         Field(min_length=8, max_length=MAX_GRID),
     ]
+
+    @cached_property
+    def coefficients(self) -> Float[np.ndarray, "rows columns"]:
+        """The rows as an array."""
+        return np.array(self.rows)
 
     @model_validator(mode="after")
     def _is_rectangle(self) -> "HeightGrid":

@@ -19,8 +19,8 @@ from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import meshes
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.passages import PASSAGE_M
 from synth3dlanes.world.placement import TREE_SINK_M
+from synth3dlanes.world.spans import PASSAGE_M
 from synth3dlanes.world.world import World
 
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below

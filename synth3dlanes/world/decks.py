@@ -10,8 +10,8 @@ from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads.section_road import KERB_M
 from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.world.map_ground import MapGround
-from synth3dlanes.world.passages import CEILING_M, COVER_M, DECK_M, WALL_M, Span
 from synth3dlanes.world.solids import SINK_M, Body, GroundFrame, Quads
+from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M, WALL_M, Span
 
 # The walls of tunnels stand on the edges of the pavement.
 INSET_M = 0.12
@@ -21,9 +21,9 @@ ROW_M, SIDE_M, PARAPET_M = 2.0, 0.35, 0.95
 BESIDE_M, LEVEL_M = 0.5, 1.5
 # Distance of piers, half of their section, how far from pavement they stand, and the least room below a deck for any.
 PIERS_M, PIER_M, CLEAR_M, LEAST_PIER_M = 22.0, 0.45, 1.0, 2.0
-# The ground behind an abutment is at most so far below the road.
+# Most depth of the ground behind an abutment below the road, and the length of its wings.
 BANK_M, WING_M = 2.0, 3.0
-# The wall around a portal reaches so far beside it and over the ground; its height falls to its ends.
+# The wall around a portal: how far it reaches beside that and over the ground, and its fall towards its ends.
 PORTAL_M, COPING_M, PORTAL_SLOPE = 8.0, 0.5, 0.6
 CONCRETE, DARK = (0.4, 0.39, 0.37), (0.24, 0.235, 0.225)
 

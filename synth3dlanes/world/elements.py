@@ -12,7 +12,7 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.mounted import Mounted, board_body
 from synth3dlanes.world.posts import post_frames, sign_place
 from synth3dlanes.world.sign_faces import BOARD_KINDS, FACE_KINDS, FACES, SIGN_FACES
-from synth3dlanes.world.signals import head_body, head_light, lane_head_body, lane_light, mounted
+from synth3dlanes.world.signals import foot_frames, head_body, head_light, lane_head_body, lane_light, mounted
 from synth3dlanes.world.solids import Body
 
 
@@ -64,11 +64,11 @@ def traffic_elements(ground: Ground, roadside: Roadside) -> list[TrafficElement]
     ]
     for crossing in roadside.crossings:
         found += _on_gantry(ground, crossing)
-    for signal in roadside.signals:
-        place = mounted(ground, signal)
+    for signal, frame in zip(roadside.signals, foot_frames(ground, roadside.signals), strict=True):
+        place = mounted(signal, frame)
         found.append(TrafficElement("traffic_light", signal.form, signal.lanes, place, head_body(place), signal))
-    for sign in roadside.signs:
-        place = mounted(ground, sign)
+    for sign, frame in zip(roadside.signs, foot_frames(ground, roadside.signs), strict=True):
+        place = mounted(sign, frame)
         body = board_body(place, SIGN_FACES[sign.kind])
         found.append(TrafficElement("road_sign", sign.kind, sign.lanes, place, body))
     return found

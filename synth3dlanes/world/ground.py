@@ -358,7 +358,7 @@ class Ground:
         return clear.reshape(xy_world.shape[:-1])
 
     def is_clear(self, xy_world: Float[np.ndarray, "n 2"], room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than so much from any pavement."""
+        """Which points are farther than `room_m` from any pavement."""
         return np.asarray(self.clearance(xy_world) > room_m)
 
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
@@ -366,7 +366,7 @@ class Ground:
         return self.clearance(xy_world)
 
     def is_within(self, xy_world: Float[np.ndarray, "n 2"], reach_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are at most so far from a pavement."""
+        """Which points are at most `reach_m` from a pavement."""
         return np.asarray(self.clearance(xy_world) <= reach_m)
 
     def is_on_other(self, road: Road, xy_world: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:

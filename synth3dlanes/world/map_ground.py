@@ -4,9 +4,9 @@ beside these. World frame.
 The pavement of roads that connect others in a junction is one area. Terrain meets the pavement at its edges.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.map_network import AS_FAR, Junction, MapNetwork
+from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.section_road import KERB_M, RAISED, SectionRoad
 from synth3dlanes.roads.terrain import height_at
@@ -38,33 +39,27 @@ from synth3dlanes.world.areas import (
     solid,
     union,
 )
-from synth3dlanes.world.ground import EMBANKMENT_SLOPE, FINE_M, Ground
-from synth3dlanes.world.passages import BERM_M, CEILING_M, COVER_M, DECK_M, VALLEY_M, WALL_M, Span, spans
+from synth3dlanes.world.graded import GradedGround
+from synth3dlanes.world.ground import FINE_M, Ground
+from synth3dlanes.world.spans import CEILING_M, DECK_M, Span, spans
 
 # Places along the host's way from which distances are measured, and rows along roads by their distance from it.
 WAY_STEP_M = 5.0
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
+# Their distance from the host is asked in these steps.
+COARSE_M = 4.0
 # Half the width of a street with its walkways, about.
 HALF_STREET_M = 6.0
-# Roads with heights are looked for this far from points of areas.
-NEAR_M = 3.0
-# The terrain under the edges of the pavement is so much lower than that, times the size of its cells.
+# Depth of the terrain below the edges of the pavement, times the size of its cells.
 UNDER_FALL_M = 0.03
-# Kerbs this near to the host's way hide what is labelled; as lines that are simplified by so much, in such steps.
+# Kerbs this near to the host's way hide what is labelled: the tolerance of their simplified lines, and the distance of
+# points along these.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 # Paint farther than this from the host's way is not drawn; places along a line that are asked.
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
-# How far beyond a raised road's edge its embankment may reach.
-EMBANKMENT_M = 40.0
-# Between the stations at which a road's height over the terrain is asked, it changes by less than this.
-BETWEEN_M = 0.5
 # The edges of a road's pavement.
 EDGES = attrgetter("left"), attrgetter("right")
-# The ground is so much lower than the lower side of a deck above it. A tunnel covers places so near to it.
-BELOW_DECK_M, COVERED_M = 0.3, 0.5
-# What is no farther from pavement is on it.
-EDGE_M = 1e-4
-# Junctions are cut so far beside their decks.
+# Distance beside a junction's decks at which the ground ends.
 OFF_M = 0.3
 
 
@@ -76,61 +71,6 @@ class GroundArea(NamedTuple):
     raised_m: float
     kind: str
     junction: str | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Bounds:
-    """Heights over the terrain between which the ground may be at places: at least `low`, at most `high`, by the roads
-    that are so far away, `deck` below decks; of pavement, and of what covers a tunnel."""
-
-    low: Scalars
-    high: Scalars
-    low_away_m: Scalars
-    high_away_m: Scalars
-    deck: Scalars
-    paved: Scalars
-    cover: Scalars
-
-    @classmethod
-    def of(cls, n: int) -> "_Bounds":
-        """Those of n places that nothing bounds."""
-        none, lowest = np.full(n, np.inf), np.full(n, -np.inf)
-        return cls(lowest.copy(), none.copy(), none.copy(), none.copy(), none.copy(), lowest.copy(), lowest.copy())
-
-    def beside(self, at: Int[np.ndarray, " m"], away_m: Scalars, raised_m: Scalars) -> None:
-        """Places at a distance from pavement of this height."""
-        is_on, fall_m = away_m < EDGE_M, np.maximum(away_m - BERM_M, 0.0) / EMBANKMENT_SLOPE
-        self.paved[at[is_on]] = np.maximum(self.paved[at[is_on]], raised_m[is_on])
-        self._at_least(at[~is_on], (raised_m - fall_m)[~is_on], away_m[~is_on])
-        higher = (raised_m + fall_m < self.high[at]) & ~is_on
-        self.high[at[higher]], self.high_away_m[at[higher]] = (raised_m + fall_m)[higher], away_m[higher]
-
-    def covers(self, at: Int[np.ndarray, " m"], away_m: Scalars, top_m: Scalars) -> None:
-        """Places at a distance from a tunnel with this height of the ground over it."""
-        self._at_least(at, top_m - np.maximum(away_m - BERM_M, 0.0) / EMBANKMENT_SLOPE, away_m)
-        is_over = away_m < COVERED_M
-        self.cover[at[is_over]] = np.maximum(self.cover[at[is_over]], top_m[is_over])
-
-    def _at_least(self, at: Int[np.ndarray, " m"], low_m: Scalars, away_m: Scalars) -> None:
-        higher = low_m > self.low[at]
-        self.low[at[higher]], self.low_away_m[at[higher]] = low_m[higher], away_m[higher]
-
-    def below(self, at: Int[np.ndarray, " m"], most_m: Scalars) -> None:
-        """Places below and beside a deck."""
-        self.deck[at] = np.minimum(self.deck[at], most_m)
-
-    def ground(self, covered: Bool[np.ndarray, " n"]) -> Scalars:
-        """The heights over the terrain: the terrain where it may be, else the nearest height that may be. Between two
-        roads whose slopes would cross, the ground leads evenly from one to the other."""
-        found = np.clip(0.0, self.low, np.maximum(self.low, self.high))
-        cross = self.low > self.high
-        low_m, high_m = self.low_away_m[cross], self.high_away_m[cross]
-        share = low_m / np.maximum(low_m + high_m, 1e-9)
-        found[cross] = self.low[cross] + share * (self.high[cross] - self.low[cross])
-        found = np.minimum(found, self.deck)
-        found = np.where(covered, np.maximum(found, self.cover), found)
-        is_in_tunnel = covered & (self.paved < self.cover - COVER_M)
-        return np.where(np.isfinite(self.paved) & ~is_in_tunnel, self.paved, found)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -165,35 +105,31 @@ class MapGround(Ground):
 
     def curve_rows(self, curve: LaneCurve) -> Scalars:
         """The stations of the rows of a curve's paint."""
-        return self.rows(curve.end_m, lambda s: self.away_on(curve, s))
+        s = _coarse(curve.end_m)
+        return _rows(s, self.away_on(curve, s))
 
     def points_beside(self, curve: LaneCurve, s: Scalars, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k 3"]:
         """Points on the pavement: at each station of a curve those at all offsets from it."""
         return curve.points_beside(np.repeat(s, len(t)), np.tile(t, len(s))).reshape(len(s), len(t), 3)
 
     @cached_property
-    def _road_rows(self) -> dict[str, Scalars]:
-        found = {}
-        for road in self.network.roads:
-            found[road.id] = self.rows(road.end_m, partial(self.away_along, road))
-        return found
+    def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
+        roads = self.network.roads
+        coarse = [_coarse(road.end_m) for road in roads]
+        counts = [len(s) for s in coarse]
+        s = np.concatenate(coarse)
+        xy = self.network.table.xy(np.repeat(np.arange(len(roads)), counts), s, np.zeros(len(s)))
+        away_m = np.split(self.away_at(xy), np.cumsum(counts)[:-1])
+        return {road.id: _rows(*at) for road, *at in zip(roads, coarse, away_m, strict=True)}
 
     def stretch_rows(self, stretch: SectionRoad) -> Scalars:
         """The stations of the rows of a stretch of a road."""
         s, ends = self._road_rows[stretch.id], [stretch.start_m, stretch.end_m]
         return np.union1d(s[(s > ends[0]) & (s < ends[1])], ends)
 
-    def rows(self, end_m: float, away_m: Callable[[Scalars], Scalars]) -> Scalars:
-        """Stations from 0 to an end, closer to each other near the host."""
-        coarse = np.linspace(0.0, end_m, 2 + int(end_m / 4.0))
-        step = np.interp(away_m(coarse), ROW_STEPS_AT_M, ROW_STEPS_M)
-        count = np.concatenate([[0.0], np.cumsum(np.diff(coarse) * 2 / (step[1:] + step[:-1]))])
-        n = max(int(np.ceil(count[-1])), 1)
-        return np.interp(np.linspace(0.0, count[-1], n + 1), count, coarse)
-
     @cached_property
     def fine(self) -> tuple[float, float, float, float]:
-        """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and as far as it looks."""
+        """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and FINE_M ahead of it."""
         ahead = self.network.way.xy_world(np.array([self.near_m, self.near_m + 1.0]))
         angle = np.arctan2(*(ahead[1] - ahead[0])[::-1]) + np.linspace(-0.9, 0.9, 9)
         reach = FINE_M * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -208,10 +144,31 @@ class MapGround(Ground):
 
     # -- areas
 
+    @cached_property
+    def _edge_lines(self) -> dict[tuple[int, int], Float[np.ndarray, "_ 2"]]:
+        """Lines that bound areas: edges of lanes by the identity of their stretch, which the network keeps, and their
+        numbers there."""
+        known, wanted = {at.id for at in self.network.junctions}, list[tuple[int, SectionRoad, int]]()
+        stretches = [stretch for road in self.network.roads for stretch in road.stretches]
+        for i, stretch in enumerate(stretches):
+            (section,) = stretch.sections
+            bounds = [section.paved, *section.raised]
+            is_inside = stretch.junction in known
+            bounds += [(k, k + 1) for k, lane in enumerate(section.lanes) if is_inside or lane.kind == "median"]
+            wanted += [(i, stretch, edge) for edge in sorted({edge for pair in bounds for edge in pair})]
+        rows = [self.stretch_rows(stretch) for stretch in stretches]
+        counts = [len(rows[i]) for i, _, _ in wanted]
+        number, edge = (np.repeat([at[k] for at in wanted], counts) for k in (0, 2))
+        s, table = np.concatenate([rows[i] for i, _, _ in wanted]), RoadTable(stretches, self.network.terrain)
+        xy = table.xy(number, s, table.edge(number, edge, s))
+        ends = np.cumsum(counts)[:-1]
+        return {(id(at), k): line for (_, at, k), line in zip(wanted, np.split(xy, ends), strict=True)}
+
     def strip(self, road: SectionRoad) -> BaseGeometry:
         """The pavement of a road from above."""
-        rows = [(at, self.stretch_rows(at)) for at in road.stretches]
-        left, right = (np.concatenate([at.xy(s, edge(at)(s)) for at, s in rows]) for edge in EDGES)
+        paved = [(at, at.sections[0].paved) for at in road.stretches]
+        lines = self._edge_lines
+        left, right = (np.concatenate([lines[id(at), edges[side]] for at, edges in paved]) for side in (0, 1))
         return polygon_between(left, right)
 
     @cached_property
@@ -276,8 +233,7 @@ class MapGround(Ground):
 
     def _between(self, stretch: SectionRoad, edges: tuple[int, int]) -> BaseGeometry:
         """The area between two edges of a stretch of a road."""
-        s, (section,) = self.stretch_rows(stretch), stretch.sections
-        left, right = (stretch.xy(s, section.edge(edge, s)) for edge in edges)
+        left, right = (self._edge_lines[id(stretch), edge] for edge in edges)
         return polygon_between(left, right)
 
     def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
@@ -298,7 +254,7 @@ class MapGround(Ground):
         return clipped(union([*self._raised_strips, *of_junctions]), _around(xy_world, reach_m))
 
     def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
-        """Places at lengths along the host's way, so far beside what is about its pavement on both sides."""
+        """Places at lengths along the host's way, `aside_m` beside what is about its pavement on both sides."""
         way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
         s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))
         return way.points_beside(s, np.repeat(aside, len(driven_m)))[:, :2]
@@ -352,12 +308,10 @@ class MapGround(Ground):
 
     def _graded_above(self, flat: Points2) -> Scalars:
         """Height over the terrain of the ground below all decks, without kerbs."""
-        if not self._has_heights:
-            return np.zeros(len(flat))
         covered = np.zeros(len(flat), dtype=bool)
         for span in self.tunnels:
             covered |= contains(span.area, flat)
-        return self._built(flat, covered)
+        return self.graded_ground.above(flat, covered)
 
     def graded(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the ground below all decks, without kerbs."""
@@ -365,93 +319,22 @@ class MapGround(Ground):
         z = height_at(self.network.terrain, flat) + self._graded_above(flat)
         return np.asarray(z.reshape(xy_world.shape[:-1]))
 
-    def _built(self, flat: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
-        """Height over the terrain of roads with heights of their own where they lie on the ground, without kerbs, and
-        of what they are laid on: from the edges of their pavement the ground falls or rises until it meets the terrain.
-        It stays below decks, and goes over tunnels where places are `covered`."""
-        above = np.zeros(len(flat))
-        near, roads = self.network.nearby(flat, self._slopes_reach_m)
-        z = height_at(self.network.terrain, flat[near])
-        bounds = _Bounds.of(len(z))
-        for road, which, s, t in roads:
-            own, at = self.network.road(road.id), np.flatnonzero(which)
-            if not own.has_heights:
-                continue
-            on = self._on_ground(own, s)
-            known = np.isfinite(on)
-            if known.any():
-                bounds.beside(at[known], *self._beside(own, s[known], t[known], on[known]))
-            for span in self._spans_of.get(own.id, ()):
-                if span.is_tunnel:
-                    bounds.covers(at, *self._over_tunnel(span, s, t))
-                else:
-                    inside = span.holds(s)
-                    bounds.below(at[inside], self._below_deck(span, s[inside], t[inside]) - z[at[inside]])
-        above[near] = bounds.ground(covered[near])
-        return above
-
-    @cached_property
-    def _slopes_reach_m(self) -> dict[str, float]:
-        """How far beside each road with heights its slopes may decide the ground: to the terrain, or to the slopes of
-        the road that is highest over it or deepest below."""
-        ranges = {}
-        for name, road in ((road.id, self.network.road(road.id)) for road in self.network.roads):
-            if not road.has_heights:
-                continue
-            s = road.plan.stations
-            edges = np.concatenate([road.base_points(s, side(s)) for side in (road.left, road.right)])
-            raised_m = edges[:, 2] - height_at(self.network.terrain, edges[:, :2])
-            low_m, high_m = float(raised_m.min()), float(raised_m.max())
-            spans = self._spans_of.get(name, ())
-            low_m -= (DECK_M + BELOW_DECK_M + VALLEY_M) * any(not span.is_tunnel for span in spans)
-            high_m += (CEILING_M + COVER_M) * any(span.is_tunnel for span in spans)
-            ranges[name] = low_m, high_m
-        lowest_m = min((low_m for low_m, _ in ranges.values()), default=0.0)
-        highest_m = max((high_m for _, high_m in ranges.values()), default=0.0)
-        return {
-            name: min(EMBANKMENT_M, BERM_M + EMBANKMENT_SLOPE * (max(high_m - lowest_m, highest_m - low_m) + BETWEEN_M))
-            for name, (low_m, high_m) in ranges.items()
-        }
-
-    def _on_ground(self, road: SectionRoad, s: Scalars) -> Scalars:
-        """The nearest stations of a road at which it lies on the ground; infinite where it never does."""
-        on = np.clip(s, road.start_m, road.end_m)
-        for span in self._spans_of.get(road.id, ()):
-            inside = span.holds(on) | (on == span.from_m) * (span.from_m == road.start_m)
-            inside |= (on == span.to_m) & (span.to_m == road.end_m)
-            low = span.from_m if span.from_m > road.start_m else -np.inf
-            high = span.to_m if span.to_m < road.end_m else np.inf
-            on[inside] = np.where(s[inside] - low < high - s[inside], low, high)
-        return on
-
-    def _beside(self, road: SectionRoad, s: Scalars, t: Scalars, on: Scalars) -> tuple[Scalars, Scalars]:
-        """How far places are from the pavement of a road at its stations `on`, and how high that is over the terrain
-        there."""
-        across = np.clip(t, road.left(on), road.right(on))
-        base = road.base_points(on, across)
-        return np.hypot(s - on, t - across), base[:, 2] - height_at(self.network.terrain, base[:, :2])
-
-    def _over_tunnel(self, span: Span, s: Scalars, t: Scalars) -> tuple[Scalars, Scalars]:
-        """How far places are from a tunnel, and how high the ground over it is over the terrain there."""
-        road, on = span.road, np.clip(s, span.from_m, span.to_m)
-        left, right = road.left(on), road.right(on)
-        across = np.clip(t, left - WALL_M, right + WALL_M)
-        base = road.base_points(on, np.clip(across, left, right))
-        top = base[:, 2] + CEILING_M + COVER_M
-        return np.hypot(s - on, t - across), top - height_at(self.network.terrain, base[:, :2])
-
-    def _below_deck(self, span: Span, s: Scalars, t: Scalars) -> Scalars:
-        """The greatest height of the ground below and beside a deck."""
-        road = span.road
-        across = np.clip(t, road.left(s), road.right(s))
-        z = road.base_points(s, across)[:, 2] - DECK_M - BELOW_DECK_M
-        if span.is_given:
-            z -= np.clip(np.minimum(s - span.from_m, span.to_m - s) / EMBANKMENT_SLOPE, 0, VALLEY_M)
-        return np.asarray(z + np.abs(t - across) / EMBANKMENT_SLOPE)
-
     def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
         """Which points lie in the ground as built: below a deck there is none down to the graded ground, and none in a
         tunnel."""
+        # Most points are far above or below the ground, whose height takes long to find.
+        xy = points_world[:, :2]
+        over_m = points_world[:, 2] - height_at(self.network.terrain, xy)
+        least_m, most_m = self.graded_ground.limits(xy)
+        found, is_near = over_m < least_m, over_m < most_m + max(raised_m for _, raised_m in self._raised)
+        is_near &= ~found
+        for span in self.spans:
+            is_near |= contains(span.area, xy)
+        found[is_near] = self._is_in(points_world[is_near])
+        return found
+
+    def _is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+        """What `is_in` says of points that are near the ground, or on or below a deck, or in or over a tunnel."""
         found = super().is_in(points_world)
         for span, at in self._spans_at(points_world[:, :2]):
             z, floor_m = points_world[at, 2], span.height(points_world[at, :2])
@@ -498,7 +381,7 @@ class MapGround(Ground):
     @cached_property
     def spans(self) -> list[Span]:
         """The decks and tunnels."""
-        return spans(self.network.roads if self._has_heights else (), self.strip)
+        return spans(self.network.table, self.strip)
 
     @cached_property
     def decks(self) -> list[Span]:
@@ -511,11 +394,9 @@ class MapGround(Ground):
         return [span for span in self.spans if span.is_tunnel]
 
     @cached_property
-    def _spans_of(self) -> dict[str, list[Span]]:
-        found: dict[str, list[Span]] = {}
-        for span in self.spans:
-            found.setdefault(span.road.id, []).append(span)
-        return found
+    def graded_ground(self) -> GradedGround:
+        """The ground below decks, by the heights of its roads."""
+        return GradedGround(self.network, self.spans)
 
     @cached_property
     def graded_pavement(self) -> BaseGeometry:
@@ -534,11 +415,12 @@ class MapGround(Ground):
 
     def _ground_strips(self, road: SectionRoad) -> Iterator[BaseGeometry]:
         """The pavement of a road where it lies on the ground."""
-        if road.id not in self._spans_of:
+        spans_of = self.graded_ground.spans_of
+        if road.id not in spans_of:
             yield self.strip(road)
             return
         from_m = road.start_m
-        for to_m, next_m in [*sorted((at.from_m, at.to_m) for at in self._spans_of[road.id]), (road.end_m, road.end_m)]:
+        for to_m, next_m in [*sorted((at.from_m, at.to_m) for at in spans_of[road.id]), (road.end_m, road.end_m)]:
             for stretch in road.stretches:
                 low, high = max(stretch.start_m, from_m), min(stretch.end_m, to_m)
                 rows = self.stretch_rows(stretch)
@@ -551,36 +433,26 @@ class MapGround(Ground):
     def _has_heights(self) -> bool:
         return any(road.has_heights for road in self.network.roads)
 
-    def area_height(self, area: GroundArea, xy_world: Points2) -> Scalars:
-        """Height of an area's surface: on the terrain, or between the heights of its roads there."""
-        z = height_at(self.network.terrain, xy_world)
+    def area_heights(
+        self, places: Sequence[tuple[GroundArea, Float[np.ndarray, "_ 2"]]]
+    ) -> list[Float[np.ndarray, " _"]]:
+        """Heights of the surfaces of areas at places of each: on the terrain, or between the heights of its roads
+        there."""
+        if not places:
+            return []
+        counts = [len(xy) for _, xy in places]
+        xy_world = np.concatenate([xy for _, xy in places])
+        z = height_at(self.network.terrain, xy_world) + np.repeat([area.raised_m for area, _ in places], counts)
         if self._has_heights:
-            z = z + self._own_raised(xy_world, junction=area.junction if self.spans else None)
-        return np.asarray(z + area.raised_m)
+            # Below a deck, a junction is as high as its own roads.
+            inside = [area.junction if self.spans else None for area, _ in places]
+            z += self.graded_ground.mean(xy_world, np.repeat(self.graded_ground.junction_numbers(inside), counts))
+        return np.split(z, np.cumsum(counts)[:-1])
 
     def under(self, xy_world: Points2) -> Scalars:
         """Height of the lower side of the pavement."""
         z = height_at(self.network.terrain, xy_world)
-        return np.asarray(z + self._own_raised(xy_world) if self._has_heights else z)
-
-    def _own_raised(self, xy_world: Points2, junction: str | None = None, on_ground: bool = False) -> Scalars:
-        """Height over the terrain of roads with heights of their own, without kerbs: the mean of those around points,
-        the nearer the heavier; of those of a junction alone, or of roads where they lie on the ground."""
-        near, roads = self.network.nearby(xy_world, np.full(len(xy_world), NEAR_M))
-        total, weights = np.zeros((2, len(xy_world)))
-        rows = np.flatnonzero(near)
-        for road, which, s, t in roads:
-            own = self.network.road(road.id)
-            if junction is not None and own.junction != junction:
-                continue
-            on = self._on_ground(own, s) if on_ground else np.clip(s, own.start_m, own.end_m)
-            known = np.isfinite(on)
-            off, raised = self._beside(own, s[known], t[known], on[known])
-            weight = 1 / (0.05 + off) ** 2
-            at = rows[which][known]
-            total[at] += weight * raised
-            weights[at] += weight
-        return total / np.maximum(weights, 1e-12)
+        return np.asarray(z + self.graded_ground.mean(xy_world) if self._has_heights else z)
 
     def way_box(self, reach_m: float) -> tuple[float, float, float, float]:
         """(x0, y0, x1, y1) around all that is this near to the host's way."""
@@ -590,21 +462,27 @@ class MapGround(Ground):
     def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the terrain mesh, which goes on below decks, and a little under the edges of other pavement."""
         flat = xy_world.reshape(-1, 2)
-        return self._in_bed(flat, self.graded(flat)).reshape(xy_world.shape[:-1])
+        z, beside = self._bed(flat)
+        z[beside] = self.graded(flat[beside])
+        return z.reshape(xy_world.shape[:-1])
 
     def beside_tunnels(self, xy_world: Points2, is_over: bool) -> Scalars:
         """Height of the terrain mesh at places that are not inside tunnels, or over these, edges included."""
         if not self.tunnels:
             return self.terrain_mesh_height(xy_world)
-        z = height_at(self.network.terrain, xy_world) + self._built(xy_world, np.full(len(xy_world), is_over))
-        return np.asarray(z - UNDER_FALL_M) if is_over else self._in_bed(xy_world, z)
+        z, beside = (np.zeros(len(xy_world)), np.ones(len(xy_world), dtype=bool)) if is_over else self._bed(xy_world)
+        xy, covered = xy_world[beside], np.full(int(beside.sum()), is_over)
+        z[beside] = height_at(self.network.terrain, xy) + self.graded_ground.above(xy, covered)
+        return np.asarray(z - UNDER_FALL_M) if is_over else z
 
-    def _in_bed(self, flat: Points2, z: Scalars) -> Scalars:
-        inside = contains(self.graded_pavement, flat)
-        z[inside] = height_at(self.network.terrain, flat[inside]) - UNDER_FALL_M * self.cell_scale(flat[inside])
+    def _bed(self, flat: Points2) -> tuple[Scalars, Bool[np.ndarray, " n"]]:
+        """Heights of the terrain mesh under pavement, 0 elsewhere, and which places are not under it."""
+        inside, z = contains(self.graded_pavement, flat), np.zeros(len(flat))
+        under = flat[inside]
+        z[inside] = height_at(self.network.terrain, under) - UNDER_FALL_M * self.cell_scale(under)
         if self._has_heights:
-            z[inside] += self._own_raised(flat[inside], on_ground=True)
-        return z
+            z[inside] += self.graded_ground.mean(under, on_ground=True)
+        return z, ~inside
 
     @cached_property
     def _outlined(self) -> Outlined:
@@ -619,15 +497,15 @@ class MapGround(Ground):
         return signed_distance(self._outlined, xy_world)
 
     def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than so much from any pavement."""
+        """Which points are farther than `room_m` from any pavement."""
         return ~np.asarray(shapely.dwithin(self.pavement, shapely.points(xy_world), room_m))
 
     def is_off_ground_pavement(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than so much from pavement that lies on the ground, below decks too."""
+        """Which points are farther than `room_m` from pavement that lies on the ground, below decks too."""
         return ~np.asarray(shapely.dwithin(self.graded_pavement, shapely.points(xy_world), room_m))
 
     def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are at most so far from a pavement, to half a per cent of that."""
+        """Which points are at most `reach_m` from a pavement, to half a per cent of that."""
         area = shapely.buffer(self.pavement, reach_m)
         shapely.prepare(area)
         return contains(area, xy_world)
@@ -658,3 +536,16 @@ def _around(xy_world: Float[np.ndarray, "2"], reach_m: float) -> tuple[float, fl
     """The box about a place in which roads are near it."""
     (x0, y0), (x1, y1) = xy_world - AS_FAR * reach_m, xy_world + AS_FAR * reach_m
     return float(x0), float(y0), float(x1), float(y1)
+
+
+def _coarse(end_m: float) -> Scalars:
+    """Stations COARSE_M apart."""
+    return np.linspace(0.0, end_m, 2 + int(end_m / COARSE_M))
+
+
+def _rows(s: Scalars, away_m: Scalars) -> Float[np.ndarray, " m"]:
+    """Stations between these, closer to each other near the host, from which they are that far."""
+    step = np.interp(away_m, ROW_STEPS_AT_M, ROW_STEPS_M)
+    count = np.concatenate([[0.0], np.cumsum(np.diff(s) * 2 / (step[1:] + step[:-1]))])
+    n = max(int(np.ceil(count[-1])), 1)
+    return np.interp(np.linspace(0.0, count[-1], n + 1), count, s)

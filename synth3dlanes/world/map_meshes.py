@@ -4,13 +4,14 @@ Roads are strips along their lines; junctions, their walkways and islands are ar
 all of these.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.roads.section_road import KERB_M, SectionRoad
@@ -29,7 +30,7 @@ COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
 SKIRT_M = 0.12
-# The terrain goes down to its bed so far inside the edges of the pavement.
+# Distance inside the edges of the pavement from which the terrain goes down to its bed.
 UNDER_M = 0.15
 # Columns of cells are cut out a little wider; lines of the terrain's grid keep off corners of the pavement.
 ASIDE_M, HAIR_M = 0.01, 1e-5
@@ -54,8 +55,7 @@ class MapSurfaces(Surfaces):
             for stretch in road.stretches:
                 if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
                     found += _strips(ground, stretch)
-        for area in ground.areas:
-            found += _area_meshes(ground, area)
+        found += _area_meshes(ground)
         near = (_near(ground, mesh) for mesh in found)
         return [mesh for mesh in near if len(mesh.faces)]
 
@@ -87,10 +87,11 @@ class MapSurfaces(Surfaces):
         cuts = [_cut(xs, ys, area) for area in (bed, over)]
         for cut in cuts:
             cells = list(zip(*cut.cut.tolist(), strict=True))
-            boxes = [
-                rest[i, j] if (i, j) in rest else shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1]) for i, j in cells
-            ]
-            rest.update(zip(cells, _differences(np.array(boxes, dtype=object), cut.parts), strict=True))
+            column, row = cut.cut
+            boxes = shapely.box(xs[column], ys[row], xs[column + 1], ys[row + 1])
+            for k, cell in enumerate(cells):
+                boxes[k] = rest.get(cell, boxes[k])
+            rest.update(zip(cells, _differences(boxes, cut.parts), strict=True))
         taken = np.array([j * (len(xs) - 1) + i for i, j in rest], dtype=int)
         vertices, faces = [whole.vertices_world], [np.delete(whole.faces, taken, axis=0)]
         for parts, is_over in (([*rest.values(), *cuts[0].parts], False), (cuts[1].parts, True)):
@@ -156,11 +157,37 @@ def _strips(ground: MapGround, stretch: SectionRoad) -> list[Mesh]:
     return found
 
 
-def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
-    """An area over a grid of cells, with kerbs around it where it is raised. One that is not goes on a little below
-    what lies beside it."""
-    if area.polygon.is_empty:
-        return []
+class _AreaFaces(NamedTuple):
+    """An area from above: the corners of its faces, these, which corners are beside it, where it goes on below what
+    lies there, and the rings around it."""
+
+    area: GroundArea
+    xy: Float[np.ndarray, "v 2"]
+    faces: Int[np.ndarray, "f 4"]
+    is_beside: Bool[np.ndarray, " v"]
+    rings: list[Float[np.ndarray, "_ 2"]]
+
+
+def _area_meshes(ground: MapGround) -> list[Mesh]:
+    """All areas, with kerbs around them where they are raised. One that is not goes on a little below what lies beside
+    it."""
+    flat = [_area_faces(ground, area) for area in ground.areas if not area.polygon.is_empty]
+    # Heights of all together, and below what lies beside them.
+    heights = ground.area_heights([(at.area, np.concatenate([at.xy, *at.rings])) for at in flat])
+    beside = [at.xy[at.is_beside] for at in flat]
+    under = np.split(ground.under(np.concatenate([*beside, np.zeros((0, 2))])), np.cumsum(list(map(len, beside)))[:-1])
+    found = []
+    for at, heights_m, under_m in zip(flat, heights, under, strict=False):
+        z, *tops = np.split(heights_m, np.cumsum([len(at.xy), *map(len, at.rings)])[:-1])
+        z[at.is_beside] = np.minimum(z[at.is_beside], under_m) - SEAM_FALL_M
+        surface = np.full(len(at.faces), AREA_SURFACES[at.area.kind])
+        found.append(Mesh(np.column_stack([at.xy, z]), at.faces, at.xy, surface))
+        found.append(_kerb(at.area, [np.column_stack(places) for places in zip(at.rings, tops, strict=True)]))
+    return found
+
+
+def _area_faces(ground: MapGround, area: GroundArea) -> _AreaFaces:
+    """The faces of an area: a grid of cells, cut at its border."""
     wide = area.polygon
     if not area.raised_m:
         shapely.prepare(area.polygon)
@@ -173,24 +200,18 @@ def _area_meshes(ground: MapGround, area: GroundArea) -> list[Mesh]:
     (column, row), _, parts = _cut(xs, ys, wide)
     corners = [np.stack([xs[column + i], ys[row + j]], -1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
     xy, faces = _merged(np.concatenate([np.stack(corners, axis=1), _triangles(parts)]))
-
-    z = ground.area_height(area, xy)
+    is_beside = np.zeros(len(xy), dtype=bool)
     if not area.raised_m:
-        beside = ~contains(area.polygon, xy)
-        beside[beside] = shapely.distance(area.polygon, shapely.points(xy[beside])) > SEAM_EDGE_M
-        z[beside] = np.minimum(z[beside], ground.under(xy[beside])) - SEAM_FALL_M
-    surface = np.full(len(faces), AREA_SURFACES[area.kind])
-    found = [Mesh(np.column_stack([xy, z]), faces, xy, surface)]
-    return [*found, _kerb(ground, area)]
+        is_beside = ~contains(area.polygon, xy)
+        is_beside[is_beside] = shapely.distance(area.polygon, shapely.points(xy[is_beside])) > SEAM_EDGE_M
+    rings = shapely.segmentize(shapely.get_rings(shapely.get_parts(area.polygon)), 1.0)
+    return _AreaFaces(area, xy, faces, is_beside, [shapely.get_coordinates(ring) for ring in rings])
 
 
-def _kerb(ground: MapGround, area: GroundArea) -> Mesh:
-    """Upright faces around an area, down into the terrain."""
+def _kerb(area: GroundArea, tops: Sequence[Float[np.ndarray, "_ 3"]]) -> Mesh:
+    """Upright faces around an area below its upper edges, down into the terrain."""
     quads = []
-    for ring in shapely.get_rings(shapely.get_parts(area.polygon)):
-        ring = shapely.segmentize(ring, 1.0)
-        xy = shapely.get_coordinates(ring)
-        top = np.column_stack([xy, ground.area_height(area, xy)])
+    for top in tops:
         low = top - [0, 0, area.raised_m + FOOT_M if area.raised_m else SKIRT_M]
         quads.append(np.stack([low[:-1], low[1:], top[1:], top[:-1]], axis=1))
     corners = np.concatenate(quads)

@@ -53,10 +53,11 @@ class Stripe(NamedTuple):
 
 
 class StripRows(NamedTuple):
-    """The rows of a line's strip: stations, whether the strip after each row is painted, the strip's width as a
-    share of the line's, and the height of its surface over paint (of dots)."""
+    """The rows of a line's strip: stations, how far they are from the host, whether the strip after each row is
+    painted, the strip's width as a share of the line's, and the height of its surface over paint (of dots)."""
 
     s: Scalars
+    away_m: Scalars
     painted: Bool[np.ndarray, " m"]
     share: Scalars
     raised_m: Scalars
@@ -124,8 +125,8 @@ def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], 
     markings, meshes = ground.markings, []
     to_right = int(ground.network.rightward)
     for right_m, marking in stripes(curve, markings)[::to_right]:
-        rows, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
-        lift_m = np.interp(ground.away_on(curve, rows), PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
+        rows, away_m, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
+        lift_m = np.interp(away_m, PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
         lift_m = lift_m + _over_hollows_m(ground, curve, rows)
         offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
         # Behind its end a curve has no points.
@@ -207,18 +208,17 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     rows = ground.curve_rows(curve)
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    is_far = ground.away_on(curve, rows) > DASHES_M
-    if is_far.all():
-        before, rows, behind = rows[:0], rows, rows[:0]
-    else:
-        before, rows, behind = np.split(rows, np.flatnonzero(~is_far)[[0, -1]] + [0, 1])
+    away_m = ground.away_on(curve, rows)
+    is_near = away_m <= DASHES_M
+    near = np.flatnonzero(is_near)[[0, -1]] + [0, 1] if is_near.any() else np.array([0, len(rows)])
+    (before, rows, behind), (_, rows_away_m, _) = np.split(rows, near), np.split(away_m, near)
     xyz = curve.points_world(rows)
     length = lengths_along(xyz)
     length -= np.interp(0.0, rows, length)
     dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
     if is_dotted(curve, markings):
-        dots, dashes = _dots(markings, dashes, length, ground.away_on(curve, rows))
+        dots, dashes = _dots(markings, dashes, length, rows_away_m)
     ends = np.concatenate([dashes.ravel(), gone.ravel(), (dots[:, None] + DISC_ROWS[1:3] * DOT_M / 2).ravel()])
     ends = np.interp(ends[(ends > length[0]) & (ends < length[-1])], length, rows)
     rows_all = np.unique(np.concatenate([rows, ends]))
@@ -226,15 +226,15 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
     is_painted = np.full(max(len(before), len(behind)), markings.missing < 1)
     s = np.concatenate([before, rows_all, behind])
-    away_m = ground.away_on(curve, s)
+    if len(rows_all) != len(rows):
+        away_m = ground.away_on(curve, s)
     share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
     if is_dotted(curve, markings):
         share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)
     painted_share = (markings.dash_fraction if marking == "dashed" else 1.0) * (1 - markings.missing)
     share = np.where(away_m > DASHES_M, painted_share * share, share)
-    return StripRows(
-        s, np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]]), share, raised_m
-    )
+    painted = np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]])
+    return StripRows(s, away_m, painted, share, raised_m)
 
 
 def _dashes(markings: Markings, marking: Marking, length: Scalars) -> Intervals:

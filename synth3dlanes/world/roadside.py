@@ -17,19 +17,20 @@ from synth3dlanes.world.crossings import DAM_M, DAM_SLOPE, crossing_body, crossi
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.posts import lamp_heads_of, post_body, post_frames
 from synth3dlanes.world.rails import WALKWAY_M, rail_body
-from synth3dlanes.world.signals import pole_body
+from synth3dlanes.world.signals import foot_frames, pole_body
 from synth3dlanes.world.solids import Body
 
 
 def bodies(ground: Ground, roadside: Roadside) -> list[Body]:
     """All structures but the traffic elements that they hold, in the order of their instance ids."""
     frames = post_frames(ground, roadside.posts)
+    poles = [item for item in roadside.free_elements if item.has_pole]
     return [
         *(rail_body(ground, rail) for rail in roadside.rails),
         *(post_body(post, frame) for post, frame in zip(roadside.posts, frames, strict=True)),
         *(crossing_body(ground, crossing) for crossing in roadside.crossings),
         *(building_body(ground, building) for building in roadside.buildings),
-        *(pole_body(ground, item) for item in roadside.free_elements if item.has_pole),
+        *map(pole_body, poles, foot_frames(ground, poles)),
     ]
 
 

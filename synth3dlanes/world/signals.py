@@ -1,6 +1,8 @@
 """Signals and signs at free places, and signals over the lanes of a gantry: poles, heads and lit lenses. World frame,
 metres."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -35,25 +37,26 @@ LANE_LIGHTS: dict[LaneState, tuple[Color, list[Outline]]] = {
 }
 
 
-def foot_frame(ground: Ground, item: TrafficSignal | TrafficSign) -> GroundFrame:
-    """The frame on the ground at the foot of a signal or sign: y as its traffic drives."""
-    xy_world = np.array([[item.x_m, item.y_m]])
-    forward = np.array([-np.sin(item.yaw_rad), np.cos(item.yaw_rad)])
-    return GroundFrame(np.array([item.x_m, item.y_m, ground.height(xy_world)[0]]), forward)
+def foot_frames(ground: Ground, items: Sequence[TrafficSignal | TrafficSign]) -> list[GroundFrame]:
+    """The frames on the ground at the feet of signals and signs: y as their traffic drives."""
+    xy_world = np.array([(item.x_m, item.y_m) for item in items]).reshape(-1, 2)
+    yaw_rad = np.array([item.yaw_rad for item in items])
+    forward = np.stack([-np.sin(yaw_rad), np.cos(yaw_rad)], axis=-1)
+    return list(map(GroundFrame, np.column_stack([xy_world, ground.height(xy_world)]), forward))
 
 
-def mounted(ground: Ground, item: TrafficSignal | TrafficSign) -> Mounted:
-    """Where the head of a signal, or a sign, hangs."""
+def mounted(item: TrafficSignal | TrafficSign, frame: GroundFrame) -> Mounted:
+    """Where the head of a signal, or a sign, hangs over its foot."""
     size_m = HEAD_M if isinstance(item, TrafficSignal) else board_size(SIGN_FACES[item.kind])
     middle = np.array([item.reach_m, -BEHIND_M - size_m[1] / 2, item.height_m + size_m[2] / 2])
-    return Mounted(foot_frame(ground, item), middle, size_m)
+    return Mounted(frame, middle, size_m)
 
 
-def pole_body(ground: Ground, item: TrafficSignal | TrafficSign) -> Body:
-    """The pole of a signal or sign, with an arm where that hangs beside it."""
+def pole_body(item: TrafficSignal | TrafficSign, frame: GroundFrame) -> Body:
+    """The pole of a signal or sign on its foot, with an arm where that hangs beside it."""
     is_signal = isinstance(item, TrafficSignal)
-    place, quads = mounted(ground, item), Quads("signal" if is_signal else "sign", "pole")
-    frame, (_, _, height_m), reach_m = place.frame, place.size_m, item.reach_m
+    place, quads = mounted(item, frame), Quads("signal" if is_signal else "sign", "pole")
+    (_, _, height_m), reach_m = place.size_m, item.reach_m
     has_arm, middle_m = abs(reach_m) > BESIDE_POLE_M, item.height_m + height_m / 2
     radius_m = (0.11 if abs(reach_m) > 2 else 0.06) if is_signal else 0.035
     top_m = middle_m + 0.3 if has_arm else item.height_m + 0.95 * height_m

@@ -14,7 +14,7 @@ from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.standing import mesh_height
 from synth3dlanes.world.height_map import height_map
 from synth3dlanes.world.map_ground import MapGround
-from synth3dlanes.world.passages import CEILING_M, COVER_M, DECK_M
+from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M
 from synth3dlanes.world.world import World
 from tests.geometry.test_map_surface import gaps
 from tests.maps.files import TWO, opendrive, plan, road

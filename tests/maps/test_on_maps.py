@@ -143,7 +143,7 @@ def test_the_ground_meets_the_roads_and_goes_on_as_hills() -> None:
         )
     )
     ground = terrain_of(roads, hills)
-    points = np.concatenate([road_points(at) for at in roads.roads])
+    points = road_points(roads.roads, hills)
     apart = points[:, 2] - height_at(ground, points[:, :2])
     assert np.abs(apart).max() < 0.25
     # Between the roads and the ends of the grid the hills are there.

@@ -1,7 +1,7 @@
 """Where roads of a map leave the ground: on decks over it, in tunnels below it. World frame, metres.
 
-A road is on a deck where a file says that it has a bridge, and where it passes over another road: as far as a slope
-down from it would reach that road.
+A road is on a deck where a file says that it has a bridge, and over and beside another road, up to where a slope down
+from it would no longer reach that road.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -9,23 +9,26 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
+from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.section_road import SectionRoad
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.areas import intersection, polygon_between
 from synth3dlanes.world.ground import EMBANKMENT_SLOPE
 
-# A road so far above another passes over it, on a deck of this thickness; roads are looked at in such steps first.
+# Height above another road from which a road passes over it, the thickness of its deck, and the distance of places
+# along roads that are looked at first.
 PASSAGE_M, DECK_M, STEP_M = 3.0, 0.5, 20.0
 LEAST_M2 = 0.02
 # Level ground beside a road before its slopes begin.
 BERM_M = 1.5
-# Ends of decks are found in such steps; a piece between two decks, or up to an end of the road, that is shorter is one.
+# Distance of places along roads at which decks may end. A piece of ground between two decks, or between a deck and an
+# end of the road, that is shorter than the second belongs to the deck.
 END_STEP_M, LEAST_GROUND_M = 1.0, 12.0
-# The ground falls below the deck of a bridge of a file, at most so far; the ceiling of tunnels, the ground over it, and
-# the thickness of their walls.
+# Most depth of the valley below the deck of a bridge of a file; height of the ceiling of tunnels and of the ground over
+# that, and thickness of their walls.
 VALLEY_M, CEILING_M, COVER_M, WALL_M = 4.0, 5.5, 1.0, 0.6
 # The ground over a tunnel begins this much before its ends.
 BEFORE_M = 0.02
@@ -57,15 +60,17 @@ class Span(NamedTuple):
         return np.asarray(self.road.base_points(s, np.clip(t, self.road.left(s), self.road.right(s)))[:, 2])
 
 
-def spans(roads: Sequence[SectionRoad], strip: Callable[[SectionRoad], BaseGeometry]) -> list[Span]:
+def spans(table: RoadTable, strip: Callable[[SectionRoad], BaseGeometry]) -> list[Span]:
     """The decks and tunnels of roads with heights, whose pavements from above `strip` tells."""
-    roads = [road for road in roads if road.has_heights]
-    passed = list(_passages(roads, strip))
+    raised = np.array([i for i, road in enumerate(table.roads) if road.has_heights], dtype=int)
+    passed = list(_passages(table, raised, strip))
+    ways = _ways(table, raised if passed else raised[:0])
     found = []
-    for road in roads:
+    for number in raised.tolist():
+        road = table.roads[number]
         tunnels = [(at.from_m, at.to_m) for at in road.tunnels]
         given = [(at.from_m, at.to_m) for at in road.bridges]
-        over = [end for at in passed if at.lower is not road for end in _over(road, at)]
+        over = [end for at in passed if at.lower is not road for end in _over(*ways[number], at)]
         found += [_span(road, *ends, is_tunnel=True) for ends in tunnels]
         for low, high in _joined(given + over, road):
             is_given = any(a < high and b > low for a, b in given)
@@ -97,15 +102,29 @@ class _Passage(NamedTuple):
     z: float
 
 
-def _passages(roads: Sequence[SectionRoad], strip: Callable[[SectionRoad], BaseGeometry]) -> Iterator[_Passage]:
-    outlines, low, high = [], [], []
-    for road in roads:
-        s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / STEP_M))
-        z = road.base_points(s, np.zeros(len(s)))[:, 2]
-        low.append(z.min())
-        high.append(z.max())
-        ring = np.concatenate([road.xy(s, road.left(s)), road.xy(s, road.right(s))[::-1]])
-        outlines.append(shapely.convex_hull(shapely.Polygon(ring)))
+def _ways(
+    table: RoadTable, numbers: Int[np.ndarray, " k"], step_m: float = END_STEP_M
+) -> dict[int, tuple[Float[np.ndarray, " _"], Float[np.ndarray, "3 _ 3"]]]:
+    """By the numbers of roads: stations from their beginning to their end, and the points there on their left edge,
+    their line and their right edge."""
+    if not numbers.size:
+        return {}
+    stations = [np.linspace(0.0, end_m, 2 + int(end_m / step_m)) for end_m in table.end_m[numbers].tolist()]
+    counts = [len(s) for s in stations]
+    road, s = np.repeat(numbers, counts), np.concatenate(stations)
+    left, right = table.edges(road, s)
+    points = np.stack([table.base_points(road, s, t) for t in (left, 0 * s, right)])
+    each = np.split(points, np.cumsum(counts)[:-1], axis=1)
+    return dict(zip(numbers.tolist(), zip(stations, each, strict=True), strict=True))
+
+
+def _passages(
+    table: RoadTable, numbers: Int[np.ndarray, " k"], strip: Callable[[SectionRoad], BaseGeometry]
+) -> Iterator[_Passage]:
+    roads, ways = [table.roads[i] for i in numbers], [rows for _, rows in _ways(table, numbers, STEP_M).values()]
+    low, high = ([lead(rows[1, :, 2]) for rows in ways] for lead in (np.min, np.max))
+    rings = [np.concatenate([rows[0, :, :2], rows[2, ::-1, :2]]) for rows in ways]
+    outlines = [shapely.convex_hull(shapely.Polygon(ring)) for ring in rings]
     pairs = shapely.STRtree(outlines).query(outlines, predicate="intersects").T.tolist() if outlines else []
     for i, j in pairs:
         if i == j or high[j] - low[i] < PASSAGE_M:
@@ -121,11 +140,9 @@ def _passages(roads: Sequence[SectionRoad], strip: Callable[[SectionRoad], BaseG
                 yield _Passage(area, roads[i], float(below))
 
 
-def _over(road: SectionRoad, at: _Passage) -> Iterator[tuple[float, float]]:
-    """The stations of a road between which it is so high over a passage, and so near to it, that a slope down from it
-    would reach the road there."""
-    s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / END_STEP_M))
-    rows = np.stack([road.base_points(s, t) for t in (road.left(s), 0 * s, road.right(s))])
+def _over(s: Scalars, rows: Float[np.ndarray, "3 n 3"], at: _Passage) -> Iterator[tuple[float, float]]:
+    """The stations of a road between which it passes over a passage, or a slope down from it would reach the road in
+    that."""
     above_m = rows[..., 2] - at.z
     reach_m = BERM_M + 1.0 + EMBANKMENT_SLOPE * np.maximum(above_m, 0.0)
     x0, y0, x1, y1 = shapely.bounds(at.area)

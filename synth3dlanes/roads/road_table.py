@@ -1,0 +1,243 @@
+"""Roads of maps as arrays: answers for places on many roads in one call. World frame, metres.
+
+A road is known by its number. What a call tells of a place is what the `SectionRoad` of that number tells of it.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from synth3dlanes.roads.lane_curves import n_knots
+from synth3dlanes.roads.map_lines import Spiral, spiral_frames
+from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, LineFrames, dot
+from synth3dlanes.roads.section_road import CrossSection, Profile, SectionRoad
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene.scene import Terrain
+from synth3dlanes.system.arrays import Points2, Points3, Scalars
+
+# Steps of a projection, and how far from the perpendicular through a foot its point may be.
+MOST_STEPS, FOOT_M = 12, 1e-3
+
+Indices = Int[np.ndarray, " n"]
+
+
+class TableLine(NamedTuple):
+    """A line along a road of one section from a station to another: the road's number, and those of the edges that it
+    is in the middle of."""
+
+    road: int
+    edges: tuple[int, int]
+    first_m: float
+    last_m: float
+
+
+class OnRoads(NamedTuple):
+    """Places of points along roads: the number of each point and of its road, its station and its offset."""
+
+    point: Indices
+    road: Indices
+    s: Scalars
+    t: Scalars
+
+    def of(self, which: Bool[np.ndarray, " n"] | Indices) -> "OnRoads":
+        """Some of the places."""
+        return OnRoads(*(values[which] for values in self))
+
+
+@dataclass(frozen=True, eq=False)
+class _Ragged:
+    """Rows of several owners one after the other, those of an owner from `first[owner]` on, each from its start on."""
+
+    first: Int[np.ndarray, " m"]
+    starts: Float[np.ndarray, " k"]
+    keys: np.ndarray
+
+    @classmethod
+    def of(cls, starts: Iterable[Sequence[float]]) -> "_Ragged":
+        """The rows of owners, by where each begins in ascending order."""
+        rows = list(starts)
+        counts = np.array([len(row) for row in rows], dtype=int)
+        flat = np.array([start for row in rows for start in row], dtype=float)
+        return cls(np.cumsum([0, *counts]), flat, _keys(np.repeat(np.arange(len(rows)), counts), flat))
+
+    def at(self, owner: Indices, s: Scalars) -> Indices:
+        """The number of the row that holds at a station: of those that begin at or before it the last, else the very
+        first."""
+        first = self.first[owner]
+        last = self.first[owner + 1] - 1
+        found, several = first.copy(), last > first
+        if several.any():
+            row = np.searchsorted(self.keys, _keys(owner[several], s[several]), side="right") - 1
+            found[several] = np.clip(row, first[several], last[several])
+        return found
+
+
+def _keys(owner: Indices, s: Scalars) -> np.ndarray:
+    """Indices that are sorted by owner first: complex ones are, by their real parts."""
+    keys = np.zeros(len(s), dtype=complex)
+    keys.real, keys.imag = owner, s
+    return keys
+
+
+class _Cubics:
+    """Many `Profile`s."""
+
+    def __init__(self, profiles: Sequence[Profile]) -> None:
+        tables = [profile.table for profile in profiles]
+        self._rows = _Ragged.of(starts.tolist() for starts, _ in tables)
+        self._numbers = np.concatenate([np.zeros((4, 0)), *(numbers for _, numbers in tables)], axis=1)
+
+    def __call__(self, profile: Indices, s: Scalars) -> Scalars:
+        """The value of a profile at each station."""
+        row = self._rows.at(profile, s)
+        x, (a, b, c, d) = s - self._rows.starts[row], self._numbers[:, row]
+        return np.asarray(a + x * (b + x * (c + x * d)))
+
+
+class RoadTable:
+    """The lines, sections and heights of roads as arrays."""
+
+    def __init__(self, roads: Sequence[SectionRoad], terrain: Terrain) -> None:
+        self.roads, self._terrain = tuple(roads), terrain
+        lines = [line for road in roads for line in road.plan.lines]
+        self._lines = lines
+        self._pieces = _Ragged.of(road.plan.starts.tolist() for road in roads)
+        self._spirals = np.array([line.numbers if isinstance(line, Spiral) else (0.0,) * 5 for line in lines])
+        self._is_other = np.array([not isinstance(line, Spiral) for line in lines])
+        self._is_straight = ~self._is_other & (self._spirals[:, 3:] == 0).all(axis=1)
+        self.start_m, self.end_m = (np.array([getattr(road, end) for road in roads]) for end in ("start_m", "end_m"))
+        self._sections = [section for road in roads for section in road.sections]
+        self._by_road = _Ragged.of([section.start_m for section in road.sections] for road in roads)
+        self._index_sections(self._sections)
+
+    def _index_sections(self, sections: Sequence[CrossSection]) -> None:
+        ends = ("start_m", "end_m")
+        self._section_start_m, self._section_end_m = (np.array([getattr(at, end) for at in sections]) for end in ends)
+        self._n_left = np.array([at.n_left for at in sections])
+        self._paved = np.array([at.paved for at in sections]).T
+        self._first_lane = np.array([*accumulate((len(at.lanes) for at in sections), initial=0)])
+        self._widths = _Cubics([width for at in sections for width in at.widths])
+        nothing = Profile(())
+        self._offsets = _Cubics([at.offset for at in sections])
+        self._heights = _Cubics([at.heights or nothing for at in sections])
+        self._banks = _Cubics([at.banks or nothing for at in sections])
+        self._is_banked = np.array([at.banks is not None for at in sections])
+        self._has_heights = np.array([at.heights is not None for at in sections])
+        # Sections whose heights have more to them than a line and a bank.
+        self._is_shaped = np.array([at.shapes is not None or any(lane.level for lane in at.lanes) for at in sections])
+        self._is_shaped &= self._has_heights
+
+    def frames(self, road: Indices, s: Scalars) -> LineFrames:
+        """Each road's line at a station."""
+        return self._frames(self._pieces.at(road, s), s)
+
+    def _frames(self, piece: Indices, s: Scalars) -> LineFrames:
+        x = s - self._pieces.starts[piece]
+        found, other = spiral_frames(self._spirals[piece], x), self._is_other[piece]
+        for i in np.unique(piece[other]):
+            at = piece == i
+            for whole, part in zip(found, self._lines[i].frames(x[at]), strict=True):
+                whole[at] = part
+        return found
+
+    def xy(self, road: Indices, s: Scalars, t: Scalars) -> Points2:
+        """World (x, y) of places."""
+        points, normals, _, _ = self.frames(road, s)
+        return np.asarray(points + t[:, None] * normals)
+
+    def project(
+        self, road: Indices, xy_world: Points2, guess: Scalars
+    ) -> tuple[Scalars, Scalars, Bool[np.ndarray, " n"]]:
+        """(s, t) of points on the road of each, by Newton's method as `ReferenceLine.project` finds them, and which of
+        them are feet of their points: inside a bend it may find none."""
+        s, t, is_foot = guess.copy(), np.zeros(len(guess)), np.ones(len(guess), dtype=bool)
+        left = np.arange(len(s))
+        for _ in range(MOST_STEPS):
+            piece = self._pieces.at(road[left], s[left])
+            points, normals, speed, turn = self._frames(piece, s[left])
+            to = xy_world[left] - points
+            t[left] = aside = dot(to, normals)
+            along = to[:, 1] * normals[:, 0] - to[:, 0] * normals[:, 1]
+            step = np.clip(along / np.maximum(speed - turn * aside, MIN_SHARE * speed), -MAX_STEP_M, MAX_STEP_M)
+            s[left] += step
+            # On a straight piece one step is all of the way.
+            is_there = self._is_straight[piece] & (np.abs(step) < MAX_STEP_M)
+            is_there[is_there] = self._pieces.at(road[left[is_there]], s[left[is_there]]) == piece[is_there]
+            is_left = ~is_there & (np.abs(step) > SETTLED_M)
+            left, along = left[is_left], along[is_left]
+            if not left.size:
+                break
+        is_foot[left] = np.abs(along) < FOOT_M
+        return s, t, is_foot
+
+    def section(self, road: Indices, s: Scalars) -> Indices:
+        """The number of the section at each station."""
+        return self._by_road.at(road, s)
+
+    def edge(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
+        """The offset of an edge of a section at each station."""
+        middle, x = self._n_left[section], s - self._section_start_m[section]
+        low, high = np.minimum(edge, middle), np.maximum(edge, middle)
+        across, lane = np.zeros(len(s)), self._first_lane[section] + low
+        for i in range(int((high - low).max(initial=0))):
+            at = np.flatnonzero(low + i < high)
+            across[at] += np.maximum(self._widths(lane[at] + i, x[at]), 0.0)
+        return np.asarray(np.where(edge > middle, across, -across) - self._offsets(section, s))
+
+    def knots(self, lines: Sequence[TableLine]) -> list[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ 2"]]]:
+        """The stations of the knots of lines, each from its first station to its last one, and their places."""
+        if not lines:
+            return []
+        first, last = (np.array([getattr(line, end) for line in lines]) for end in ("first_m", "last_m"))
+        counts = np.array([n_knots(line.first_m, line.last_m) for line in lines])
+        which, ends = np.repeat(np.arange(len(lines)), counts), np.cumsum(counts)
+        knot = np.arange(ends[-1]) - np.repeat(ends - counts, counts)
+        s = first[which] + knot * ((last - first) / (counts - 1))[which]
+        s[ends - 1] = last
+        road, t = self._on_lines(lines, which, s)
+        return list(zip(np.split(s, ends[:-1]), np.split(self.xy(road, s, t), ends[:-1]), strict=True))
+
+    def points(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> Points3:
+        """Points on the surface along lines, by the number of each, at stations."""
+        road, t = self._on_lines(lines, which, s)
+        points = self.base_points(road, s, t)
+        for i in np.unique(road):
+            if self.roads[i].has_kerbs:
+                at = np.flatnonzero(road == i)
+                points[at, 2] += self.roads[i].kerb(s[at], t[at])
+        return points
+
+    def _on_lines(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> tuple[Indices, Scalars]:
+        """The roads and the offsets of lines at stations."""
+        road, low, high = np.array([(line.road, *line.edges) for line in lines], dtype=int).reshape(-1, 3)[which].T
+        section = self.section(road, s)
+        t = self.edge(section, low, s)
+        return road, np.where(low == high, t, (t + self.edge(section, high, s)) / 2)
+
+    def edges(self, road: Indices, s: Scalars) -> tuple[Scalars, Scalars]:
+        """The offsets of the left and the right edge of the pavement of each road at a station."""
+        section = self.section(road, s)
+        left, right = (self.edge(section, self._paved[side][section], s) for side in (0, 1))
+        return left, right
+
+    def base_points(self, road: Indices, s: Scalars, t: Scalars) -> Points3:
+        """Points on the surface of each road without raised lanes."""
+        xy, section = self.xy(road, s, t), self.section(road, s)
+        z = self._height(section, s, t)
+        low = ~self._has_heights[section]
+        z[low] = height_at(self._terrain, xy[low])
+        return np.column_stack([xy, z])
+
+    def _height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
+        at = np.clip(s, self._section_start_m[section], self._section_end_m[section])
+        z, banked = self._heights(section, at), self._is_banked[section]
+        if banked.any():
+            z[banked] -= np.tan(self._banks(section[banked], at[banked])) * t[banked]
+        for i in np.unique(section[self._is_shaped[section]]):
+            here = section == i
+            z[here] = self._sections[i].height(s[here], t[here])
+        return z

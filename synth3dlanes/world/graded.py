@@ -1,0 +1,311 @@
+"""The graded ground of a map: roads with heights of their own where they lie on the ground, the slopes beside them, the
+ground below decks and over tunnels. World frame, metres; heights are over the terrain, without kerbs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float, Int
+
+from synth3dlanes.roads.map_lines import GUESS_STEP_M
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.road_table import OnRoads
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.system.arrays import Points2, Scalars
+from synth3dlanes.world.ground import EMBANKMENT_SLOPE
+from synth3dlanes.world.spans import BERM_M, CEILING_M, COVER_M, DECK_M, VALLEY_M, WALL_M, Span
+
+# Roads with heights are looked for this far from points of areas.
+NEAR_M = 3.0
+# How far beyond a raised road's edge its embankment may reach.
+EMBANKMENT_M = 40.0
+# Between the stations at which a road's height over the terrain is asked, it changes by less than this.
+BETWEEN_M = 0.5
+# The ground is this much lower than the lower side of a deck above it. A tunnel covers places nearer to it than this.
+BELOW_DECK_M, COVERED_M = 0.3, 0.5
+# Limits of the ground: the size of the cells in which they are found, and a height that nothing has. They are asked of
+# rows of places across roads, at shares of their width; between these, a road is higher by less than ROUGH_M.
+CELL_M, NOWHERE_M, ROUGH_M, SHARES = 4.0, 1e4, 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)
+# Places that are asked together: more take no less time each, but more memory.
+TOGETHER = 40_000
+# What is no farther from pavement is on it.
+EDGE_M = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class _Bounds:
+    """Heights between which the ground may be at places: at least `low`, at most `high`, each by the road that is
+    `_away_m` from there, and at most `deck`, below decks; over tunnels at least `cover`."""
+
+    low: Scalars
+    high: Scalars
+    low_away_m: Scalars
+    high_away_m: Scalars
+    deck: Scalars
+    cover: Scalars
+
+    @classmethod
+    def of(cls, n: int) -> "_Bounds":
+        """Those of n places that nothing bounds."""
+        none, lowest = np.full(n, np.inf), np.full(n, -np.inf)
+        return cls(lowest.copy(), none.copy(), none.copy(), none.copy(), none.copy(), lowest.copy())
+
+    def beside(self, at: Int[np.ndarray, " m"], away_m: Scalars, raised_m: Scalars) -> None:
+        """Places at a distance from pavement of this height; of equal bounds of a place the first one counts."""
+        fall_m = np.maximum(away_m - BERM_M, 0.0) / EMBANKMENT_SLOPE
+        _tighten(np.maximum, self.low, self.low_away_m, at, raised_m - fall_m, away_m)
+        _tighten(np.minimum, self.high, self.high_away_m, at, raised_m + fall_m, away_m)
+
+    def covers(self, at: Int[np.ndarray, " m"], away_m: Scalars, top_m: Scalars) -> None:
+        """Places at a distance from a tunnel with this height of the ground over it."""
+        low_m = top_m - np.maximum(away_m - BERM_M, 0.0) / EMBANKMENT_SLOPE
+        _tighten(np.maximum, self.low, self.low_away_m, at, low_m, away_m)
+        is_over = away_m < COVERED_M
+        np.maximum.at(self.cover, at[is_over], top_m[is_over])
+
+    def below(self, at: Int[np.ndarray, " m"], most_m: Scalars) -> None:
+        """Places below and beside a deck."""
+        np.minimum.at(self.deck, at, most_m)
+
+    def ground(self, covered: Bool[np.ndarray, " n"], paved: Scalars) -> Scalars:
+        """The heights: of pavement, but where that is covered by a tunnel; else 0, the terrain, where that may be, and
+        otherwise the nearest height that may be. Between two roads whose slopes would cross, the ground leads evenly
+        from one to the other."""
+        found = np.clip(0.0, self.low, np.maximum(self.low, self.high))
+        cross = self.low > self.high
+        low_m, high_m = self.low_away_m[cross], self.high_away_m[cross]
+        share = low_m / np.maximum(low_m + high_m, 1e-9)
+        found[cross] = self.low[cross] + share * (self.high[cross] - self.low[cross])
+        found = np.minimum(found, self.deck)
+        found = np.where(covered, np.maximum(found, self.cover), found)
+        is_in_tunnel = covered & (paved < self.cover - COVER_M)
+        return np.where(np.isfinite(paved) & ~is_in_tunnel, paved, found)
+
+
+def _tighten(
+    closer: np.ufunc,
+    bounds: Float[np.ndarray, " k"],
+    away_m: Float[np.ndarray, " k"],
+    at: Int[np.ndarray, " m"],
+    new: Float[np.ndarray, " m"],
+    new_away_m: Float[np.ndarray, " m"],
+) -> None:
+    """Move bounds at places to values that are closer, and with them the distances of the roads that these are by."""
+    before = bounds[at]
+    closer.at(bounds, at, new)
+    leads = np.flatnonzero((new == bounds[at]) & (new != before))[::-1]
+    away_m[at[leads]] = new_away_m[leads]
+
+
+class _Rows(NamedTuple):
+    """Rows of places across the pavement of roads with heights, GUESS_STEP_M apart or closer: the number of the road of
+    each, (x, y), how high the pavement is there, of tunnels the ground over them, and how deep, of decks the ground
+    below them, and whether a row is on a deck; and how far places of a row are apart at most."""
+
+    road: Int[np.ndarray, " n"]
+    xy_world: Float[np.ndarray, "n k 2"]
+    low_m: Float[np.ndarray, "n k"]
+    high_m: Float[np.ndarray, "n k"]
+    is_deck: Bool[np.ndarray, " n"]
+    apart_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class GradedGround:
+    """The graded ground of the roads of a network and of their decks and tunnels."""
+
+    network: MapNetwork
+    spans: Sequence[Span]
+
+    def above(self, xy_world: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
+        """Height of roads where they lie on the ground, and of what they are laid on: from the edges of their pavement
+        the ground falls or rises until it meets the terrain. It stays below decks, and goes over tunnels where places
+        are `covered`."""
+        found = np.zeros(len(xy_world))
+        if self._has_heights.any():
+            for first in range(0, len(found), TOGETHER):
+                some = slice(first, first + TOGETHER)
+                found[some] = self._above(xy_world[some], covered[some])
+        return found
+
+    def _above(self, xy_world: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
+        """What `above` says of some places."""
+        found = np.zeros(len(xy_world))
+        # On pavement, where most places are, only the roads there are asked.
+        paved, own_reach_m = np.full(len(xy_world), -np.inf), np.where(self._has_heights, 0.0, -np.inf)
+        places, away_m, raised_m = self._beside(self.network.places(xy_world, own_reach_m), on_ground=True)
+        is_on = away_m < EDGE_M
+        np.maximum.at(paved, places.point[is_on], raised_m[is_on])
+        is_paved = np.isfinite(paved) & ~covered
+        found[is_paved], rest = paved[is_paved], ~is_paved
+        found[rest] = self._between_roads(xy_world[rest], covered[rest], paved[rest])
+        return found
+
+    def _between_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], paved: Scalars) -> Scalars:
+        """What `above` says of places that are not on pavement of this height (minus infinity: on none) alone."""
+        bounds, found = _Bounds.of(len(xy_world)), self.network.places(xy_world, self._slopes_reach_m)
+        places, away_m, raised_m = self._beside(found, on_ground=True)
+        is_off = away_m >= EDGE_M
+        bounds.beside(places.point[is_off], away_m[is_off], raised_m[is_off])
+        if self.spans:
+            z = height_at(self.network.terrain, xy_world)
+            for span in self.spans:
+                own = found.of(found.road == self._numbers[span.road.id])
+                if span.is_tunnel:
+                    bounds.covers(own.point, *self._over_tunnel(span, own.s, own.t))
+                else:
+                    own = own.of(span.holds(own.s))
+                    bounds.below(own.point, _below_deck(span, own.s, own.t) - z[own.point])
+        return bounds.ground(covered, paved)
+
+    def mean(
+        self, xy_world: Points2, junction: Int[np.ndarray, " n"] | None = None, on_ground: bool = False
+    ) -> Scalars:
+        """Height of the roads around places: their mean, the nearer the heavier; at places in a junction, by its number
+        (else -1), of its roads alone; or of roads where they lie on the ground."""
+        places = self.network.places(xy_world, NEAR_M)
+        if junction is not None:
+            own, of_road = junction[places.point], self.junction_numbers([road.junction for road in self.network.roads])
+            places = places.of((own < 0) | (own == of_road[places.road]))
+        places, away_m, raised_m = self._beside(places, on_ground)
+        weight, n = 1 / (0.05 + away_m) ** 2, len(xy_world)
+        total = np.bincount(places.point, weight * raised_m, n)
+        return np.asarray(total / np.maximum(np.bincount(places.point, weight, n), 1e-12))
+
+    def _beside(self, places: OnRoads, on_ground: bool) -> tuple[OnRoads, Scalars, Scalars]:
+        """Of places how far they are from the pavement of their roads, and how high that is there; of places of roads
+        that are nowhere on the ground none, if they are to be `on_ground`."""
+        table = self.network.table
+        on = np.clip(places.s, table.start_m[places.road], table.end_m[places.road])
+        if on_ground and self.spans:
+            for name, spans in self.spans_of.items():
+                at = np.flatnonzero(places.road == self._numbers[name])
+                on[at] = _on_ground(spans, places.s[at], on[at])
+            known = np.isfinite(on)
+            places, on = places.of(known), on[known]
+        across = np.clip(places.t, *table.edges(places.road, on))
+        base = table.base_points(places.road, on, across)
+        raised_m = base[:, 2] - height_at(self.network.terrain, base[:, :2])
+        return places, np.hypot(places.s - on, places.t - across), raised_m
+
+    @cached_property
+    def _has_heights(self) -> Bool[np.ndarray, " r"]:
+        return np.array([road.has_heights for road in self.network.roads], dtype=bool)
+
+    @cached_property
+    def _numbers(self) -> dict[str, int]:
+        """The number of each road by its id."""
+        return {road.id: i for i, road in enumerate(self.network.roads)}
+
+    def junction_numbers(self, names: Sequence[str | None]) -> Int[np.ndarray, " k"]:
+        """The numbers of junctions by their ids, -1 of none."""
+        known = {at.id: i for i, at in enumerate(self.network.junctions)}
+        return np.array([-1 if name is None else known.get(name, -2) for name in names], dtype=int)
+
+    @cached_property
+    def spans_of(self) -> dict[str, list[Span]]:
+        """The decks and tunnels of roads by their ids."""
+        found: dict[str, list[Span]] = {}
+        for span in self.spans:
+            found.setdefault(span.road.id, []).append(span)
+        return found
+
+    @cached_property
+    def _rows(self) -> "_Rows":
+        table, own = self.network.table, np.flatnonzero(self._has_heights)
+        stations = [self.network.roads[i].plan.stations for i in own]
+        road, s = np.repeat(own, [len(at) for at in stations]), np.concatenate(stations)
+        left, right = table.edges(road, s)
+        points = np.stack([table.base_points(road, s, left + share * (right - left)) for share in SHARES], axis=1)
+        low_m = points[..., 2] - height_at(self.network.terrain, points[..., :2])
+        high_m, is_deck = low_m.copy(), np.zeros(len(s), dtype=bool)
+        for span in self.spans:
+            on = (
+                (road == self._numbers[span.road.id])
+                & (s > span.from_m - GUESS_STEP_M)
+                & (s < span.to_m + GUESS_STEP_M)
+            )
+            if span.is_tunnel:
+                high_m[on] += CEILING_M + COVER_M
+            else:
+                low_m[on] -= DECK_M + BELOW_DECK_M + VALLEY_M
+                is_deck |= on & (s > span.from_m + GUESS_STEP_M) & (s < span.to_m - GUESS_STEP_M)
+        apart_m = float((right - left).max()) / (len(SHARES) - 1)
+        return _Rows(road, points[..., :2], low_m, high_m, is_deck, apart_m)
+
+    @cached_property
+    def _slopes_reach_m(self) -> Float[np.ndarray, " r"]:
+        """How far beside each road its slopes may decide the ground: to the terrain, or to the slopes of the road that
+        is highest over it or deepest below, of those near it; nowhere beside roads without heights."""
+        rows, own, (low, high) = self._rows, self._has_heights, self.network.boxes
+        low_m, high_m = np.zeros((2, len(own)))
+        np.minimum.at(low_m, rows.road, rows.low_m.min(axis=1))
+        np.maximum.at(high_m, rows.road, rows.high_m.max(axis=1))
+        is_near = (low[:, None] - 2 * EMBANKMENT_M < high).all(axis=2)
+        is_near = is_near & is_near.T & own
+        lowest_m, highest_m = np.where(is_near, low_m, 0.0).min(axis=1), np.where(is_near, high_m, 0.0).max(axis=1)
+        apart_m = np.maximum(high_m - lowest_m, highest_m - low_m) + BETWEEN_M
+        return np.where(own, np.minimum(EMBANKMENT_M, BERM_M + EMBANKMENT_SLOPE * apart_m), -np.inf)
+
+    def limits(self, xy_world: Points2) -> tuple[Scalars, Scalars]:
+        """Heights that `above` is nowhere lower and nowhere higher than, by the deepest and the highest roads around
+        cells of a grid and what their slopes reach."""
+        if not (self._has_heights.any() and len(xy_world)):
+            return np.zeros(len(xy_world)), np.zeros(len(xy_world))
+        rows, at = self._rows, np.floor(xy_world / CELL_M).astype(int)
+        least = -self._highest(rows.xy_world, -rows.low_m, at)
+        ground = ~rows.is_deck
+        return least, self._highest(rows.xy_world[ground], rows.high_m[ground], at)
+
+    def _highest(
+        self, xy_world: Float[np.ndarray, "*k 2"], raised_m: Float[np.ndarray, "*k"], at: Int[np.ndarray, "n 2"]
+    ) -> Scalars:
+        """The greatest height of slopes down from places with others between them, or 0, in cells `at` of a grid."""
+        reach = int(np.ceil(EMBANKMENT_M / CELL_M)) + 1
+        corner, end = at.min(axis=0) - reach, at.max(axis=0) + reach + 1
+        cells = np.floor(xy_world / CELL_M).astype(int)
+        inside = ((cells >= corner) & (cells < end)).all(axis=-1)
+        highest = np.full(end - corner, -NOWHERE_M)
+        np.maximum.at(highest, tuple((cells[inside] - corner).T), raised_m[inside])
+        # From anywhere in a cell to a place between the rows of another.
+        near_m = BERM_M + CELL_M * np.sqrt(2) + np.hypot(GUESS_STEP_M, self._rows.apart_m) / 2
+        away_m = CELL_M * np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
+        falls_m = np.maximum(away_m - near_m, 0.0) / EMBANKMENT_SLOPE
+        highest = scipy.ndimage.grey_dilation(highest, structure=-falls_m, mode="constant", cval=-NOWHERE_M)
+        return np.asarray(np.maximum(highest[tuple((at - corner).T)] + ROUGH_M, 0.0))
+
+    def _over_tunnel(self, span: Span, s: Scalars, t: Scalars) -> tuple[Scalars, Scalars]:
+        """How far places are from a tunnel, and how high the ground over it is there."""
+        road, on = span.road, np.clip(s, span.from_m, span.to_m)
+        left, right = road.left(on), road.right(on)
+        across = np.clip(t, left - WALL_M, right + WALL_M)
+        base = road.base_points(on, np.clip(across, left, right))
+        top = base[:, 2] + CEILING_M + COVER_M
+        return np.hypot(s - on, t - across), top - height_at(self.network.terrain, base[:, :2])
+
+
+def _on_ground(spans: Sequence[Span], s: Scalars, on: Scalars) -> Scalars:
+    """The nearest stations at which a road with these decks and tunnels lies on the ground; infinite where it never
+    does. `on` are stations within its ends."""
+    on = on.copy()
+    for span in spans:
+        road = span.road
+        inside = span.holds(on) | (on == span.from_m) * (span.from_m == road.start_m)
+        inside |= (on == span.to_m) & (span.to_m == road.end_m)
+        low = span.from_m if span.from_m > road.start_m else -np.inf
+        high = span.to_m if span.to_m < road.end_m else np.inf
+        on[inside] = np.where(s[inside] - low < high - s[inside], low, high)
+    return on
+
+
+def _below_deck(span: Span, s: Scalars, t: Scalars) -> Scalars:
+    """The greatest height (world z) of the ground below and beside a deck."""
+    road = span.road
+    across = np.clip(t, road.left(s), road.right(s))
+    z = road.base_points(s, across)[:, 2] - DECK_M - BELOW_DECK_M
+    if span.is_given:
+        z -= np.clip(np.minimum(s - span.from_m, span.to_m - s) / EMBANKMENT_SLOPE, 0, VALLEY_M)
+    return np.asarray(z + np.abs(t - across) / EMBANKMENT_SLOPE)

@@ -1,0 +1,174 @@
+"""Roads as arrays: many places asked together are those asked one by one; places near roads are all that are near."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.road_table import RoadTable
+from synth3dlanes.scene.road_map import MapShape, MapSpan, Polynomial, RoadMap
+from synth3dlanes.world.graded import EDGE_M, EMBANKMENT_M, GradedGround
+from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.world import World, resolve
+from tests.map_scenes import FOUR_WAY, HILLS, arm, map_scene, sections_road
+
+RNG = np.random.default_rng(5)
+
+
+def _hilly(roads: RoadMap) -> RoadMap:
+    """The map at heights of its own that rise over the hills, banked, and with a bump."""
+    heights = (Polynomial(s_m=0.0, a=4.0, b=0.02), Polynomial(s_m=30.0, a=4.6, b=0.02, c=-1e-4))
+    shapes = tuple(MapShape(s_m=s, t_m=-6.0, a=a, b=0.001) for s, a in ((0.0, 0.0), (20.0, 0.3), (40.0, 0.0)))
+    changed = (
+        road.model_copy(
+            update={
+                "heights": heights,
+                "banks": (Polynomial(s_m=0.0, a=0.03, b=-1e-3),),
+                "shapes": shapes if i % 2 else (),
+            }
+        )
+        for i, road in enumerate(roads.roads)
+    )
+    return roads.model_copy(update={"roads": tuple(changed)})
+
+
+WORLDS = {"crossing": (FOUR_WAY, 95.0), "hilly": (_hilly(FOUR_WAY), 95.0), "sections": (sections_road(), 40.0)}
+
+
+@pytest.fixture(scope="module", params=sorted(WORLDS))
+def world(request: pytest.FixtureRequest) -> World:
+    roads, at_m = WORLDS[request.param]
+    return resolve(map_scene(roads, at_m, terrain=HILLS.model_dump()))
+
+
+@pytest.fixture
+def network(world: World) -> MapNetwork:
+    assert isinstance(world.network, MapNetwork)
+    return world.network
+
+
+def test_places_of_many_roads_are_those_of_each(network: MapNetwork) -> None:
+    table = RoadTable(network.roads, network.terrain)
+    road = RNG.integers(0, len(network.roads), 400)
+    share = RNG.uniform(-0.1, 1.1, 400)
+    share[:40] = RNG.integers(0, 2, 40)
+    s, t = share * table.end_m[road], RNG.uniform(-9, 9, 400)
+    starts = np.array([at.start_m for one in network.roads for at in one.sections])
+    s[40:80] = RNG.choice(starts, 40)
+    lefts, rights = table.edges(road, s)
+    points = table.base_points(road, s, t)
+    for i, one in enumerate(network.roads):
+        at = road == i
+        np.testing.assert_array_equal(lefts[at], one.left(s[at]))
+        np.testing.assert_array_equal(rights[at], one.right(s[at]))
+        np.testing.assert_allclose(points[at], one.base_points(s[at], t[at]), rtol=0, atol=1e-12)
+
+
+def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(network: MapNetwork) -> None:
+    table = network.table
+    road = RNG.integers(0, len(network.roads), 300)
+    s = RNG.uniform(0, 1, 300) * table.end_m[road]
+    t = RNG.uniform(-7, 7, 300)
+    xy = table.xy(road, s, t)
+    at_s, at_t, is_foot = table.project(road, xy, s + RNG.uniform(-2, 2, 300))
+    assert is_foot.all()
+    np.testing.assert_allclose(table.xy(road, at_s, at_t), xy, rtol=0, atol=1e-8)
+    near = np.abs(at_s - s) < 1
+    assert near.mean() > 0.95
+    np.testing.assert_allclose(at_t[near], t[near], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("reach_m", [0.0, 3.0, 25.0])
+def test_all_roads_near_a_point_are_found_and_the_points_are_there(network: MapNetwork, reach_m: float) -> None:
+    xy = RNG.uniform(-70, 70, (120, 2))
+    places = network.places(xy, reach_m)
+    np.testing.assert_allclose(network.table.xy(places.road, places.s, places.t), xy[places.point], rtol=0, atol=2e-3)
+    found = set(zip(places.point.tolist(), places.road.tolist(), strict=True))
+    for i, road in enumerate(network.roads):
+        s = np.linspace(road.start_m, road.end_m, 400)
+        share = np.linspace(0, 1, 8)[:, None]
+        pavement = road.xy(np.tile(s, 8), (road.left(s) + share * (road.right(s) - road.left(s))).ravel())
+        away_m = np.array([np.hypot(*(pavement - place).T).min() for place in xy])
+        missed = [k for k in np.flatnonzero(away_m < reach_m - 0.5).tolist() if (k, i) not in found]
+        # Past the middle of a bend there is no foot.
+        assert all(not _has_foot(road, xy[k : k + 1]) for k in missed), missed
+
+
+def _has_foot(road, xy: np.ndarray) -> bool:
+    s = np.linspace(road.start_m, road.end_m, 4000)
+    points, normals, _, _ = road.line.frames(s)
+    along = np.cross(normals, xy - points)
+    return bool((np.diff(np.sign(along)) != 0).any())
+
+
+def test_no_point_is_on_a_road_whose_pavement_is_far_from_it(network: MapNetwork) -> None:
+    """Inside a tight bend Newton's method may end on the road's other side."""
+    xy = RNG.uniform(-40, 40, (3000, 2))
+    places = network.places(xy, EMBANKMENT_M)
+    left, right = network.table.edges(places.road, places.s)
+    on = (places.t > left) & (places.t < right) & (places.s > 0) & (places.s < network.table.end_m[places.road])
+    there = network.table.xy(places.road, places.s, places.t)
+    assert on.any()
+    np.testing.assert_allclose(there[on], xy[places.point[on]], rtol=0, atol=2e-3)
+
+
+# -- the ground
+
+
+def _grounds() -> Iterator[tuple[str, MapGround]]:
+    spans = {"bridges": (MapSpan(from_m=30.0, to_m=60.0),), "tunnels": (MapSpan(from_m=80.0, to_m=110.0),)}
+    hilly = _hilly(FOUR_WAY)
+    changed = tuple(road.model_copy(update=spans) if road.id == "east" else road for road in hilly.roads)
+    for name, roads in (("hilly", hilly), ("spans", hilly.model_copy(update={"roads": changed}))):
+        ground = resolve(map_scene(roads, 95.0, terrain=HILLS.model_dump())).ground
+        assert isinstance(ground, MapGround)
+        yield name, ground
+
+
+GROUNDS = dict(_grounds())
+
+
+@pytest.mark.parametrize("name", sorted(GROUNDS))
+def test_heights_of_many_places_are_those_of_each(name: str) -> None:
+    ground = GROUNDS[name]
+    xy = RNG.uniform(-130, 130, (40, 2))
+    together = ground.height(xy), ground.graded(xy), ground.terrain_mesh_height(xy)
+    for k, place in enumerate(xy):
+        alone = ground.height(place[None]), ground.graded(place[None]), ground.terrain_mesh_height(place[None])
+        assert [at[0] for at in alone] == pytest.approx([at[k] for at in together], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(GROUNDS))
+def test_the_ground_is_nowhere_beyond_its_limits_and_points_are_in_it_below_its_height(name: str) -> None:
+    ground = GROUNDS[name]
+    xy = RNG.uniform(-130, 130, (3000, 2))
+    graded: GradedGround = ground.graded_ground
+    least_m, most_m = graded.limits(xy)
+    above = graded.above(xy, np.zeros(len(xy), dtype=bool))
+    assert (above <= most_m).all()
+    assert (above >= least_m).all()
+    assert (most_m[np.hypot(*xy.T) < 10] < 8).all(), "limits that say something"
+    z = ground.height(xy) + RNG.uniform(-3, 3, len(xy))
+    clear = ~ground.is_stacked(xy)
+    points = np.column_stack([xy, z])
+    np.testing.assert_array_equal(ground.is_in(points)[clear], (ground.height(xy) > z)[clear])
+
+
+def test_a_road_alone_on_a_dam_has_slopes_down_to_the_terrain() -> None:
+    road = arm("south", heights=(Polynomial(s_m=0.0, a=6.0),))
+    roads = RoadMap(roads=(road,), route=("south.0.1",))
+    ground = resolve(map_scene(roads, 60.0)).ground
+    on = ground.network.road("south")
+    s = np.full(4, 60.0)
+    beside = on.xy(s, on.right(s) + np.array([0.5, 5.5, 9.5, 30.0]))
+    assert ground.height(beside) == pytest.approx([6.0, 6.0 - 4.0 / 1.5, 6.0 - 8.0 / 1.5, 0.0], abs=1e-6)
+
+
+def test_edges_of_pavement_are_on_it() -> None:
+    ground = GROUNDS["hilly"]
+    road = ground.network.road("north")
+    s = np.linspace(5, 100, 30)
+    on, off = road.xy(s, road.right(s) - EDGE_M / 2), road.xy(s, road.right(s) + 20.0)
+    np.testing.assert_allclose(ground.graded(on), road.base_points(s, road.right(s))[:, 2], rtol=0, atol=1e-4)
+    assert (np.abs(ground.graded(off) - ground.graded(on)) > 1).any()
