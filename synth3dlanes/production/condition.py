@@ -10,11 +10,12 @@ from functools import lru_cache
 
 from synth3dlanes.dataset.columns import PLACE_COLUMNS, numbers_of, table
 from synth3dlanes.dataset.query import rows_where
-from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.draw.sample import Scenes, draw_world, world_in_shot
 from synth3dlanes.params.shots import ShotNumbers
 from synth3dlanes.scene.settings import SCENES_OF_ONE, TRIES
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world.world import World
 
 # The fewest scenes that the share of those that fit is estimated from.
 PROBED = 30
@@ -38,10 +39,10 @@ class Condition:
             if re.search(rf"\b{name}\b", self.query):
                 raise InputError(f"where {self.query}: expected columns of scenes and labels, got {name} of pictures")
 
-    def fits(self, scenes: Scenes, number: int) -> bool:
-        """Whether scene `number` fits, as its first frame by its first camera shows it. Raises InputError for a query
+    def fits(self, scenes: Scenes, drawn: World) -> bool:
+        """Whether a drawn scene fits, as its first frame by its first camera shows it. Raises InputError for a query
         that cannot be read."""
-        world = sample_world(scenes, scenes.shots.index(ShotNumbers(number, 0, 0)))
+        world = world_in_shot(drawn, scenes.shots, ShotNumbers(drawn.scene.index, 0, 0))
         row = {"key": "0", "index": 0, **numbers_of(world.scene, label(world, world.view))}
         found = table([row])
         known = [name for name in found.column_names if name not in (*OF_FILES, *OF_PICTURES)]
@@ -49,18 +50,20 @@ class Condition:
 
     def probe(self, scenes: Scenes) -> str:
         """How many of the scenes drawn for the first sample fit, in words. Raises InputError if none does."""
-        first = scene_number(scenes, self, 0)
-        n_fitting = 1 + sum(self.fits(scenes, number) for number in range(first + 1, PROBED))
+        first = fitting_world(scenes, self, 0).scene.index
+        others = range(first + 1, PROBED)
+        n_fitting = 1 + sum(self.fits(scenes, draw_world(scenes, number)) for number in others)
         return f"where {self.query} ({n_fitting} of the first {max(PROBED, first + 1)} scenes drawn fit)"
 
 
 # The pictures of one scene are made one after the other.
-@lru_cache(maxsize=4)
-def scene_number(scenes: Scenes, condition: Condition, n: int) -> int:
-    """The number of the scene that sample n shows, or clip n. Raises InputError if none of those drawn fits."""
+@lru_cache(maxsize=1)
+def fitting_world(scenes: Scenes, condition: Condition, n: int) -> World:
+    """The world of the scene that sample n shows, or clip n. Raises InputError if none of those drawn fits."""
     for number in range(n * SCENES_OF_ONE, n * SCENES_OF_ONE + condition.tries):
-        if condition.fits(scenes, number):
-            return number
+        world = draw_world(scenes, number)
+        if condition.fits(scenes, world):
+            return world
     raise InputError(
         f"where {condition.query}: expected a scene that fits, got none in {condition.tries:,} tries for sample "
         f"{n} (up to {SCENES_OF_ONE:,} can be asked for)"

@@ -12,14 +12,14 @@ import numpy as np
 from synth3dlanes import __version__
 from synth3dlanes.dataset.format import Picture, encode, member_names
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.draw.sample import Scenes, sample_world, world_in_shot
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.params.cameras import CameraSpec
 from synth3dlanes.params.distributions import form
 from synth3dlanes.params.groups import CameraParams
 from synth3dlanes.params.shots import SINGLE
-from synth3dlanes.production.condition import Condition, scene_number
+from synth3dlanes.production.condition import Condition, fitting_world
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, KINDS, Library
 from synth3dlanes.scene.scene import Scene
@@ -43,11 +43,10 @@ class Recipe:
 
     def world(self, index: int) -> World:
         """The world of sample `index`."""
-        if self.where is not None:
-            place = self.scenes.shots.place(index)
-            number = scene_number(self.scenes, self.where, place.scene)
-            index = self.scenes.shots.index(place._replace(scene=number))
-        return sample_world(self.scenes, index)
+        if self.where is None:
+            return sample_world(self.scenes, index)
+        place = self.scenes.shots.place(index)
+        return world_in_shot(fitting_world(self.scenes, self.where, place.scene), self.scenes.shots, place)
 
     def scene(self, index: int) -> Scene:
         """The scene of sample `index`."""

@@ -15,7 +15,7 @@ from synth3dlanes import __version__
 from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.scenes import Provenance
-from synth3dlanes.draw.sample import sample_scene, world_again
+from synth3dlanes.draw.sample import draw_world, sample_scene, world_again, world_in_shot
 from synth3dlanes.params.distributions import Distribution
 from synth3dlanes.production.condition import Condition, belongs_to
 from synth3dlanes.production.twins import changed_world
@@ -100,9 +100,10 @@ class Origin(Provenance):
         scenes, place = self.scenes(split), self.shots.place(index)
         if not belongs_to(number, place.scene):
             raise InputError(f"index: expected one of the scenes of sample {place.scene}, got {number}")
-        if not condition.fits(scenes, number):
+        world = draw_world(scenes, number)
+        if not condition.fits(scenes, world):
             raise InputError(f"expected a scene where {condition.query}, got another")
-        return sample_scene(scenes, self.shots.index(place._replace(scene=number)))
+        return world_in_shot(world, scenes.shots, place).scene
 
 
 def read_origin(description: Mapping[str, Any]) -> Origin:

@@ -13,7 +13,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
-from synth3dlanes.production.condition import Condition, scene_number
+from synth3dlanes.production.condition import Condition, fitting_world
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
@@ -65,7 +65,7 @@ def test_a_sample_shows_the_first_of_its_scenes_that_fits() -> None:
 def test_all_frames_of_a_clip_show_the_scene_that_its_first_one_fits() -> None:
     made = recipe(frames=3)
     scenes = [made.scene(index) for index in range(3, 6)]
-    assert {scene.index for scene in scenes} == {scene_number(made.scenes, made.where, 1)}  # type: ignore[arg-type]
+    assert {scene.index for scene in scenes} == {fitting_world(made.scenes, made.where, 1).scene.index}  # type: ignore[arg-type]
     assert [scene.shot.frame for scene in scenes] == [0, 1, 2]
     assert is_steep_merge(scenes[0])
 

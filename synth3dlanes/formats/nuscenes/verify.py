@@ -51,13 +51,13 @@ from synth3dlanes.world.world import scene_network
 RULE = Rule("m", 0.1, name="lane", slack=np.inf)
 LIMIT_PX, BOX_M, POINT_M, POSE_M = 0.02, 0.001, 0.001, 0.001
 SIDE_M, GAP_M, LEVEL = 0.05, 0.03, 1e-6
-# A label's line between two lanes is in a map if so much of it is this near to dividers.
+# A label's line between two lanes is in a map if the share ON_LINE of it is within ON_LINE_M of dividers.
 ON_LINE_M, ON_LINE, LEAST_POINTS = 0.06, 0.9, 10
-# A line that has a lane on one side only may be one between lanes farther on, along at most so much of it.
+# The largest share of a line with a lane on one side only along which it may be one between lanes, farther on.
 MOST = 0.5
-# Lanes of the other direction are at most so far beyond the line beside a median.
+# The most that lanes of the other direction are beyond the line beside a median.
 FACING_M = 25.0
-# An endless road of the paper is measured so far.
+# Length over which an endless road of the paper is measured.
 ARC_STEP_M, ENDLESS_M = 0.5, 300.0
 TURN = {"L": 1, "S": 0, "R": -1}
 MIRRORED = {"SOLID_DASHED": "DASHED_SOLID", "DASHED_SOLID": "SOLID_DASHED"}

@@ -36,8 +36,8 @@ from synth3dlanes.system.schema import Name
 
 # How far reference lines may be from the points of their bounds, and widths and heights from those of the bounds.
 ARCS_M, WIDTH_M, HEIGHT_M = 0.002, 0.002, 0.003
-# A reference line that ends square to its lanes is at most this far from its bound, turns by at most so much to get
-# there, and bends by at most so much per metre.
+# Of a reference line that ends square to its lanes: the most that it is from its bound, that it turns to get there, and
+# that it bends per metre.
 NEAR_M, MOST_TURNED_RAD, MOST_BENT = 0.1, 0.3, 0.03
 # Stations at which widths and heights are measured; a point of a line is this long at least.
 STEP_M, LEAST_M = 0.5, 0.1
