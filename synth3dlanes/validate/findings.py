@@ -1,9 +1,8 @@
 """Results of checks: findings and their words, and measured values as distributions of constant size."""
 
-import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,8 +15,6 @@ BAND_NAMES = ("0-10 m", "10-20 m", "20-40 m", "40-80 m", "80+ m")
 # count as 0.
 EDGES = 1e-4 * 1.1 ** np.arange(180)
 WORST = 5
-# Largest number of differences to list.
-NAMED_AT_MOST = 3
 
 
 class Finding(NamedTuple):
@@ -128,32 +125,3 @@ class RangeHistogram:
         upper = [0.0 if i == 0 else float(EDGES[min(i, len(EDGES) - 1)]) for i in at]
         mean = float(self.totals[bands].sum()) / n
         return {"n": n, "mean": mean, "median": upper[0], "p95": upper[1], "p99": upper[2]}
-
-
-def some(lines: Sequence[str]) -> str:
-    """The first lines joined into one, and the number of the others."""
-    more = f" and {len(lines) - NAMED_AT_MOST} more" if len(lines) > NAMED_AT_MOST else ""
-    # Text of a damaged file may contain characters that cannot be encoded.
-    return ("; ".join(lines[:NAMED_AT_MOST]) + more).encode("utf-8", "backslashreplace").decode()
-
-
-def differences(expected: Any, found: Any, path: str = "", may_lack: bool = False) -> Iterator[str]:
-    """A line for every value that differs from the expected one; with `may_lack`, objects may lack keys."""
-    if isinstance(expected, dict) and isinstance(found, dict):
-        for key in dict.fromkeys([*expected, *found]):
-            if key in found or not may_lack:
-                values = expected.get(key), found.get(key)
-                yield from differences(*values, f"{path}.{key}" if path else str(key), may_lack)
-    elif isinstance(expected, list) and isinstance(found, list) and len(expected) == len(found):
-        for i, values in enumerate(zip(expected, found, strict=True)):
-            yield from differences(*values, f"{path}.{i}", may_lack)
-    elif isinstance(expected, list) and isinstance(found, list):
-        yield f"{path}: expected {len(expected)} of them, got {len(found)}"
-    elif expected != found or isinstance(expected, bool) != isinstance(found, bool):
-        yield f"{path}: expected {shown(expected)}, got {shown(found)}"
-
-
-def shown(value: Any) -> str:
-    """A value as JSON, truncated if long."""
-    text = json.dumps(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."

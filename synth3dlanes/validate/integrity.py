@@ -21,7 +21,8 @@ from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, 
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.errors import FormatError
-from synth3dlanes.validate.findings import Finding, Problem, differences, some
+from synth3dlanes.validate.documents import differences, some
+from synth3dlanes.validate.findings import Finding, Problem
 
 NAMED_AT_MOST = 5
 CANNOT_BE_READ = "cannot be read"

@@ -12,8 +12,9 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.object_labels import ObjectLabel, rectangle_around
 from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.validate.documents import differences
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, differences
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result
 
 # How far outside a box points may be, and how many of them farther.
 ROOM_M, MAX_SINGLE = 0.02, 2

@@ -1,18 +1,22 @@
-"""Tolerances of samples made again on another kind of machine: how wrong each pixel of a layer is, 0 where it is right.
+"""What may differ in a sample made again on another kind of machine: errors of every pixel beyond that, and lines for
+scenes and labels.
 
 A picture is compared by means: over blocks of several sizes, and over each object and surface. Noise of rendering is
 the smaller, the more pixels a mean has. Other layers are compared pixel by pixel; single pixels, as in the seams
 between two objects, may differ.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+import json
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import uniform_filter
 
+from synth3dlanes.labels.labels import MASKS
 from synth3dlanes.system.arrays import IdImage
+from synth3dlanes.validate.documents import Tolerance, differences
 from synth3dlanes.validate.pixels import luma
 
 Raster = Shaped[np.ndarray, "h w *c"]
@@ -30,19 +34,21 @@ NORMAL = 0.02
 # Contrast of single pixels in relation to that of the picture made again: blurred below, noisy above.
 CONTRAST = (0.9, 1.1)
 DETAIL_PX, FAINT = 16, 0.25
-
-
-class LayerPair(NamedTuple):
-    """One array of a sample: its name, what `dataset.json` makes, what lies there, how wrong a guess is of the latter,
-    and the numbers of the objects and surfaces that its pixels show, made and lying there, with their names."""
-
-    name: str
-    made: Raster
-    lies: Raster
-    wrong: Callable[[Raster, Raster], ErrorMap]
-    shown: IdImage
-    also: IdImage
-    names: dict[int, str]
+# Points of labels are rounded to 0.1 mm; shares of cars are counted by rays, some of which graze; rectangles of what is
+# seen end at pixels of an object's edge.
+POINT_M, OF_RAYS = 1.5e-4, 0.03
+DOCUMENTS = Tolerance(
+    {
+        **dict.fromkeys(("xyz_cam", "center_cam", "size_m"), POINT_M),
+        **dict.fromkeys(("car_visible_fraction", "visible_fraction"), OF_RAYS),
+        **dict.fromkeys(("box_px", "unclipped_box_px"), 0.15),
+        **{"velocity_cam": 1.5e-3, "truncation": 3e-3, "seen_box_px": 2.0, "lidar_points": 3.0},
+    },
+    least=1e-5,
+    share=1e-6,
+)
+# Points that graze an object may be seen by one machine and not by another: one, or this share of the masks' ends.
+GRAZING = 0.05
 
 
 def clumps(off: Bool[np.ndarray, "h w"]) -> ErrorMap:
@@ -52,56 +58,76 @@ def clumps(off: Bool[np.ndarray, "h w"]) -> ErrorMap:
     return (off if off.mean() > SHARE else together).astype(np.float32) * is_wrong
 
 
-def wrong_ids(guess: Raster, lies: Raster) -> ErrorMap:
+def wrong_ids(made: Raster, found: Raster) -> ErrorMap:
     """Of semantic and instance ids."""
-    return clumps(guess != lies)
+    return clumps(made != found)
 
 
-def wrong_values(guess: Raster, lies: Raster) -> ErrorMap:
+def wrong_values(made: Raster, found: Raster) -> ErrorMap:
     """Of metres, which may be infinite."""
     with np.errstate(invalid="ignore"):
-        off = np.abs(guess - lies) > VALUE_M + VALUE_SHARE * np.abs(lies)
-    return clumps(np.where(np.isfinite(guess) & np.isfinite(lies), off, guess != lies))
+        off = np.abs(made - found) > VALUE_M + VALUE_SHARE * np.abs(found)
+    return clumps(np.where(np.isfinite(made) & np.isfinite(found), off, made != found))
 
 
-def wrong_normals(guess: Raster, lies: Raster) -> ErrorMap:
+def wrong_normals(made: Raster, found: Raster) -> ErrorMap:
     """Of unit vectors."""
-    return clumps(np.abs(guess - lies).max(axis=-1) > NORMAL)
+    return clumps(np.abs(made - found).max(axis=-1) > NORMAL)
 
 
-def wrong_colours(shown: IdImage) -> Callable[[Raster, Raster], ErrorMap]:
+def wrong_colours(made: Raster, found: Raster, shown: IdImage) -> ErrorMap:
     """Of a picture, in levels of 255 beyond what noise explains; `shown` numbers its objects and surfaces from 0."""
+    error = made.astype(np.float32) - found
+    excess = np.zeros(shown.shape, np.float32)
+    for size in BLOCKS:
+        rows, columns = (n // size for n in shown.shape)
+        whole = excess[: rows * size, : columns * size]
+        blocks = error[: rows * size, : columns * size].reshape(rows, size, columns, size, 3)
+        means = np.abs(blocks.mean(axis=(1, 3))).max(axis=-1) - _noise(size * size)
+        # Where smaller blocks show it, they show better where.
+        is_told = whole.reshape(rows, size, columns, size).max(axis=(1, 3)) > 0
+        whole += np.kron(np.where(is_told, 0, np.maximum(means, 0)), np.ones((size, size), np.float32))
     areas = np.bincount(shown.ravel())
-
-    def wrong(guess: Raster, lies: Raster) -> ErrorMap:
-        error = guess.astype(np.float32) - lies
-        excess = np.zeros(shown.shape, np.float32)
-        for size in BLOCKS:
-            rows, columns = (n // size for n in shown.shape)
-            whole = excess[: rows * size, : columns * size]
-            blocks = error[: rows * size, : columns * size].reshape(rows, size, columns, size, 3)
-            means = np.abs(blocks.mean(axis=(1, 3))).max(axis=-1) - _noise(size * size)
-            # Where smaller blocks show it, they show better where.
-            is_told = whole.reshape(rows, size, columns, size).max(axis=(1, 3)) > 0
-            whole += np.kron(np.where(is_told, 0, np.maximum(means, 0)), np.ones((size, size), np.float32))
-        sums = np.stack([np.bincount(shown.ravel(), error[..., i].ravel()) for i in range(3)], axis=-1)
-        means = np.abs(sums).max(axis=-1) / np.maximum(areas, 1) - _noise(np.maximum(areas, 1))
-        is_told = np.bincount(shown.ravel(), excess.ravel()) > 0
-        means = np.where(is_told | (areas < LEAST_PIXELS) | (areas > BLOCKS[-1] ** 2), 0, np.maximum(means, 0))
-        return np.asarray(excess + means[shown], np.float32)
-
-    return wrong
+    sums = np.stack([np.bincount(shown.ravel(), error[..., i].ravel()) for i in range(3)], axis=-1)
+    means = np.abs(sums).max(axis=-1) / np.maximum(areas, 1) - _noise(np.maximum(areas, 1))
+    is_told = np.bincount(shown.ravel(), excess.ravel()) > 0
+    means = np.where(is_told | (areas < LEAST_PIXELS) | (areas > BLOCKS[-1] ** 2), 0, np.maximum(means, 0))
+    return np.asarray(excess + means[shown], np.float32)
 
 
 def _noise(n: int | Int[np.ndarray, " n"]) -> Float[np.ndarray, "*n"]:
     return np.asarray(NOISE[0] + NOISE[1] / np.sqrt(n))
 
 
-def contrast(made: Raster, lies: Raster) -> float:
+def contrast(made: Raster, found: Raster) -> float:
     """Of single pixels beside their neighbours: how many times that of the picture made again, in the median of
     blocks."""
     squares = []
-    for picture in (made, lies):
+    for picture in (made, found):
         gray = luma(picture)
         squares.append(uniform_filter((gray - uniform_filter(gray, 3)) ** 2, DETAIL_PX)[::DETAIL_PX, ::DETAIL_PX])
     return float(np.sqrt(np.median((squares[1] + FAINT) / (squares[0] + FAINT))))
+
+
+def unlike(made: bytes, found: bytes) -> Iterator[str]:
+    """A line for each value of a scene or of labels that differs; masks are compared together."""
+    expected, other = json.loads(made), json.loads(found)
+    masks = [list(_masks(document)) for document in (expected, other)]
+    if [(path, len(mask)) for path, mask in masks[0]] != [(path, len(mask)) for path, mask in masks[1]]:
+        yield "masks: expected one of each lane and symbol for all of its points, got others"
+    else:
+        flips = {path: int((mask != of_found).sum()) for (path, mask), (_, of_found) in zip(*masks, strict=True)}
+        ends = sum(int((np.diff(mask) != 0).sum()) for _, mask in masks[0])
+        if sum(flips.values()) > 1 + GRAZING * ends:
+            yield from (f"{path}: expected other values at {n} points" for path, n in flips.items() if n)
+    yield from differences(expected, other, tolerance=DOCUMENTS)
+
+
+def _masks(document: dict[str, Any]) -> Iterator[tuple[str, Int[np.ndarray, " n"]]]:
+    """The masks of a document by their paths, taken out of it."""
+    for key in ("lanes", "symbols"):
+        for i, item in enumerate(document.get(key, ())):
+            for name in MASKS:
+                mask = item.pop(name, None)
+                if mask is not None:
+                    yield f"{key}.{item.get('id', i)}.{name}", np.array(mask, int)

@@ -10,8 +10,9 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.object_labels import ObjectLabel, object_document
+from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Result, some
+from synth3dlanes.validate.findings import PROOF_M, Finding, Result
 from synth3dlanes.validate.labelled_boxes import (
     MIN_SEEN,
     PLACES,

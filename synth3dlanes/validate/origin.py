@@ -22,7 +22,8 @@ from synth3dlanes.production.twins import changed_world
 from synth3dlanes.scene.scene import Scene, Weather
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.schema import Excerpt, validation_problems
-from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
+from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
+from synth3dlanes.validate.findings import Problem
 
 # If no sample matches dataset.json and there are more than this many, they are reported as one problem.
 MANY = 20

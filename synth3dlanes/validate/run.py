@@ -33,8 +33,9 @@ from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.processes import n_workers, process_pool
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
+from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
+from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of
 from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_row, check_shard, read_sample
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin

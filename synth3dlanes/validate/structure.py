@@ -18,8 +18,9 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.bodies import cores, outlines
 from synth3dlanes.validate.boxes import meet
+from synth3dlanes.validate.documents import shown
 from synth3dlanes.validate.evidence import BORDER_PX, Evidence, inside_px
-from synth3dlanes.validate.findings import Finding, shown
+from synth3dlanes.validate.findings import Finding
 from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.

@@ -14,8 +14,9 @@ from synth3dlanes.labels.element_labels import ElementLabel, element_document
 from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2
+from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Bounded, Finding, Result, some
+from synth3dlanes.validate.findings import Bounded, Finding, Result
 from synth3dlanes.validate.labelled_boxes import MIN_SEEN, SideLimit, against_box, by_pixels, check_seen_box, otherwise
 
 # Share of the pixels that may be outside a box; how far before a side they may end, and which part of the distance

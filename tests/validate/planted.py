@@ -50,8 +50,8 @@ SETTINGS = RenderSettings(samples=2, passes=ALL_PASSES, device="cpu")
 STREETS = ["weather.kind=any", "weather.daytime=any", "road.n_oncoming=2", "road.median_m=4", "symbols.arrow_rows=2"]
 STREETS += ["roadside.median=guardrail", "host.bonnet=0.12"]
 # Faults that files do not tell, or not always: of pictures, and of what was rendered from another scene.
-AGAIN = {f"image: {name}": fault for name, fault in redone.PICTURES.items()}
-OTHERS = [Changing(f"world: {name}", world.changes, world.words) for name, world in redone.WORLDS.items()]
+AGAIN = {f"image: {name}": change for name, change in redone.PICTURES.items()}
+OTHERS = [Changing(f"world: {name}", changes, ": ") for name, changes in redone.WORLDS.items()]
 NUMBERED = (*WORLDS, *OTHERS)
 SAMPLE = re.compile(r"\w+:\d{8}")
 
@@ -133,7 +133,7 @@ def render_streets(folder: Path, seed: int, n: int, workers: int) -> tuple[Path,
 
 def render_unseen(folder: Path, seed: int, n: int, workers: int) -> list[Fault]:
     """Faults of these samples that files do not tell, or not always."""
-    pictures = [Fault(name, in_samples(fault.change), fault.words) for name, fault in AGAIN.items()]
+    pictures = [Fault(name, in_samples(change), "image: ") for name, change in AGAIN.items()]
     counts = dict.fromkeys(range(len(WORLDS), len(NUMBERED)), n)
     recipe = streets(seed)
     recipe = replace(recipe, scenes=replace(recipe.scenes, shots=SINGLE), settings=SETTINGS)
@@ -178,8 +178,8 @@ def table(clean: Path, faults: Iterable[Fault], folder: Path) -> Iterator[Result
 def _again(fault: Fault, before: dict[int, Members], root: Path) -> Result:
     """What files tell of a fault by any problem, and what the samples made again tell by its words."""
     problems = [problem for problem in check(root).problems if SAMPLE.fullmatch(problem.where)]
-    spoilt = [(before[i], lies) for i, lies in read_members(root).items() if lies != before[i]]
-    told = [reasons for made, lies in spoilt if (reasons := list(compare(redone.picture_of(made), made, lies)))]
+    spoilt = [(before[i], found) for i, found in read_members(root).items() if found != before[i]]
+    told = [reasons for made, found in spoilt if (reasons := list(compare(redone.picture_of(made), made, found)))]
     every = [f"made again: {reason}" for reasons in told for reason in reasons]
     named = next((reason for reason in every if re.search(fault.words, reason)), every[0] if every else "missed")
     return Result(fault.name, len(spoilt), len({problem.where for problem in problems}), False, named, len(told))

@@ -1,4 +1,4 @@
-"""Faults that making a sample again finds: what is done to its members, and words of the likely cause."""
+"""Faults that making a sample again finds: what is done to its members, and a pattern that a line must match."""
 
 import io
 import json
@@ -135,26 +135,27 @@ def enlarged(image: np.ndarray, _: Any) -> np.ndarray:
     return np.array(Image.fromarray(image.astype(np.uint8)).resize((width, height), Image.Resampling.BICUBIC, box=box))
 
 
+# Faults of the picture: all are told of the layer `image`.
 PICTURES = {
-    "red and green swapped": Done(of_image(lambda i, _: i[..., [1, 0, 2]]), "red and green exchanged"),
-    "blue and red swapped": Done(of_image(lambda i, _: i[..., ::-1]), "red and blue exchanged"),
-    "hue turned": Done(of_image(hue_turned), "hue turned by 3"),
-    "gray": Done(of_image(gray), "gray"),
-    "a black block of 3 %": Done(of_image(block), "black there"),
-    "gamma 1.1": Done(of_image(lambda i, _: 255 * (i / 255) ** 1.1), "gamma 1.(09|1)"),
-    "20 % darker": Done(of_image(lambda i, _: 0.8 * i), "20% darker"),
-    "half the contrast": Done(of_image(lambda i, _: i.mean() + 0.5 * (i - i.mean())), "contrast x 0.(4[5-9]|5)"),
-    "noise": Done(of_image(noisy), "noise"),
-    "lower half 2 px aside": Done(of_image(lower_half_aside), "moved 2 px to the right in the lower half"),
-    "mirrored": Done(of_image(lambda i, _: i[:, ::-1]), "left and right exchanged"),
-    "upside down": Done(of_image(lambda i, _: i[::-1]), "rows upside down"),
-    "enlarged by 0.5 %": Done(of_image(enlarged), "enlarged by 0.5 %"),
-    "JPEG of quality 25": Done(of_image(lambda i, _: i, quality=25), "times as coarse steps"),
-    "cars' red and blue swapped": Done(of_image(at("car", lambda c: c[:, ::-1])), "red and blue exchanged at .*car"),
-    "yellow lines white, white ones yellow": Done(of_image(at("marking", white_and_yellow)), " at .*line"),
-    "paint of one line erased": Done(of_image(partial(erased, lambda ids: ids[:1])), "erased.* at line [^,]*$"),
-    "every second line erased": Done(of_image(partial(erased, lambda ids: ids[::2])), "erased.* at .*line"),
-    "all paint erased": Done(of_image(partial(erased, lambda ids: ids)), "erased.* at .*line"),
+    "red and green swapped": of_image(lambda i, _: i[..., [1, 0, 2]]),
+    "blue and red swapped": of_image(lambda i, _: i[..., ::-1]),
+    "hue turned": of_image(hue_turned),
+    "gray": of_image(gray),
+    "a black block of 3 %": of_image(block),
+    "gamma 1.1": of_image(lambda i, _: 255 * (i / 255) ** 1.1),
+    "20 % darker": of_image(lambda i, _: 0.8 * i),
+    "half the contrast": of_image(lambda i, _: i.mean() + 0.5 * (i - i.mean())),
+    "noise": of_image(noisy),
+    "lower half 2 px aside": of_image(lower_half_aside),
+    "mirrored": of_image(lambda i, _: i[:, ::-1]),
+    "upside down": of_image(lambda i, _: i[::-1]),
+    "enlarged by 0.5 %": of_image(enlarged),
+    "JPEG of quality 25": of_image(lambda i, _: i, quality=25),
+    "cars' red and blue swapped": of_image(at("car", lambda c: c[:, ::-1])),
+    "yellow lines white, white ones yellow": of_image(at("marking", white_and_yellow)),
+    "paint of one line erased": of_image(partial(erased, lambda ids: ids[:1])),
+    "every second line erased": of_image(partial(erased, lambda ids: ids[::2])),
+    "all paint erased": of_image(partial(erased, lambda ids: ids)),
 }
 
 # -- passes
@@ -179,21 +180,19 @@ def rounded(step_m: float, depth_m: np.ndarray) -> np.ndarray:
 
 
 LAYERS = {
-    "poles and signs swapped": Done(of_pass("semantic", partial(exchanged, "pole", "sign")), "semantic: .*(pole|sign)"),
-    "barriers and kerbs swapped": Done(
-        of_pass("semantic", partial(exchanged, "barrier", "kerb")), "semantic: .*barrier"
-    ),
-    "cars and trees swapped": Done(of_pass("semantic", partial(exchanged, "car", "tree")), "car and tree exchanged"),
+    "poles and signs swapped": Done(of_pass("semantic", partial(exchanged, "pole", "sign")), "semantic: "),
+    "barriers and kerbs swapped": Done(of_pass("semantic", partial(exchanged, "barrier", "kerb")), "semantic: "),
+    "cars and trees swapped": Done(of_pass("semantic", partial(exchanged, "car", "tree")), "semantic: "),
     "ids of trees one higher": Done(
-        of_pass("instance", lambda i: (i + (numbers_of("tree", i) >= 0)).astype(i.dtype)), "instance: .*ids \\+1"
+        of_pass("instance", lambda i: (i + (numbers_of("tree", i) >= 0)).astype(i.dtype)), "instance: "
     ),
-    "depth rounded to 5 cm": Done(of_pass("depth", partial(rounded, 0.05)), "depth: .*rounded to 5 cm"),
-    "depth 1 cm too long": Done(of_pass("depth", lambda d: d + np.float32(0.01)), "depth: .*1 cm more throughout"),
-    "depth x 1.005": Done(of_pass("depth", lambda d: d * np.float32(1.005)), "depth: .*x 1.005"),
-    "depth mirrored": Done(of_pass("depth", lambda d: d[:, ::-1]), "depth: .*left and right exchanged"),
-    "normals in another frame": Done(of_pass("normal", lambda n: n[..., [0, 2, 1]]), "normal: .*in another frame"),
-    "height map 3 cm up": Done(of_pass("height", lambda h: h + np.float32(0.03)), "height: .*3 cm more throughout"),
-    "height map a row off": Done(of_pass("height", lambda h: np.roll(h, 1, axis=0)), "height: .*1 px down"),
+    "depth rounded to 5 cm": Done(of_pass("depth", partial(rounded, 0.05)), "depth: "),
+    "depth 1 cm too long": Done(of_pass("depth", lambda d: d + np.float32(0.01)), r"depth: .*0\.01 m in the median"),
+    "depth x 1.005": Done(of_pass("depth", lambda d: d * np.float32(1.005)), "depth: "),
+    "depth mirrored": Done(of_pass("depth", lambda d: d[:, ::-1]), "depth: "),
+    "normals in another frame": Done(of_pass("normal", lambda n: n[..., [0, 2, 1]]), "normal: "),
+    "height map 3 cm up": Done(of_pass("height", lambda h: h + np.float32(0.03)), r"height: .*0\.03 m in the median"),
+    "height map a row off": Done(of_pass("height", lambda h: np.roll(h, 1, axis=0)), "height: "),
 }
 
 
@@ -226,12 +225,11 @@ def other_cars_behind(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 SWEEPS = {
-    "rear half turned by three columns": Done(
-        of_sweep(rear_turned), "lidar range: .*3 px to the right in the rear half"
-    ),
+    "rear half turned by three columns": Done(of_sweep(rear_turned), "lidar range: "),
     "ids of cars behind": Done(of_sweep(other_cars_behind), "lidar instance: "),
     "ranges 2 cm too long": Done(
-        of_sweep(lambda c: {**c, "range_m": c["range_m"] + np.float32(0.02) * (c["range_m"] < 190)}), "2 cm more"
+        of_sweep(lambda c: {**c, "range_m": c["range_m"] + np.float32(0.02) * (c["range_m"] < 190)}),
+        r"lidar range: .*0\.02 m in the median",
     ),
 }
 
@@ -269,13 +267,13 @@ def moved_symbols(document: dict[str, Any]) -> None:
 DOCUMENTS = {
     "direction removed": Done(
         of_labels(lambda d: [lane.pop("direction", None) for lane in d["lanes"]]),
-        'direction: expected "(same|oncoming)", got none',
+        'lanes.0.direction: expected "(same|oncoming)", got null',
     ),
-    "object_visible shifted by a point": Done(of_labels(shifted), "each value a point later|object_visible"),
-    "car_visible_fraction + 0.08": Done(of_labels(of_cars), "car_visible_fraction.*expected"),
-    "a line 5 cm aside": Done(of_labels(aside), "xyz_cam.*all by as much"),
-    "symbols 10 cm on": Done(of_labels(moved_symbols), "symbols.*xyz_cam.*all by as much"),
-    "symbols removed": Done(of_labels(lambda d: d.update(symbols=[])), "symbols"),
+    "object_visible shifted by a point": Done(of_labels(shifted), "object_visible: expected other values"),
+    "car_visible_fraction + 0.08": Done(of_labels(of_cars), "car_visible_fraction.0: expected"),
+    "a line 5 cm aside": Done(of_labels(aside), "lanes.0.xyz_cam.0.0: expected"),
+    "symbols 10 cm on": Done(of_labels(moved_symbols), "symbols.0.xyz_cam.0.1: expected"),
+    "symbols removed": Done(of_labels(lambda d: d.update(symbols=[])), "masks: expected|symbols: expected"),
     "yellow as white": Done(
         of_labels(lambda d: [lane.update(color="white") for lane in d["lanes"] if lane.get("color") == "yellow"]),
         'color: expected "yellow", got "white"',
@@ -283,13 +281,6 @@ DOCUMENTS = {
 }
 
 # -- other scenes
-
-
-class World(NamedTuple):
-    """Changes of a scene whose picture and passes then lie beside the labels of the first, and a pattern as above."""
-
-    changes: Callable[[Scene], list[str]]
-    words: str
 
 
 def each(path: str, parts: Sequence[Any], change: Callable[[Any], dict[str, Any]]) -> list[str]:
@@ -306,43 +297,28 @@ def other_face(post: Any) -> dict[str, int]:
     return {"face": (post.face + 3) % 8 + 1} if post.kind == "sign" else {}
 
 
-SCENE = "rendered from another scene"
-WORLDS = {
-    "the left line's colour": World(
-        lambda s: [f"markings.left_yellow={'false' if s.markings.left_yellow else 'true'}"], "image: .* line main_line_"
+# Changes of a scene whose picture and passes then lie beside the labels of the first.
+WORLDS: dict[str, Callable[[Scene], list[str]]] = {
+    "the left line's colour": lambda s: [
+        f"markings.left_yellow={'false' if s.markings.left_yellow else 'true'}",
+    ],
+    "cars 0.3 m on": lambda s: each("cars", s.cars, lambda car: {"s_m": car.s_m + 0.3}),
+    "other colours of cars": lambda s: each(
+        "cars", s.cars, lambda car: {"color": [0.6, 0.05, 0.05] if car.color[0] < 0.4 else [0.05, 0.1, 0.5]}
     ),
-    "cars 0.3 m on": World(
-        lambda s: each("cars", s.cars, lambda car: {"s_m": car.s_m + 0.3}), f"(depth|instance): .*car.*{SCENE}"
+    "rails 15 % higher": lambda s: each(
+        "roadside.rails", s.roadside.rails, lambda rail: {"height_m": 1.15 * rail.height_m}
     ),
-    "other colours of cars": World(
-        lambda s: each(
-            "cars", s.cars, lambda car: {"color": [0.6, 0.05, 0.05] if car.color[0] < 0.4 else [0.05, 0.1, 0.5]}
-        ),
-        "image: .* car",
+    "buildings 10 % higher": lambda s: each(
+        "roadside.buildings", s.roadside.buildings, lambda house: {"height_m": 1.1 * house.height_m}
     ),
-    "rails 15 % higher": World(
-        lambda s: each("roadside.rails", s.roadside.rails, lambda rail: {"height_m": 1.15 * rail.height_m}),
-        f"barrier.*{SCENE}",
-    ),
-    "buildings 10 % higher": World(
-        lambda s: each("roadside.buildings", s.roadside.buildings, lambda house: {"height_m": 1.1 * house.height_m}),
-        f"image: .*{SCENE}",
-    ),
-    "trees 10 % larger": World(
-        lambda s: each("trees", s.trees, lambda tree: {"scale": 1.1 * tree.scale}), f"tree.*{SCENE}"
-    ),
-    "trees turned": World(
-        lambda s: each("trees", s.trees, lambda tree: {"yaw_rad": (tree.yaw_rad + 1) % 6.28}), f"tree.*{SCENE}"
-    ),
-    "the sun 90 degrees off": World(
-        lambda s: [f"light.sun_azimuth_rad={(s.light.sun_azimuth_rad + 1.5708) % 6.2831}"], "image: .*light"
-    ),
-    "exposure x 1.3": World(lambda s: [f"light.exposure={1.3 * s.light.exposure}"], "light x 1.3"),
-    "other faces of signs": World(lambda s: each("roadside.posts", s.roadside.posts, other_face), "sign"),
-    "dashes 20 % shorter": World(
-        lambda s: [f"markings.dash_fraction={0.8 * s.markings.dash_fraction}"], "(image|semantic|instance): "
-    ),
-    "arrows elsewhere": World(lambda s: each("symbols", s.symbols, other_arrow), "(image|semantic|instance): .*symbol"),
+    "trees 10 % larger": lambda s: each("trees", s.trees, lambda tree: {"scale": 1.1 * tree.scale}),
+    "trees turned": lambda s: each("trees", s.trees, lambda tree: {"yaw_rad": (tree.yaw_rad + 1) % 6.28}),
+    "the sun 90 degrees off": lambda s: [f"light.sun_azimuth_rad={(s.light.sun_azimuth_rad + 1.5708) % 6.2831}"],
+    "exposure x 1.3": lambda s: [f"light.exposure={1.3 * s.light.exposure}"],
+    "other faces of signs": lambda s: each("roadside.posts", s.roadside.posts, other_face),
+    "dashes 20 % shorter": lambda s: [f"markings.dash_fraction={0.8 * s.markings.dash_fraction}"],
+    "arrows elsewhere": lambda s: each("symbols", s.symbols, other_arrow),
 }
 
 
@@ -369,4 +345,4 @@ def other_rounding(members: Members) -> None:
     members[LABELS] = json.dumps(document, separators=(",", ":")).encode()
 
 
-ALL = PICTURES | LAYERS | SWEEPS | DOCUMENTS
+ALL = {name: Done(change, "image: ") for name, change in PICTURES.items()} | LAYERS | SWEEPS | DOCUMENTS
