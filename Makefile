@@ -4,7 +4,7 @@ BIN := .venv/bin
 # a small machine, as tests wait for programs at times.
 PYTEST := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 15
 DEMO ?= demo
-EXTRAS ?= dev,train,cluster,video,docs
+EXTRAS ?= dev,train,cluster,video,rerun,docs
 export MPLBACKEND := Agg
 # The tests start hundreds of programs: each would compile all modules anew.
 unexport PYTHONDONTWRITEBYTECODE

@@ -26,9 +26,22 @@ from .options import CountRange, OutputFile, json_option, output_console
     type=OutputFile(".html"),
     help="Write an HTML page with masks and an interactive 3D view instead of a figure.",
 )
+@click.option(
+    "--rerun",
+    type=OutputFile(".rrd"),
+    help="Write a recording of the sample's whole clip and rig for the viewer of rerun.io instead of a figure.",
+)
 @click.option("--passes", is_flag=True, help="Also show the passes: depth, normals, ids, heights.")
 @json_option
-def inspect(where: str, image: Path | None, out: Path | None, html: Path | None, passes: bool, as_json: bool) -> None:
+def inspect(
+    where: str,
+    image: Path | None,
+    out: Path | None,
+    html: Path | None,
+    rerun: Path | None,
+    passes: bool,
+    as_json: bool,
+) -> None:
     """Print a summary of one scene and draw its image, top view, side view and 3D view.
 
     The scene is a scene.json, rendered or not, or a sample of a data set such as DIR/train:00000017.
@@ -39,12 +52,18 @@ def inspect(where: str, image: Path | None, out: Path | None, html: Path | None,
     from synth3dlanes.figures.page import scene_page
     from synth3dlanes.figures.samples import load_shown
 
+    refuse_idle(not rerun or html is not None or out is not None, ["passes"], "with --rerun alone, which has none")
     shown = load_shown(where, image, with_passes=passes, with_clip=html is not None)
     written = {}
     if html:
         write(html, scene_page(shown).encode())
         written["page"] = str(html)
-    if out or not html:
+    if rerun:
+        from synth3dlanes.figures.recording import sample_recording
+
+        write(rerun, sample_recording(where))
+        written["recording"] = str(rerun)
+    if out or not (html or rerun):
         path = out or Path(f"{shown.name}.inspect.png")
         figure = draw_inspect(shown)
         write(path, encoded(lambda stream: figure.savefig(stream, format=path.suffix[1:], dpi=100)))

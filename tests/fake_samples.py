@@ -36,8 +36,9 @@ def recipe(
     image_format: str = "png",
     overrides: tuple[str, ...] = (),
     shots: Shots = SINGLE,
+    settings: RenderSettings = RenderSettings(),
 ) -> Recipe:
-    return Recipe(Scenes(load_params("tiny", overrides), seed, split, shots=shots), RenderSettings(), image_format)
+    return Recipe(Scenes(load_params("tiny", overrides), seed, split, shots=shots), settings, image_format)
 
 
 def labels(index: int, time_s: float | None = None) -> Labels:
