@@ -28,6 +28,7 @@ from synth3dlanes.truth.ground_truth import label
 from tests.scenes import FLAT
 
 BAD = 3
+SETTINGS = RenderSettings()
 
 
 def recipe(
@@ -36,7 +37,7 @@ def recipe(
     image_format: str = "png",
     overrides: tuple[str, ...] = (),
     shots: Shots = SINGLE,
-    settings: RenderSettings = RenderSettings(),
+    settings: RenderSettings = SETTINGS,
 ) -> Recipe:
     return Recipe(Scenes(load_params("tiny", overrides), seed, split, shots=shots), settings, image_format)
 
