@@ -10,12 +10,22 @@ import numpy as np
 from car_body import LIVERY
 from cars import build_all
 from jaxtyping import Float, Int
+from things import MATERIALS, build_things
 from trees import Tree, fit, grow_all
 
 from synth3dlanes.blender.shaders import car_paint, coated, new_material
+from synth3dlanes.scene.assets.catalogue import ThingKind
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 
 CAR_ID, TREE_ID = SEMANTIC_IDS["car"], SEMANTIC_IDS["tree"]
+THING_IDS: dict[ThingKind, int] = {
+    "pedestrian": 16,
+    "cyclist": 17,
+    "motorcyclist": 18,
+    "cone": 19,
+    "barrel": 20,
+    "barricade": 21,
+}
 FOLIAGE = {  # linear reflectance at either end of the random range
     "broadleaf": ((0.075, 0.115, 0.028), (0.135, 0.150, 0.042)),
     "conifer": ((0.040, 0.072, 0.036), (0.068, 0.095, 0.045)),
@@ -115,6 +125,28 @@ def leaf(name: str) -> bpy.types.Material:
     return material
 
 
+def cloth(name: str, paint: int, semantic_id: int) -> bpy.types.Material:
+    """Matt cloth, skin or hair, whose colour (a display value) is a property of the object."""
+    material, graph = new_material(name, semantic_id)
+    own = graph.node("ShaderNodeAttribute", {}, attribute_type="OBJECT", attribute_name=f"paint{paint}")
+    color = graph.node("ShaderNodeGamma", {"Color": own.outputs["Color"], "Gamma": 2.0})
+    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0]}))
+    return material
+
+
+def thing_slots(kind: ThingKind) -> list[bpy.types.Material]:
+    """The slots of people, riders and road works of a kind, in the order of `things`."""
+    slots = []
+    for name, look in MATERIALS:
+        if isinstance(look, int):
+            slots.append(cloth(f"{kind}_{name}", look, THING_IDS[kind]))
+        else:
+            material, graph = new_material(f"{kind}_{name}", THING_IDS[kind])
+            coated(graph, *look)
+            slots.append(material)
+    return slots
+
+
 def to_mesh(
     name: str,
     vertices: Float[np.ndarray, "v 3"],
@@ -166,10 +198,25 @@ def tree_mesh(name: str, tree: Tree, vertices: Float[np.ndarray, "v 3"]) -> bpy.
     return mesh
 
 
+def things() -> set[bpy.types.ID]:
+    """People, riders and road works in all of their poses, smooth but for edges sharper than 60 degrees."""
+    meshes = set()
+    for kind, shapes in build_things().items():
+        slots = thing_slots(kind)
+        for name, shape in shapes:
+            vertices, faces, materials = shape.arrays()
+            used, own = np.unique(materials, return_inverse=True)
+            # Fewer digits make a smaller file.
+            mesh = to_mesh(name, np.round(vertices * 2048) / 2048, faces, own, [slots[number] for number in used])
+            mesh.set_sharp_from_angle(angle=np.deg2rad(60))
+            meshes.add(mesh)
+    return meshes
+
+
 def make_library(path: Path) -> None:
     """Write all meshes with their materials."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    meshes = cars()
+    meshes = cars() | things()
     for model, tree in grow_all():
         meshes.add(tree_mesh(model.name, tree, fit(tree, model)))
     bpy.data.libraries.write(str(path), meshes, fake_user=True, compress=True)

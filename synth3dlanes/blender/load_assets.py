@@ -9,7 +9,18 @@ from synth3dlanes.blender.assets import load_meshes
 from synth3dlanes.blender.sky_file import read_sky
 from synth3dlanes.blender.user_models import ModelKind, import_model
 from synth3dlanes.imaging.user_sky import UserSky, prepare_sky
-from synth3dlanes.scene.assets.catalogue import BUILT_IN, CARS, TREES, AssetKind, CarModel, Library, Texture, TreeModel
+from synth3dlanes.scene.assets.catalogue import (
+    BUILT_IN,
+    CARS,
+    THINGS,
+    TREES,
+    AssetKind,
+    CarModel,
+    Library,
+    Texture,
+    ThingKind,
+    TreeModel,
+)
 from synth3dlanes.scene.assets.folder import ROLES, AssetFiles, TextureFiles, scan, texture_digest, verified
 from synth3dlanes.system.errors import FormatError
 
@@ -18,14 +29,16 @@ NOTHING = AssetFiles({}, {}, (), ())
 
 @dataclass(frozen=True, eq=False)
 class LoadedAssets:
-    """One mesh per model and one set of files per texture, in the order of their numbers. A car's object must set
-    `color = (r, g, b, gloss)`."""
+    """One mesh per model and one set of files per texture, in the order of their numbers; of people, riders and road
+    works one mesh per pose. A car's object must set `color = (r, g, b, gloss)`, that of a thing a property `paint0`,
+    `paint1`, ... for each of its model's paints, as (r, g, b)."""
 
     cars: tuple[bpy.types.Mesh, ...]
     trees: tuple[bpy.types.Mesh, ...]
     roads: tuple[TextureFiles, ...]
     terrains: tuple[TextureFiles, ...]
     skies: tuple[UserSky, ...]
+    things: dict[ThingKind, tuple[tuple[bpy.types.Mesh, ...], ...]]
 
 
 def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
@@ -41,7 +54,17 @@ def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
             prepare_sky(read_sky(verified(_path(folder, "skies", sky.name), sky.sha256)), sky.sun_azimuth_rad)
             for sky in own.skies
         ),
+        _things(),
     )
+
+
+def _things() -> dict[ThingKind, tuple[tuple[bpy.types.Mesh, ...], ...]]:
+    names = [f"{model.name}.{pose}" for models in THINGS.values() for model in models for pose in model.poses]
+    meshes = dict(zip(names, load_meshes(names), strict=True))
+    return {
+        kind: tuple(tuple(meshes[f"{model.name}.{pose}"] for pose in model.poses) for model in models)
+        for kind, models in THINGS.items()
+    }
 
 
 def our_texture(name: str) -> TextureFiles:

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,11 @@ from synth3dlanes.blender.load_assets import LoadedAssets, load_assets  # noqa: 
 from synth3dlanes.blender.materials import BUMPS, TERRAIN_MEANS, Materials, make_materials  # noqa: E402
 from synth3dlanes.blender.render import opened  # noqa: E402
 from synth3dlanes.scene.assets.built_in import assets_dir  # noqa: E402
-from synth3dlanes.scene.assets.catalogue import CARS, ROAD_MEANS, TREES  # noqa: E402
+from synth3dlanes.scene.assets.catalogue import CARS, ROAD_MEANS, THINGS, TREES, ThingKind  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03
+MODELS = [(kind, number) for kind, models in THINGS.items() for number in range(len(models))]
+MODEL_NAMES = [THINGS[kind][number].name for kind, number in MODELS]
 MAX_BYTES = 25e6
 
 
@@ -71,17 +73,46 @@ def test_a_tree_has_the_size_of_the_catalogue(assets: LoadedAssets, number: int)
     assert reach.max() < 1.15 * model.crown_radius_m
 
 
+@pytest.mark.parametrize(("kind", "number"), MODELS, ids=MODEL_NAMES)
+def test_the_box_of_a_thing_is_that_of_all_its_poses(assets: LoadedAssets, kind: ThingKind, number: int) -> None:
+    model, meshes = THINGS[kind][number], assets.things[kind][number]
+    assert [mesh.name for mesh in meshes] == [f"{model.name}.{pose}" for pose in range(model.n_poses + 1)]
+    corners = np.concatenate([points(mesh) for mesh in meshes])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    np.testing.assert_allclose(high - low, (model.width_m, model.length_m, model.height_m), atol=0.002)
+    np.testing.assert_allclose([*(high + low)[:2], low[2]], 0, atol=0.002)
+    # Each pose stands on the ground.
+    assert max(abs(points(mesh)[:, 2].min()) for mesh in meshes) < 0.002
+
+
+@pytest.mark.parametrize("number", range(len(THINGS["pedestrian"])), ids=[m.name for m in THINGS["pedestrian"]])
+def test_feet_on_the_ground_stay_where_they_are(assets: LoadedAssets, number: int) -> None:
+    """People walk forward: the foot that stands is pushed back by as much as the body goes on."""
+    model, meshes = THINGS["pedestrian"][number], assets.things["pedestrian"][number]
+    step_m, slips = model.stride_m / model.n_poses, []
+    for this, following in pairwise([*meshes[1:], meshes[1]]):
+        shoes = [points(mesh, "pedestrian_trim") for mesh in (this, following)]
+        # In both poses the same vertices make the same part of a shoe.
+        planted = (shoes[0][:, 2] < 0.03) & (shoes[1][:, 2] < 0.03)
+        back_m = (shoes[0] - shoes[1])[planted, 1]
+        if planted.sum() > 5:
+            slips.append(float(np.median(back_m)) - step_m)
+    assert len(slips) >= 5
+    assert np.abs(slips).max() < 0.4 * step_m
+    assert abs(np.mean(slips)) < 0.1 * step_m
+
+
 def test_triangle_caps(assets: LoadedAssets) -> None:
     caps = [(mesh, 18_000 if mesh.name == "semitrailer" else 15_000) for mesh in assets.cars]
-    for mesh, cap in [*caps, *((mesh, 10_000) for mesh in assets.trees)]:
+    caps += [(mesh, 10_000) for mesh in assets.trees]
+    caps += [(mesh, 6_000) for models in assets.things.values() for poses in models for mesh in poses]
+    for mesh, cap in caps:
         mesh.calc_loop_triangles()
-        assert 1000 < len(mesh.loop_triangles) <= cap, mesh.name
+        assert (300 if cap == 6_000 else 1000) < len(mesh.loop_triangles) <= cap, mesh.name
 
 
-@pytest.mark.parametrize("number", range(len(CARS)), ids=[m.name for m in CARS])
-def test_what_is_seen_of_a_car_faces_outwards(assets: LoadedAssets, number: int) -> None:
-    """Seen from its back, a coated face reflects like a mirror: a tyre would be white."""
-    mesh = assets.cars[number]
+def facing_outwards(mesh: bpy.types.Mesh) -> dict[str, list[bool]]:
+    """Of faces that rays from outside meet first, by material, whether they face the ray's origin."""
     corners = np.array([vertex.co for vertex in mesh.vertices])
     tree = BVHTree.FromPolygons(corners.tolist(), [tuple(face.vertices) for face in mesh.polygons])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -93,10 +124,41 @@ def test_what_is_seen_of_a_car_faces_outwards(assets: LoadedAssets, number: int)
         _, normal, face, _ = tree.ray_cast((low + share * (high - low) + 30 * back).tolist(), (-back).tolist())
         if face is not None:
             seen[names[mesh.polygons[face].material_index]].append(normal @ Vector(back) > 0)
+    return seen
+
+
+@pytest.mark.parametrize("number", range(len(CARS)), ids=[m.name for m in CARS])
+def test_what_is_seen_of_a_car_faces_outwards(assets: LoadedAssets, number: int) -> None:
+    """Seen from its back, a coated face reflects like a mirror: a tyre would be white."""
+    seen = facing_outwards(assets.cars[number])
     assert {"car_paint", "car_tyre", "car_rim", "car_trim"} <= set(seen)
     assert len(seen["car_tyre"]) > 20
     # Single rays slip through seams.
     assert {name: np.mean(faces) for name, faces in seen.items() if np.mean(faces) < 0.98} == {}
+
+
+@pytest.mark.parametrize(("kind", "number"), MODELS, ids=MODEL_NAMES)
+def test_what_is_seen_of_a_thing_faces_outwards(assets: LoadedAssets, kind: ThingKind, number: int) -> None:
+    seen = facing_outwards(assets.things[kind][number][-1])
+    # Of a bicycle the rear lamp is hardly seen.
+    assert len(seen) >= len(assets.things[kind][number][-1].materials) - 1
+    assert {name: np.mean(faces) for name, faces in seen.items() if np.mean(faces) < 0.95} == {}
+
+
+def test_colours_of_things_are_those_of_their_objects(assets: LoadedAssets) -> None:
+    """A material reads the paint that its model names at this place, and all paints are used."""
+    for kind, models in assets.things.items():
+        for model, poses in zip(THINGS[kind], models, strict=True):
+            read = {}
+            for material in poses[0].materials:
+                nodes = {node.bl_idname: node for node in material.node_tree.nodes}
+                if "ShaderNodeAttribute" in nodes:
+                    own = nodes["ShaderNodeAttribute"]
+                    assert own.attribute_type == "OBJECT"
+                    read[material.name.removeprefix(f"{kind}_")] = own.attribute_name
+            alike = {"umbrella": "own", "vehicle": "own", "helmet": "hair"}
+            expected = {alike.get(paint, paint): f"paint{i}" for i, paint in enumerate(model.paints)}
+            assert read == expected
 
 
 def test_tyres_are_dark_whatever_the_paint(assets: LoadedAssets) -> None:
@@ -125,6 +187,8 @@ def test_only_lamps_that_light_the_road_are_made_of_what_shines_white(assets: Lo
 def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Materials) -> None:
     expected = [(materials.terrains, 1), (materials.roads, 2), (materials.shoulders, 3), ((materials.marking,), 4)]
     expected += [(mesh.materials, 5) for mesh in assets.cars] + [(mesh.materials, 6) for mesh in assets.trees]
+    ids = {"pedestrian": 16, "cyclist": 17, "motorcyclist": 18, "cone": 19, "barrel": 20, "barricade": 21}
+    expected += [(m.materials, ids[kind]) for kind, models in assets.things.items() for poses in models for m in poses]
     for group, semantic_id in expected:
         assert [material.pass_index for material in group] == [semantic_id] * len(group)
 

@@ -16,6 +16,7 @@ STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 PositiveMetres = Annotated[float, Field(gt=0)]
 # What detectors call vehicles. A `trailer` is a tractor with its semitrailer.
 VehicleClass = Literal["car", "van", "truck", "bus", "trailer"]
+ThingKind = Literal["pedestrian", "cyclist", "motorcyclist", "cone", "barrel", "barricade"]
 # Words in the names of a user's files that tell the class, and sizes that do where none is there: all cars are lower
 # than vans, vans than trucks, and only a tractor with its semitrailer is as long.
 CLASS_WORDS: tuple[tuple[str, VehicleClass], ...] = (
@@ -53,6 +54,31 @@ class TreeModel:
 
 
 @dataclass(frozen=True, config=STRICT)
+class ThingModel:
+    """A person, a rider or a piece of road works at scale 1: the box around all its poses, whose middle is over the
+    foot; the names of its paints; and how many poses a cycle of `stride_m` metres of its way has, besides the one at
+    rest."""
+
+    name: str
+    width_m: PositiveMetres
+    length_m: PositiveMetres
+    height_m: PositiveMetres
+    paints: tuple[str, ...] = ()
+    n_poses: Annotated[int, Field(ge=0, le=100)] = 0
+    stride_m: PositiveMetres = 1.0
+    sha256: str = ""
+
+    @property
+    def poses(self) -> range:
+        """The numbers of its poses: 0 at rest, then those of the cycle."""
+        return range(self.n_poses + 1)
+
+    def pose(self, phase: float, is_moving: bool) -> int:
+        """The number of the pose at a phase of its cycle: 0 at rest, else from 1 on."""
+        return 1 + int(phase * self.n_poses) % self.n_poses if is_moving and self.n_poses else 0
+
+
+@dataclass(frozen=True, config=STRICT)
 class Texture:
     """A set of albedo, roughness and normal map."""
 
@@ -72,7 +98,7 @@ class Sky:
 
 CARS = (
     CarModel("hatchback", 4.05, 1.76, 1.47, 2.55, 1.52, 0.31),
-    CarModel("sedan", 4.75, 1.83, 1.45, 2.80, 1.58, 0.33),
+    CarModel("sedan", 4.75, 1.83, 1.45, 2.80, 1.58, 0.35),
     CarModel("suv", 4.65, 1.88, 1.70, 2.70, 1.60, 0.36),
     CarModel("pickup", 5.35, 1.92, 1.80, 3.25, 1.64, 0.38),
     CarModel("van", 5.50, 2.00, 2.35, 3.40, 1.72, 0.35, category="van"),
@@ -102,6 +128,30 @@ TREES = (
     TreeModel("young", 4.2, 1.1),
 )
 
+
+# The length of a cycle is twice a step, or one turn of a bicycle's cranks.
+PERSON = ("upper", "lower", "skin", "hair")
+HOLDS, RIDER = (*PERSON, "umbrella"), ("upper", "lower", "skin", "helmet", "vehicle")
+THINGS: dict[ThingKind, tuple[ThingModel, ...]] = {
+    "pedestrian": (
+        ThingModel("man", 0.505, 0.97, 1.79, PERSON, 8, 1.28),
+        ThingModel("woman", 0.421, 0.899, 1.67, PERSON, 8, 1.19),
+        ThingModel("child", 0.31, 0.637, 1.235, PERSON, 8, 0.85),
+        ThingModel("heavy_man", 0.583, 0.953, 1.75, PERSON, 8, 1.26),
+        ThingModel("woman_in_skirt", 0.425, 0.911, 1.69, PERSON, 8, 1.21),
+        ThingModel("man_in_coat", 0.533, 0.981, 1.81, PERSON, 8, 1.30),
+        ThingModel("man_with_umbrella", 1.054, 1.237, 2.101, HOLDS, 8, 1.27),
+        ThingModel("woman_with_umbrella", 1.054, 1.187, 2.024, HOLDS, 8, 1.20),
+    ),
+    "cyclist": (
+        ThingModel("man_on_bicycle", 0.751, 1.784, 1.811, RIDER, 6, 5.0),
+        ThingModel("woman_on_bicycle", 0.677, 1.784, 1.764, RIDER, 6, 5.0),
+    ),
+    "motorcyclist": (ThingModel("motorcyclist", 0.992, 2.04, 1.767, RIDER),),
+    "cone": (ThingModel("cone", 0.375, 0.375, 0.75), ThingModel("low_cone", 0.25, 0.25, 0.5)),
+    "barrel": (ThingModel("barrel", 0.72, 0.72, 1),),
+    "barricade": (ThingModel("barricade", 1.6, 0.6, 1.165),),
+}
 
 # Mean albedo (linear red, green, blue) and roughness of the built-in roads.
 ROAD_MEANS = {
