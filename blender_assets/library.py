@@ -14,18 +14,9 @@ from things import MATERIALS, build_things
 from trees import Tree, fit, grow_all
 
 from synth3dlanes.blender.shaders import car_paint, coated, new_material
-from synth3dlanes.scene.assets.catalogue import ThingKind
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS, ThingKind
 
 CAR_ID, TREE_ID = SEMANTIC_IDS["car"], SEMANTIC_IDS["tree"]
-THING_IDS: dict[ThingKind, int] = {
-    "pedestrian": 16,
-    "cyclist": 17,
-    "motorcyclist": 18,
-    "cone": 19,
-    "barrel": 20,
-    "barricade": 21,
-}
 FOLIAGE = {  # linear reflectance at either end of the random range
     "broadleaf": ((0.075, 0.115, 0.028), (0.135, 0.150, 0.042)),
     "conifer": ((0.040, 0.072, 0.036), (0.068, 0.095, 0.045)),
@@ -139,9 +130,9 @@ def thing_slots(kind: ThingKind) -> list[bpy.types.Material]:
     slots = []
     for name, look in MATERIALS:
         if isinstance(look, int):
-            slots.append(cloth(f"{kind}_{name}", look, THING_IDS[kind]))
+            slots.append(cloth(f"{kind}_{name}", look, SEMANTIC_IDS[kind]))
         else:
-            material, graph = new_material(f"{kind}_{name}", THING_IDS[kind])
+            material, graph = new_material(f"{kind}_{name}", SEMANTIC_IDS[kind])
             coated(graph, *look)
             slots.append(material)
     return slots

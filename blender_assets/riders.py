@@ -19,7 +19,8 @@ from bodies import (
 from jaxtyping import Float
 from shapes import Shape, grid_faces, rounded_box, tube
 
-from synth3dlanes.scene.assets.catalogue import THINGS, ThingKind, ThingModel
+from synth3dlanes.scene.assets.catalogue import THINGS, ThingModel
+from synth3dlanes.scene.things import ThingKind
 
 TRIM, BODY, TYRE, METAL, GLASS, LAMP, TAIL = 4, 5, 6, 7, 8, 9, 10
 CYCLISTS = {

@@ -6,7 +6,7 @@ from riders import riders
 from shapes import Shape
 from works import works
 
-from synth3dlanes.scene.assets.catalogue import ThingKind
+from synth3dlanes.scene.things import ThingKind
 
 Coat = tuple[tuple[float, float, float], float, float, float]
 # In the order of the numbers in `bodies`, `riders` and `works`: the paint of the object that it has, or else its linear

@@ -4,7 +4,7 @@ import numpy as np
 from riders import LAMP, TRIM
 from shapes import Shape, lathe_x, rounded_box
 
-from synth3dlanes.scene.assets.catalogue import ThingKind
+from synth3dlanes.scene.things import ThingKind
 
 ORANGE, WHITE, RED = 11, 12, 13
 

@@ -28,8 +28,9 @@ from tests.validate.examining import findings
 KNOWN = [("car", 0, 1), ("car", 198, 199), ("delimiter", 0, 200), ("delimiter", 99, 299), ("delimiter", 100, 20_100)]
 KNOWN += [("tree", 0, 300), ("tree", 5699, 5999), ("structure", 0, 6000), ("structure", 2999, 8999)]
 KNOWN += [("symbol", 0, 9000), ("symbol", 999, 9999), ("bonnet", 0, 10_000)]
+KNOWN += [("thing", 0, 10_001), ("thing", 998, 10_999)]
 # Those of a scene at most, and delimiters of a map of hundreds of roads.
-LEAST = {"car": 1000, "tree": 10_000, "symbol": 1000, "bonnet": 1, "structure": 8000, "delimiter": 20_000}
+LEAST = {"car": 1000, "tree": 10_000, "symbol": 1000, "bonnet": 1, "structure": 8000, "delimiter": 20_000, "thing": 900}
 N_ROADS, N_LANES, LANE_M = 7, 20, 0.7
 
 

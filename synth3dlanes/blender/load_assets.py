@@ -18,10 +18,10 @@ from synth3dlanes.scene.assets.catalogue import (
     CarModel,
     Library,
     Texture,
-    ThingKind,
     TreeModel,
 )
 from synth3dlanes.scene.assets.folder import ROLES, AssetFiles, TextureFiles, scan, texture_digest, verified
+from synth3dlanes.scene.things import ThingKind
 from synth3dlanes.system.errors import FormatError
 
 NOTHING = AssetFiles({}, {}, (), ())

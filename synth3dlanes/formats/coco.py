@@ -29,9 +29,9 @@ from synth3dlanes.formats.segments import (
     compare_masks,
     file_name,
     image_path,
+    masked_objects,
     most_shared,
     png,
-    things,
 )
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.labels.labels import Lane
@@ -262,7 +262,7 @@ def _decoded(runs: _Runs, shape: tuple[int, int]) -> PixelNumbers | None:
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """The mask of each instance, and the segment of each pixel."""
     infos, pixels, instances = frame.content
-    ours, classes = things(truth), {number + 1: name for name, number in SEMANTIC_IDS.items()}
+    ours, classes = masked_objects(truth), {number + 1: name for name, number in SEMANTIC_IDS.items()}
     found, problems = dict[str, PixelNumbers](), list[str]()
     for instance in instances:
         mask = _decoded(instance.segmentation, pixels.shape)

@@ -29,15 +29,14 @@ from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
-from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.errors import FormatError, InputError
 
 TRAINING, LISTS = "training", "ImageSets"
 """All frames are in one folder, as KITTI's own training and validation frames are."""
 FOLDERS = {"image": "image_2", "label": "label_2", "calib": "calib", "points": "velodyne"}
 ENDINGS = {"image": "png", "label": "txt", "calib": "txt", "points": "bin"}
-TYPES: dict[VehicleClass, str] = {"car": "Car", "van": "Van", "truck": "Truck", "bus": "Misc", "trailer": "Truck"}
-"""KITTI has no buses; a tractor with its semitrailer is a truck."""
+TYPES = classes_in("kitti")
 DONT_CARE = "DontCare"
 HALF_PX = 0.5
 VELO_FROM_LIDAR = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

@@ -76,14 +76,14 @@ LIMIT_PX = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class MaskedObject:
     """An object: its class and its pixels."""
 
     of_class: str
     mask: PixelNumbers
 
 
-def things(truth: SourceSample) -> dict[str, Thing]:
+def masked_objects(truth: SourceSample) -> dict[str, MaskedObject]:
     """All objects of a sample by their names: paint by the id of its line."""
     semantic, instance = (truth.passes[name].ravel().astype(np.int64) for name in ("semantic", "instance"))
     names = {number: name for name, number in SEMANTIC_IDS.items()}
@@ -91,13 +91,13 @@ def things(truth: SourceSample) -> dict[str, Thing]:
     pairs = semantic << 32 | instance
     values, counts = np.unique(pairs, return_counts=True)
     masks = np.split(np.argsort(pairs, kind="stable"), np.cumsum(counts)[:-1])
-    found = dict[str, Thing]()
+    found = dict[str, MaskedObject]()
     for pair, mask in zip(values.tolist(), masks, strict=True):
         of_class, number = names[pair >> 32], pair & 0xFFFFFFFF
         kind, line = thing_of(number)
         is_line = of_class == "marking" and kind == "delimiter" and line < len(delimiters)
         if of_class not in STUFF:
-            found[delimiters[line] if is_line else f"{of_class} {number}"] = Thing(of_class, mask)
+            found[delimiters[line] if is_line else f"{of_class} {number}"] = MaskedObject(of_class, mask)
     return found
 
 

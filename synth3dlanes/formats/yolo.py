@@ -21,13 +21,13 @@ from synth3dlanes.formats.segments import (
     LIMIT_PX,
     PASSES,
     STUFF,
+    MaskedObject,
     PixelNumbers,
-    Thing,
     compare_masks,
     file_name,
     image_path,
+    masked_objects,
     most_shared,
-    things,
 )
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.scene.settings import SEMANTIC_IDS
@@ -155,9 +155,9 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     return compare_masks(found, {name: piece.mask for name, piece in ours.items()}, shape).because(problems)
 
 
-def _pieces(truth: SourceSample, shape: tuple[int, int]) -> Iterator[tuple[str, Thing]]:
+def _pieces(truth: SourceSample, shape: tuple[int, int]) -> Iterator[tuple[str, MaskedObject]]:
     """The connected pieces of all objects, with their holes filled, by names."""
-    for name, thing in things(truth).items():
+    for name, thing in masked_objects(truth).items():
         whole = np.zeros(shape, dtype=bool)
         whole.ravel()[thing.mask] = True
         pieces, _ = label(whole)
@@ -166,7 +166,7 @@ def _pieces(truth: SourceSample, shape: tuple[int, int]) -> Iterator[tuple[str, 
             if np.count_nonzero(piece) >= LEAST_PX:
                 row, column = np.nonzero(binary_fill_holes(piece, np.ones((3, 3), dtype=bool)))
                 places = (row + rows.start) * shape[1] + column + columns.start
-                yield f"{name}, piece {k}", Thing(thing.of_class, places)
+                yield f"{name}, piece {k}", MaskedObject(thing.of_class, places)
 
 
 def _inside(corners: np.ndarray, shape: tuple[int, int]) -> PixelNumbers:

@@ -1,4 +1,4 @@
-"""Objects in labels: the 3D box of every car, and its rectangles in the image. Pure data.
+"""Objects in labels: the 3D box of every car and thing, and its rectangles in the image. Pure data.
 
 The frame of an object has its origin in the middle of the box and the axes of the model: x right, y forward, z up.
 Rectangles are (left, top, right, bottom) in pixels.
@@ -13,7 +13,7 @@ from jaxtyping import Float, Int, Integer
 from pydantic import Field, with_config
 
 from synth3dlanes.geometry.frames import from_axes, rotation, transform
-from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.scene.things import ObjectCategory
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.json_arrays import (
     JsonPixelRectangle,
@@ -49,7 +49,7 @@ class ObjectLabel:
     without a lidar."""
 
     id: Annotated[int, Field(ge=1)]
-    category: VehicleClass
+    category: ObjectCategory
     size_m: JsonSize3
     center_cam: JsonVector3
     rotation_wxyz: JsonQuaternion
@@ -79,7 +79,7 @@ class Objects:
     `lidar_points` is -1 there. `corners_cam` are in the order of CORNERS."""
 
     id: Int[np.ndarray, " n"]
-    category: tuple[VehicleClass, ...]
+    category: tuple[ObjectCategory, ...]
     size_m: Float[np.ndarray, "n 3"]
     cam_from_object: Float[np.ndarray, "n 4 4"]
     corners_cam: Float[np.ndarray, "n 8 3"]

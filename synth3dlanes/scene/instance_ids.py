@@ -1,7 +1,8 @@
 """Instance ids of pixels and lidar points: one rule for all kinds of things.
 
-The things of a kind are numbered from 0: cars, trees and symbols in the order of the scene, delimiters in that of the
-labels, then those that have no points there, structures in that of the site; the host has one bonnet. 0 is nothing.
+Cars, trees, symbols and `things` (people, riders, road works) are numbered from 0 in the order of the scene, delimiters
+in that of the labels, then those that have no points there, structures in that of the site; the host has one bonnet.
+0 is nothing. Which series a kind of thing has is in `things.KINDS`.
 """
 
 from typing import NamedTuple
@@ -28,6 +29,7 @@ RANGES = (
     IdRange(6000, "structure"),
     IdRange(9000, "symbol"),
     IdRange(10_000, "bonnet"),
+    IdRange(10_001, "thing"),
     IdRange(11_000, "car", 199),
     IdRange(12_000, "tree", 5700),
     IdRange(20_100, "delimiter", 100),

@@ -13,11 +13,12 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from synth3dlanes.scene.assets.catalogue import AssetKind, Assets
-from synth3dlanes.scene.host import Camera, DrivenTrack, Host, Lidar, Shot
+from synth3dlanes.scene.host import Camera, DrivenTrack, Host, Lidar, Seconds, Shot
 from synth3dlanes.scene.instance_ids import most_of
 from synth3dlanes.scene.road_map import LaneName, RoadMap, Station
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.settings import JPEG_QUALITY, N_SCENE_NUMBERS
+from synth3dlanes.scene.things import ThingKind
 from synth3dlanes.scene.town import Town
 from synth3dlanes.system.schema import (
     Color,
@@ -39,7 +40,9 @@ SCENE_VERSION = 1
 MAX_ASSETS = 9999
 # A narrower median has no room for an edge line at each side.
 MIN_MEDIAN_M = 1.0
-MAX_SYMBOLS = most_of("symbol")
+MAX_SYMBOLS, MAX_THINGS = most_of("symbol"), most_of("thing")
+# The most paints of a model of a thing.
+MAX_PAINTS = 8
 # Of a grid of heights.
 MAX_GRID = 200
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
@@ -241,6 +244,43 @@ class Tree(DocumentPart):
     scale: Positive
 
 
+class PlanInstant(DocumentPart):
+    """Where a thing is at a time of a clip, in the world's plan, and where it faces."""
+
+    time_s: Seconds
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
+
+
+class Thing(DocumentPart):
+    """A person, a rider or a piece of road works, upright at a world position `above_m` over the ground, at the start
+    of a clip. `yaw_rad` is where it faces, counter-clockwise from world y. Models are numbered from 1 in the catalogue
+    of the kind; `colors` are those of the model's paints, `phase` is that of its steps, pedals or wheels. In a clip it
+    goes along `track`, smoothly from instant to instant, and stands before and after it; without one it goes ahead at
+    `speed_m_s`, which with one is its speed at the clip's start."""
+
+    kind: ThingKind
+    model: AssetNumber
+    x_m: Number
+    y_m: Number
+    yaw_rad: Number
+    above_m: Metres = 0.0
+    scale: Positive = 1.0
+    colors: Annotated[tuple[Color, ...], Field(max_length=MAX_PAINTS)] = ()
+    phase: Unit = 0.0
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 0.0
+    track: Annotated[tuple[PlanInstant, ...], Field(max_length=10_000, exclude_if=is_empty)] = ()
+
+    @model_validator(mode="after")
+    def _goes_on(self) -> "Thing":
+        """Check that the instants of the track are in order."""
+        for instant, following in pairwise(self.track):
+            if following.time_s <= instant.time_s:
+                raise ValueError(f"track: expected instants in order, got {following.time_s:g} s")
+        return self
+
+
 class Vegetation(DocumentPart):
     """The share of light that leaves let through, relative to real leaves, and the height in metres of the grass beside
     the road near the host."""
@@ -324,6 +364,7 @@ class Scene(DocumentPart):
     lidar: Lidar | None = None
     map: Annotated[RoadMap | None, Field(exclude_if=_is_none)] = None
     town: Annotated[Town | None, Field(exclude_if=_is_none)] = None
+    things: Annotated[tuple[Thing, ...], Field(max_length=MAX_THINGS, exclude_if=is_empty)] = ()
 
     def stream(self, name: str) -> np.random.Generator:
         """Random numbers for details of the world that the scene does not store, such as `clouds`."""
@@ -351,6 +392,14 @@ class Scene(DocumentPart):
         for path, kind, number in used:
             if number > self.assets.count(kind):
                 raise ValueError(f"{path}: expected at most {self.assets.count(kind)}, got {number}")
+        for i, thing in enumerate(self.things):
+            models = self.assets.thing_models(thing.kind)
+            if thing.model > len(models):
+                raise ValueError(f"things.{i}.model: expected at most {len(models)}, got {thing.model}")
+            paints = models[thing.model - 1].paints
+            if len(thing.colors) != len(paints):
+                wanted = f"{len(paints)} ({', '.join(paints) or 'none'})"
+                raise ValueError(f"things.{i}.colors: expected {wanted}, got {len(thing.colors)}")
         return self
 
     @property

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from synth3dlanes.scene.things import SEMANTIC_IDS as SEMANTIC_IDS
 from synth3dlanes.system.errors import InputError
 
 # Passes with the image's pixels, and all passes: these and the height map over the road plane.
@@ -49,13 +50,6 @@ def choose_device(asked: str, found: Sequence[Device]) -> str:
         raise InputError(f"device: expected {asked} on this machine, found {names}")
     return asked if asked != "auto" else next(kind for kind in BEST_DEVICE_FIRST if kind in kinds)
 
-
-# Semantic ids of pixels; a material carries its id as its pass index.
-SEMANTIC_IDS = {"sky": 0, "terrain": 1, "road": 2, "shoulder": 3, "marking": 4, "car": 5, "tree": 6}
-# `symbol` is paint that bounds no lane (arrows, stop lines, crosswalks, gores), `host` the host's own bonnet. Botts'
-# dots are markings, tar lines are road, grass is terrain. `signal` is the head of a signal with its lenses.
-SEMANTIC_IDS |= {"symbol": 7, "barrier": 8, "pole": 9, "sign": 10, "bridge": 11, "building": 12, "kerb": 13, "host": 14}
-SEMANTIC_IDS |= {"signal": 15}
 
 # Depth of a pixel that hits nothing.
 NO_HIT_DEPTH_M = float("inf")

@@ -10,11 +10,9 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.frames import inside_image, invert, quaternion, transform
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
-from synth3dlanes.scene.assets.catalogue import CarModel
-from synth3dlanes.scene.instance_ids import instance_id
-from synth3dlanes.scene.scene import Car
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.system.schema import MAX_NUMBER
+from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.world import View
 
 # Pieces of an edge, which a lens bends, and halvings of the piece that crosses the image's border.
@@ -30,26 +28,24 @@ INSIDE = np.stack(np.meshgrid(*((np.arange(n) + 0.5) * 2 / n - 1 for n in PARTS)
 
 
 def label_objects(view: View, camera: CameraLabel) -> tuple[ObjectLabel, ...]:
-    """The labels of all cars of a view, in the scene's order."""
-    models = view.scene.assets.car_models
-    cars = zip(view.cars, view.world_from_cars, strict=True)
-    return tuple(_object(view, camera, i, (car, models[car.model - 1], pose)) for i, (car, pose) in enumerate(cars))
+    """The labels of all objects of a view, in the view's order."""
+    has_time = view.scene.shot.n_frames > 1
+    return tuple(_object(item, camera, has_time) for item in view.objects)
 
 
-def _object(view: View, camera: CameraLabel, number: int, placed: tuple[Car, CarModel, Matrix4]) -> ObjectLabel:
-    car, model, world_from_car = placed
-    size_m = car.scale * np.array([model.width_m, model.length_m, model.height_m])
-    world_from_object = world_from_car.copy()
-    world_from_object[:3, 3] += world_from_car[:3, 2] * size_m[2] / 2
-    cam_from_object = invert(camera.world_from_cam) @ world_from_object
+def _object(item: PlacedObject, camera: CameraLabel, has_time: bool) -> ObjectLabel:
+    size_m, cam_from_world = item.size_m, invert(camera.world_from_cam)
+    world_from_object = item.world_from_object.copy()
+    world_from_object[:3, 3] += world_from_object[:3, 2] * size_m[2] / 2
+    cam_from_object = cam_from_world @ world_from_object
     inside, whole = rectangles(camera, cam_from_object, size_m)
     return ObjectLabel(
-        id=instance_id("car", number),
-        category=model.category,
+        id=item.id,
+        category=item.category,
         size_m=size_m,
         center_cam=cam_from_object[:3, 3],
         rotation_wxyz=quaternion(cam_from_object[:3, :3]),
-        velocity_cam=cam_from_object[:3, 1] * car.speed_m_s if view.scene.shot.n_frames > 1 else None,
+        velocity_cam=cam_from_world[:3, :3] @ item.velocity_world if has_time else None,
         box_px=inside,
         unclipped_box_px=whole,
         truncation=truncation(camera, cam_from_object, size_m),

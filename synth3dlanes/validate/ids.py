@@ -13,6 +13,8 @@ from scipy.spatial import cKDTree
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.scene.instance_ids import KINDS, kind_indices, numbers_of
 from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import FIRST_OF
+from synth3dlanes.scene.things import KINDS as SEMANTIC_KINDS
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.validate import boxes
 from synth3dlanes.validate.evidence import Evidence
@@ -34,10 +36,13 @@ FACE_M = 0.1
 # Of the image's height that the bonnet fills.
 MAX_BONNET = 0.03
 
-# All structures count as one kind here, the first of SURFACES.
 STRUCTURE, STRUCTURES = SURFACES[0], [SEMANTIC_IDS[name] for name in SURFACES]
-# Semantic names of the kinds of instance ids.
-NAMES = {kind: {"delimiter": "marking", "structure": STRUCTURE, "bonnet": "host"}.get(kind, kind) for kind in KINDS}
+# All kinds of a series of instance ids count as its first one here.
+NAMES = {series: FIRST_OF[series].name for series in KINDS}
+FOLDED = np.arange(256, dtype=np.uint8)
+for _kind in SEMANTIC_KINDS:
+    if _kind.series:
+        FOLDED[_kind.semantic_id] = FIRST_OF[_kind.series].semantic_id
 
 
 def check_ids(evidence: Evidence) -> Iterator[Result]:
@@ -60,8 +65,8 @@ def kind_of(instance: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
 
 
 def _folded(semantic: Integer[np.ndarray, "*n"]) -> Integer[np.ndarray, "*n"]:
-    """Semantic ids with those of all structures as one kind."""
-    return np.where(np.isin(semantic, STRUCTURES), SEMANTIC_IDS[STRUCTURE], semantic)
+    """Semantic ids with those of all kinds of a series of instance ids as one kind."""
+    return FOLDED[semantic]
 
 
 def is_of(name: str, ids: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:

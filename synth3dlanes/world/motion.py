@@ -9,7 +9,7 @@ from jaxtyping import Float
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.host import Camera, Shot
-from synth3dlanes.scene.scene import Car, Scene
+from synth3dlanes.scene.scene import Car, Scene, Thing
 
 STEP_M = 0.25
 # The host's speed in single pictures.
@@ -21,6 +21,14 @@ class HostExposure(NamedTuple):
 
     speed_m_s: float
     duration_s: float
+    driven_m: float
+
+
+class MovedThing(NamedTuple):
+    """A thing at an instant, with its speed then; its velocity in the world's plan; how far it has gone."""
+
+    thing: Thing
+    velocity_world: Float[np.ndarray, "2"]
     driven_m: float
 
 
@@ -61,6 +69,27 @@ def car_speed(scene: Scene, car: Car) -> float:
     if scene.shot.n_frames > 1 or scene.town is not None:
         return car.speed_m_s
     return 0.0 if car.offset_m else SPEED_M_S
+
+
+def thing_at(thing: Thing, time_s: float) -> MovedThing:
+    """A thing some seconds after the clip's start."""
+    if not thing.track:
+        ahead = np.array([-np.sin(thing.yaw_rad), np.cos(thing.yaw_rad)])
+        driven_m = thing.speed_m_s * time_s
+        x_m, y_m = (np.array([thing.x_m, thing.y_m]) + driven_m * ahead).tolist()
+        return MovedThing(thing.model_copy(update={"x_m": x_m, "y_m": y_m}), thing.speed_m_s * ahead, driven_m)
+    times_s = np.array([instant.time_s for instant in thing.track])
+    places = np.array([(instant.x_m, instant.y_m, instant.yaw_rad) for instant in thing.track])
+    places[:, 2] = np.unwrap(places[:, 2])
+    velocity = np.zeros(2)
+    lengths_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places[:, :2], axis=0).T))])
+    if len(times_s) > 1 and times_s[0] <= time_s <= times_s[-1]:
+        way = scipy.interpolate.PchipInterpolator(times_s, places)
+        (x_m, y_m, yaw_rad), velocity = way(time_s).tolist(), way(time_s, 1)[:2]
+    else:
+        x_m, y_m, yaw_rad = places[0 if time_s < times_s[0] else -1].tolist()
+    update = {"x_m": x_m, "y_m": y_m, "yaw_rad": yaw_rad, "speed_m_s": float(np.hypot(*velocity))}
+    return MovedThing(thing.model_copy(update=update), velocity, float(np.interp(time_s, times_s, lengths_m)))
 
 
 def host_driven(shot: Shot, time_s: float) -> float:

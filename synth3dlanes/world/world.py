@@ -30,8 +30,9 @@ from synth3dlanes.world.map_ground import MapGround
 from synth3dlanes.world.map_meshes import MapSurfaces
 from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
+from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things
 from synth3dlanes.world.paint import paint_meshes
-from synth3dlanes.world.placement import tree_positions, world_from_car
+from synth3dlanes.world.placement import tree_positions
 from synth3dlanes.world.seams import ghost_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.symbols import SymbolShape, symbol_mesh, symbol_shapes
@@ -44,14 +45,19 @@ AROUND_HOST_M = 450.0
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera at the instant of a scene's shot, with the host's place then; the host's road frame; and the share of
-    the image that the host's bonnet fills."""
+    """A camera at the instant of a scene's shot, with the host's place then; the ground; the host's road frame; and the
+    share of the image that the host's bonnet fills."""
 
     scene: Scene
-    network: Network
+    ground: Ground
     camera: Camera
     world_from_host: Matrix4
     bonnet: float = 0.0
+
+    @property
+    def network(self) -> Network:
+        """The roads."""
+        return self.ground.network
 
     @cached_property
     def cars(self) -> tuple[Car, ...]:
@@ -59,10 +65,22 @@ class View:
         return tuple(car_at(self.network, car, self.scene.shot.time_s) for car in self.scene.cars)
 
     @cached_property
+    def objects(self) -> tuple[PlacedObject, ...]:
+        """All that has a box in labels, at that instant: the cars, then the things, each in the scene's order."""
+        return (
+            *placed_cars(self.scene, self.network, self.cars),
+            *placed_things(self.scene, self.ground),
+        )
+
+    @cached_property
     def world_from_cars(self) -> tuple[Matrix4, ...]:
         """The poses of all cars at that instant, without their scale."""
-        models = self.scene.assets.car_models
-        return tuple(world_from_car(self.network, car, models[car.model - 1]) for car in self.cars)
+        return tuple(item.world_from_object for item in self.objects[: len(self.cars)])
+
+    @cached_property
+    def world_from_things(self) -> tuple[Matrix4, ...]:
+        """The poses of all things at that instant, without their scale."""
+        return tuple(item.world_from_object for item in self.objects[len(self.cars) :])
 
     @property
     def lidar(self) -> Lidar | None:
@@ -192,7 +210,7 @@ class World:
         camera = host_at(self.network, scene.camera, host_driven(shot, shot.time_s))
         sees_bonnet = camera.looks_ahead and abs(camera.forward_m) <= BEHIND_WINDSCREEN_M
         bonnet = scene.host.bonnet if sees_bonnet else 0.0
-        return View(scene, self.network, camera, world_from_host(self.network, camera), bonnet)
+        return View(scene, self.ground, camera, world_from_host(self.network, camera), bonnet)
 
     def seen_in(self, scene: Scene) -> "World":
         """Another picture of the same site: the scene differs in camera, shot and lidar alone."""

@@ -18,7 +18,8 @@ from synth3dlanes.blender.load_assets import LoadedAssets, load_assets  # noqa: 
 from synth3dlanes.blender.materials import BUMPS, TERRAIN_MEANS, Materials, make_materials  # noqa: E402
 from synth3dlanes.blender.render import opened  # noqa: E402
 from synth3dlanes.scene.assets.built_in import assets_dir  # noqa: E402
-from synth3dlanes.scene.assets.catalogue import CARS, ROAD_MEANS, THINGS, TREES, ThingKind  # noqa: E402
+from synth3dlanes.scene.assets.catalogue import CARS, ROAD_MEANS, THINGS, TREES  # noqa: E402
+from synth3dlanes.scene.things import ThingKind  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03
 MODELS = [(kind, number) for kind, models in THINGS.items() for number in range(len(models))]

@@ -35,7 +35,7 @@ from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, wo
 from synth3dlanes.geometry.frames import from_axes, invert, quaternion, rotation, transform
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
-from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.columnar import TableBounds, read_arrow, reading_table
 from synth3dlanes.system.errors import FormatError, InputError
@@ -53,10 +53,7 @@ HOST_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.
 """The rear axle in our host's road frame, as in the rig argoverse2."""
 _LIDAR_FROM_AV2 = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 HALF_PX = 0.5
-CATEGORIES: dict[VehicleClass, str] = {
-    "car": "REGULAR_VEHICLE", "van": "REGULAR_VEHICLE", "truck": "TRUCK", "bus": "BUS", "trailer": "TRUCK"
-}  # fmt: skip
-"""A tractor with its semitrailer is one truck."""
+CATEGORIES = classes_in("argoverse2")
 START_NS, ROOM_NS = 10**18, 4 * 10**9
 """The first timestamp of an export, and how much later the next picture's log begins at least: tools name frames by
 timestamps alone, which must differ between logs and have equal numbers of digits."""

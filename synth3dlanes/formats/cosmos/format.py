@@ -64,8 +64,8 @@ from synth3dlanes.geometry.frames import invert, quaternion, transform
 from synth3dlanes.imaging.video import mp4
 from synth3dlanes.labels.labels import CameraLabel, Marking, Pair, SymbolLabel
 from synth3dlanes.labels.object_labels import CORNERS
-from synth3dlanes.scene.assets.catalogue import VehicleClass
 from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.things import classes_in
 from synth3dlanes.scene.traffic_elements import SignKind
 from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.system.errors import InputError
@@ -74,10 +74,7 @@ from synth3dlanes.world.world import resolve
 CAM_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 HOST_FROM_RIG = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """The rear axle in our host's road frame, as for argoverse2, but on the road."""
-CATEGORIES: dict[VehicleClass, str] = {
-    "car": "automobile", "van": "automobile", "truck": "heavy_truck", "bus": "bus", "trailer": "heavy_truck"
-}  # fmt: skip
-"""A tractor with its semitrailer is one truck."""
+CATEGORIES = classes_in("cosmos")
 CRF = 12
 """Finer than a film's: the greys of depth and the edges are data."""
 NAME = re.compile("[A-Za-z0-9_-]{1,80}")

@@ -14,7 +14,7 @@ import numpy as np
 from synth3dlanes.formats.writing import Part
 from synth3dlanes.geometry.frames import from_axes, invert, quaternion, rotation, turned
 from synth3dlanes.labels.labels import Marking, PaintColor, Pair
-from synth3dlanes.scene.assets.catalogue import VehicleClass
+from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.arrays import Matrix4
 
 FRONT_CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
@@ -27,11 +27,7 @@ HALF_PX = 0.5
 START_US, ROOM_US = 10**15, 4 * 10**6
 """The first timestamp, and how much later the next picture's scene begins at least."""
 DATE = "2001-09-09"
-CATEGORIES: dict[VehicleClass, str] = {
-    "car": "vehicle.car", "van": "vehicle.car", "truck": "vehicle.truck", "bus": "vehicle.bus.rigid",
-    "trailer": "vehicle.truck",
-}  # fmt: skip
-"""A tractor with its semitrailer is one truck."""
+CATEGORIES = classes_in("nuscenes")
 CLASS_NUMBERS = {"vehicle.bus.rigid": 16, "vehicle.car": 17, "vehicle.truck": 23}
 ATTRIBUTES = ("vehicle.moving", "vehicle.stopped", "vehicle.parked")
 MOVING_M_S = 0.2

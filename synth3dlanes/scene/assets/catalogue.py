@@ -10,13 +10,12 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from synth3dlanes.scene.things import ThingKind, VehicleClass
+
 AssetKind = Literal["cars", "trees", "roads", "terrains", "skies"]
 KINDS: tuple[AssetKind, ...] = ("cars", "trees", "roads", "terrains", "skies")
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 PositiveMetres = Annotated[float, Field(gt=0)]
-# What detectors call vehicles. A `trailer` is a tractor with its semitrailer.
-VehicleClass = Literal["car", "van", "truck", "bus", "trailer"]
-ThingKind = Literal["pedestrian", "cyclist", "motorcyclist", "cone", "barrel", "barricade"]
 # Words in the names of a user's files that tell the class, and sizes that do where none is there: all cars are lower
 # than vans, vans than trucks, and only a tractor with its semitrailer is as long.
 CLASS_WORDS: tuple[tuple[str, VehicleClass], ...] = (
@@ -193,6 +192,10 @@ class Assets:
     def tree_models(self) -> tuple[TreeModel, ...]:
         """The tree models in use: the user's own, or else the built-in ones."""
         return self.trees or TREES
+
+    def thing_models(self, kind: ThingKind) -> tuple[ThingModel, ...]:
+        """The models of a kind of things."""
+        return THINGS[kind]
 
     def count(self, kind: AssetKind) -> int:
         """Number of models, textures or skies of a kind."""

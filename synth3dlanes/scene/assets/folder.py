@@ -9,7 +9,8 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError, model_validator
 
-from synth3dlanes.scene.assets.catalogue import KINDS, AssetKind, Assets, Library, VehicleClass
+from synth3dlanes.scene.assets.catalogue import KINDS, AssetKind, Assets, Library
+from synth3dlanes.scene.things import VehicleClass
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.files import open_regular
 from synth3dlanes.system.schema import DocumentPart, Positive, validation_problems

@@ -1,0 +1,109 @@
+"""What a world holds: the one table of kinds, with what ids, labels, pictures and foreign formats call each.
+
+A row of KINDS is a semantic class of pixels. A new kind of thing is a row, its models in the catalogue, and who places
+it. Things of a kind have numbers in one of the series of `instance_ids`.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Rgb = tuple[int, int, int]
+# What detectors call vehicles. A `trailer` is a tractor with its semitrailer.
+VehicleClass = Literal["car", "van", "truck", "bus", "trailer"]
+# Kinds of `Scene.things`, each a category of labels of its own: people, riders with what they ride, and road works.
+ThingKind = Literal["pedestrian", "cyclist", "motorcyclist", "cone", "barrel", "barricade"]
+ObjectCategory = Literal[VehicleClass, ThingKind]
+ClassNaming = Literal["kitti", "argoverse2", "nuscenes", "cosmos"]
+
+
+@dataclass(frozen=True)
+class ObjectClass:
+    """A category of object labels, and its class in each format; "" where a format has none, and leaves it out."""
+
+    category: ObjectCategory
+    kitti: str
+    argoverse2: str
+    nuscenes: str
+    cosmos: str
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A semantic class: its id in the pass `semantic`; the series of its instance ids, "" for stuff, which has none;
+    its colour in our pictures, with the word for it, and in Cosmos's segmentation videos (Cityscapes' where it has the
+    class). `reflectance` is that of clips' points, `is_ground` of what lies flat, `is_capped` of what snow lies on,
+    `keeps_pace` of what is assumed to drive as fast as the host, which motion leaves sharp. `objects` are its
+    categories of labels."""
+
+    name: str
+    semantic_id: int
+    series: str
+    color: Rgb
+    word: str
+    video_color: Rgb
+    reflectance: float = 0.0
+    is_ground: bool = False
+    is_capped: bool = False
+    keeps_pace: bool = False
+    objects: tuple[ObjectClass, ...] = ()
+
+
+VEHICLES = (
+    ObjectClass("car", "Car", "REGULAR_VEHICLE", "vehicle.car", "automobile"),
+    ObjectClass("van", "Van", "REGULAR_VEHICLE", "vehicle.car", "automobile"),
+    ObjectClass("truck", "Truck", "TRUCK", "vehicle.truck", "heavy_truck"),
+    # KITTI has no buses. A tractor with its semitrailer is one truck.
+    ObjectClass("bus", "Misc", "BUS", "vehicle.bus.rigid", "bus"),
+    ObjectClass("trailer", "Truck", "TRUCK", "vehicle.truck", "heavy_truck"),
+)
+# A rider's box is around what he rides, too, as those of KITTI, nuScenes and Cosmos are.
+PEDESTRIAN = ObjectClass("pedestrian", "Pedestrian", "PEDESTRIAN", "human.pedestrian.adult", "person")
+CYCLIST = ObjectClass("cyclist", "Cyclist", "BICYCLIST", "vehicle.bicycle", "rider")
+MOTORCYCLIST = ObjectClass("motorcyclist", "Misc", "MOTORCYCLIST", "vehicle.motorcycle", "rider")
+CONE = ObjectClass("cone", "", "CONSTRUCTION_CONE", "movable_object.trafficcone", "")
+BARREL = ObjectClass("barrel", "", "CONSTRUCTION_BARREL", "movable_object.barrier", "")
+BARRICADE = ObjectClass("barricade", "", "", "movable_object.barrier", "")
+
+# `symbol` is paint that bounds no lane (arrows, stop lines, crosswalks, gores), `host` the host's own bonnet. Botts'
+# dots are markings, tar lines are road, grass is terrain. `signal` is the head of a signal with its lenses, `barrier` a
+# rail or wall, `barricade` one of road works.
+KINDS = (
+    Kind("sky", 0, "", (150, 158, 166), "gray", (70, 130, 180)),
+    Kind("terrain", 1, "", (122, 150, 96), "green", (152, 251, 152), 0.35, is_ground=True),
+    Kind("road", 2, "", (84, 88, 94), "dark gray", (128, 64, 128), 0.15, is_ground=True),
+    Kind("shoulder", 3, "", (168, 148, 118), "brown", (81, 0, 81), 0.2, is_ground=True),
+    Kind("marking", 4, "delimiter", (250, 250, 245), "white", (157, 234, 50), 0.8, is_ground=True),
+    Kind("car", 5, "car", (214, 60, 70), "red", (0, 0, 142), 0.5, is_capped=True, keeps_pace=True, objects=VEHICLES),
+    Kind("tree", 6, "tree", (40, 98, 48), "dark green", (107, 142, 35), is_capped=True),
+    Kind("symbol", 7, "symbol", (236, 190, 60), "yellow", (227, 227, 227), 0.8, is_ground=True),
+    Kind("barrier", 8, "structure", (120, 170, 200), "pale blue", (180, 165, 180), is_capped=True),
+    Kind("pole", 9, "structure", (60, 60, 120), "dark blue", (153, 153, 153), is_capped=True),
+    Kind("sign", 10, "structure", (30, 90, 220), "blue", (220, 220, 0), is_capped=True),
+    Kind("bridge", 11, "structure", (190, 180, 210), "pale violet", (150, 100, 100), is_capped=True),
+    Kind("building", 12, "structure", (200, 130, 90), "orange", (70, 70, 70), is_capped=True),
+    Kind("kerb", 13, "structure", (205, 205, 160), "pale yellow", (244, 35, 232), is_capped=True),
+    Kind("host", 14, "bonnet", (20, 20, 24), "black", (0, 0, 0), keeps_pace=True),
+    Kind("signal", 15, "structure", (250, 120, 20), "bright orange", (250, 170, 30), is_capped=True),
+    Kind("pedestrian", 16, "thing", (230, 60, 200), "pink", (220, 20, 60), objects=(PEDESTRIAN,)),
+    Kind("cyclist", 17, "thing", (150, 70, 230), "violet", (255, 0, 0), objects=(CYCLIST,)),
+    Kind("motorcyclist", 18, "thing", (90, 40, 160), "dark violet", (0, 0, 230), keeps_pace=True,
+         objects=(MOTORCYCLIST,)),
+    Kind("cone", 19, "thing", (255, 150, 110), "salmon", (250, 90, 30), is_capped=True, objects=(CONE,)),
+    Kind("barrel", 20, "thing", (180, 70, 30), "rust", (190, 70, 20), is_capped=True, objects=(BARREL,)),
+    Kind("barricade", 21, "thing", (240, 210, 150), "cream", (200, 130, 60), is_capped=True, objects=(BARRICADE,)),
+)  # fmt: skip
+
+KIND_OF = {kind.name: kind for kind in KINDS}
+SEMANTIC_IDS = {kind.name: kind.semantic_id for kind in KINDS}
+STUFF = tuple(kind.name for kind in KINDS if not kind.series)
+GROUND = tuple(kind.semantic_id for kind in KINDS if kind.is_ground)
+# The first kind of each series of instance ids.
+FIRST_OF = {series: next(kind for kind in KINDS if kind.series == series) for series in {kind.series for kind in KINDS}}
+# The kind of objects by their categories.
+KIND_OF_CATEGORY: dict[ObjectCategory, Kind] = {of.category: kind for kind in KINDS for of in kind.objects}
+
+
+def classes_in(name: ClassNaming) -> dict[ObjectCategory, str]:
+    """The classes of a format by our categories; without those that it has no class for."""
+    found = {of.category: str(getattr(of, name)) for kind in KINDS for of in kind.objects}
+    return {category: class_ for category, class_ in found.items() if class_}
