@@ -20,7 +20,7 @@ from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.bonnet import bonnet
 from synth3dlanes.world.grass import Blades

@@ -31,7 +31,7 @@ from synth3dlanes.blender.weathering import (
 from synth3dlanes.scene.assets.catalogue import ROAD_MEANS
 from synth3dlanes.scene.assets.folder import TextureFiles
 from synth3dlanes.scene.scene import Surface
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import KINDS, SEMANTIC_IDS
 from synth3dlanes.world.seams import ghost_shade, joint
 from synth3dlanes.world.world import World
 
@@ -57,9 +57,7 @@ TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179,
 # Woods on far terrain (linear): patches of hundreds of metres that fade in from this distance to twice it.
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 # What snow lies on, beside the ground.
-CAPPED = {
-    SEMANTIC_IDS[name] for name in ("car", "tree", "barrier", "pole", "sign", "bridge", "building", "kerb", "signal")
-}
+CAPPED = {kind.semantic_id for kind in KINDS if kind.is_capped}
 
 
 @dataclass(frozen=True, eq=False)

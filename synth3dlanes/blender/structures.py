@@ -6,7 +6,7 @@ from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import ShaderGraph, coated, new_material, texture
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.world.solids import SURFACES, Body
 
 # Dirt and stains vary the colours over this length.

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from mathutils import Matrix
 
 from synth3dlanes.blender.shaders import ShaderGraph, car_paint, new_material
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 
 ModelKind = Literal["car", "tree"]
 PAINTED = ("paint", "body")

@@ -11,15 +11,14 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import Patch
 
 from synth3dlanes.figures import colors
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import KINDS
 from synth3dlanes.system.arrays import RgbImage
 
 WORDS = {
     "depth": "metres along the viewing direction, from 2 m (yellow) to 500 m (violet); gray: sky",
     "normal": "red: x right, green: y forward, blue: z up; gray: sky",
-    "semantic": "terrain green, road dark gray, shoulder brown, marking white, symbol yellow, car red, tree dark "
-    "green, barrier pale blue, sign blue, building orange; gray: sky",
-    "instance": "a colour for each car, delimiter, tree, symbol and structure; gray: all else",
+    "semantic": ", ".join(f"{kind.name} {kind.word}" for kind in KINDS),
+    "instance": "a colour for each thing with an id; gray: all else",
     "height": "metres over the road plane, from -5 m (blue) to 5 m (red), seen from above",
 }
 
@@ -28,24 +27,6 @@ _SCALES = {
     "height": ("coolwarm", Normalize(-5.0, 5.0, clip=True)),
 }
 _NOTHING = np.array([150, 158, 166], dtype=np.uint8)
-_CLASSES: dict[str, colors.Rgb] = {
-    "sky": (150, 158, 166),
-    "terrain": (122, 150, 96),
-    "road": (84, 88, 94),
-    "shoulder": (168, 148, 118),
-    "marking": (250, 250, 245),
-    "car": (214, 60, 70),
-    "tree": (40, 98, 48),
-    "symbol": (236, 190, 60),
-    "barrier": (120, 170, 200),
-    "pole": (60, 60, 120),
-    "sign": (30, 90, 220),
-    "bridge": (190, 180, 210),
-    "building": (200, 130, 90),
-    "kerb": (205, 205, 160),
-    "host": (20, 20, 24),
-    "signal": (250, 120, 20),
-}
 # Successive multiples of the golden ratio are far apart on the colour circle.
 _GOLDEN = 0.618034
 
@@ -78,8 +59,8 @@ def draw_pass(axes: Axes, name: str, values: Shaped[np.ndarray, "h w ..."]) -> N
     if name == "height":
         axes.set(title="height (from above, far rows first)", xlabel="column", ylabel="row")
     elif name == "semantic":
-        there = [label for label, number in SEMANTIC_IDS.items() if (values == number).any()]
-        handles = [Patch(color=colors.hexadecimal(_CLASSES[label]), label=label) for label in there]
+        there = [kind for kind in KINDS if (values == kind.semantic_id).any()]
+        handles = [Patch(color=colors.hexadecimal(kind.color), label=kind.name) for kind in there]
         axes.legend(handles=handles, loc="lower left", fontsize=7, ncols=2)
     elif name in ("normal", "instance"):
         axes.text(4, values.shape[0] - 4, WORDS[name], fontsize=7, va="bottom", color="white",
@@ -91,8 +72,8 @@ def _palette(name: str, n: int) -> UInt8[np.ndarray, "n 3"]:
     bright = [colorsys.hsv_to_rgb(number * _GOLDEN % 1, 0.65 + 0.3 * (number % 2), 0.95) for number in range(n)]
     palette = np.round(255 * np.array(bright)).astype(np.uint8)
     if name == "semantic":
-        for label, number in SEMANTIC_IDS.items():
-            palette[number : number + 1] = _CLASSES[label]
+        for kind in KINDS:
+            palette[kind.semantic_id : kind.semantic_id + 1] = kind.color
     else:
         palette[0] = _NOTHING
     return palette

@@ -24,7 +24,6 @@ from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read
 from synth3dlanes.formats.segments import (
     LIMIT_PX,
     PASSES,
-    STUFF,
     PixelNumbers,
     compare_masks,
     file_name,
@@ -37,7 +36,7 @@ from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.labels.labels import Lane
 from synth3dlanes.labels.object_labels import ObjectLabel, object_document
 from synth3dlanes.scene.instance_ids import thing_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS, STUFF
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.json_arrays import Row3, Row4
 from synth3dlanes.system.schema import MAX_PX, Excerpt, PathBelow, parse

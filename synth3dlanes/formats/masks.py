@@ -32,7 +32,7 @@ from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.instance_ids import END, numbers_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import Excerpt, parse
 

@@ -18,11 +18,9 @@ from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.instance_ids import numbers_of, thing_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS, STUFF
 
 PASSES = ("semantic", "instance")
-STUFF = ("sky", "terrain", "road", "shoulder")
-"""Classes without instances."""
 STEP_M = 0.1
 NEAREST_M = 0.5
 POINT_EVERY_PX = 8.0

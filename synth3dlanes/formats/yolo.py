@@ -20,7 +20,6 @@ from synth3dlanes.formats.reading import image_size, listed_files, numbers, read
 from synth3dlanes.formats.segments import (
     LIMIT_PX,
     PASSES,
-    STUFF,
     MaskedObject,
     PixelNumbers,
     compare_masks,
@@ -30,7 +29,7 @@ from synth3dlanes.formats.segments import (
     most_shared,
 )
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS, STUFF
 from synth3dlanes.system.errors import FormatError
 
 NAMES = tuple(name for name in SEMANTIC_IDS if name not in STUFF)

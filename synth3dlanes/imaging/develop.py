@@ -13,14 +13,13 @@ from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.imaging.sensor import add_noise, gain, motion_blur
 from synth3dlanes.scene.host import Camera
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import KINDS
 from synth3dlanes.world.camera import rays_of_pixels
 from synth3dlanes.world.motion import host_exposure
 from synth3dlanes.world.world import View
 
 NO_LAMPS = np.zeros((0, 3))
-# Cars are assumed to drive at the host's speed.
-MOVING_ALONG = (SEMANTIC_IDS["car"], SEMANTIC_IDS["host"])
+MOVING_ALONG = [kind.semantic_id for kind in KINDS if kind.keeps_pace]
 
 
 def develop(
@@ -31,7 +30,7 @@ def develop(
     street_lamps: Float[np.ndarray, "n 3"] = NO_LAMPS,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The picture of a scene; its noise, rain, snow, drops and dirt follow from seed, split and index. Motion blur
-    leaves the sky sharp, and cars, which are assumed to drive at the host's speed. `street_lamps` are the heads of
+    leaves the sky sharp, and what is assumed to drive at the host's speed. `street_lamps` are the heads of
     lamps (world)."""
     sensor, is_seen = scene.sensor, _is_seen(view.camera)
     linear = through_air(layers.radiance, layers.haze, scene.air.visibility_m, light.airlight, view)

@@ -96,6 +96,7 @@ KINDS = (
 KIND_OF = {kind.name: kind for kind in KINDS}
 SEMANTIC_IDS = {kind.name: kind.semantic_id for kind in KINDS}
 STUFF = tuple(kind.name for kind in KINDS if not kind.series)
+BOXED = tuple(kind.semantic_id for kind in KINDS if kind.objects)
 GROUND = tuple(kind.semantic_id for kind in KINDS if kind.is_ground)
 # The first kind of each series of instance ids.
 FIRST_OF = {series: next(kind for kind in KINDS if kind.series == series) for series in {kind.series for kind in KINDS}}

@@ -23,21 +23,15 @@ from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel, Labels, PaintColor
 from synth3dlanes.labels.object_labels import CORNERS
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import BOXED, GROUND, KINDS, SEMANTIC_IDS, Rgb
 from synth3dlanes.system.arrays import Passes, Points3, RgbImage
 
 EDGE_LOW, EDGE_HIGH = 100, 200
 """The thresholds of Canny's edges that inference takes by default."""
 CLASS_COLORS = np.zeros((256, 3), np.uint8)
 """The colours of classes in segmentation videos, by semantic id."""
-for _name, _color in {
-    "sky": (70, 130, 180), "terrain": (152, 251, 152), "road": (128, 64, 128), "shoulder": (81, 0, 81),
-    "marking": (157, 234, 50), "car": (0, 0, 142), "tree": (107, 142, 35), "symbol": (227, 227, 227),
-    "barrier": (180, 165, 180), "pole": (153, 153, 153), "sign": (220, 220, 0), "bridge": (150, 100, 100),
-    "building": (70, 70, 70), "kerb": (244, 35, 232), "host": (0, 0, 0), "signal": (250, 170, 30),
-}.items():  # fmt: skip
-    CLASS_COLORS[SEMANTIC_IDS[_name]] = _color
-Rgb = tuple[int, int, int]
+for _kind in KINDS:
+    CLASS_COLORS[_kind.semantic_id] = _kind.video_color
 LINE_COLORS: dict[PaintColor, Rgb] = {"white": (255, 255, 255), "yellow": (255, 255, 0)}
 BOUNDARY, WAIT_LINE, CROSSWALK, ROAD_MARKING = (253, 1, 232), (108, 179, 59), (139, 93, 255), (20, 254, 185)
 SIGN, LIGHT, BOX_EDGE = (8, 2, 255), (100, 100, 100), (200, 200, 200)
@@ -57,7 +51,7 @@ PAIR_M, DASH_M, GAP_M = 0.15, 3.0, 9.0
 """How far the stripes of a pair are from its middle; dashes as Cosmos draws long ones."""
 BEHIND_M, BEHIND_SHARE = 1.0, 0.05
 """How much nearer the ground must be than a point to hide it."""
-GROUND = np.isin(np.arange(256), [SEMANTIC_IDS[name] for name in ("terrain", "road", "shoulder", "marking", "symbol")])
+IS_GROUND = np.isin(np.arange(256), GROUND)
 FACES = ((4, 5, 6, 7), (0, 4, 7, 3), (1, 5, 6, 2), (3, 2, 6, 7), (0, 1, 5, 4), (0, 1, 2, 3))
 """Faces of a box by its corners: rear, left, right, lower side, upper side, front."""
 SHADES = (0.0, 0.5, 0.5, 0.5, 0.5, 1.0)
@@ -92,17 +86,17 @@ def depth_picture(passes: Passes, span: tuple[float, float]) -> RgbImage:
 
 
 def seg_picture(passes: Passes) -> RgbImage:
-    """A colour for each class, and for each car one of its own, the same in all frames."""
+    """A colour for each class, and for each object with a box one of its own, the same in all frames."""
     semantic, instance = passes["semantic"], passes["instance"]
-    picture, is_car = CLASS_COLORS[semantic], semantic == SEMANTIC_IDS["car"]
-    numbers, at = np.unique(instance[is_car], return_inverse=True)
+    picture, is_object = CLASS_COLORS[semantic], np.isin(semantic, BOXED)
+    numbers, at = np.unique(instance[is_object], return_inverse=True)
     if len(numbers):
-        picture[is_car] = np.array([car_color(int(number)) for number in numbers], np.uint8)[at]
+        picture[is_object] = np.array([object_color(int(number)) for number in numbers], np.uint8)[at]
     return picture
 
 
-def car_color(number: int) -> Rgb:
-    """The colour of a car by its instance id; those of successive ids are far apart."""
+def object_color(number: int) -> Rgb:
+    """The colour of an object by its instance id; those of successive ids are far apart."""
     red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(number * GOLDEN % 1, 0.8, 0.95))
     return red, green, blue
 
@@ -215,7 +209,7 @@ class _Canvas:
 
     def __init__(self, camera: CameraLabel, passes: Passes) -> None:
         self.camera, self.cam_from_world = camera, invert(camera.world_from_cam)
-        self._depth = np.where(GROUND[passes["semantic"]], passes["depth"], np.inf)
+        self._depth = np.where(IS_GROUND[passes["semantic"]], passes["depth"], np.inf)
         self._image = Image.new("RGB", (FINER * camera.width_px, FINER * camera.height_px))
         self._draw = ImageDraw.Draw(self._image)
         self._scale = FINER * camera.width_px / OF_WIDTH_PX
@@ -360,8 +354,9 @@ def _depth(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) ->
 def _seg(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
     semantic, instance = picture.passes["semantic"], picture.passes["instance"]
     expected = CLASS_COLORS[semantic].astype(float)
-    for number in np.unique(instance[semantic == SEMANTIC_IDS["car"]]).tolist():
-        expected[(semantic == SEMANTIC_IDS["car"]) & (instance == number)] = car_color(number)
+    is_object = np.isin(semantic, BOXED)
+    for number in np.unique(instance[is_object]).tolist():
+        expected[is_object & (instance == number)] = object_color(number)
     return _off(frame, expected, GREYS["seg"])
 
 

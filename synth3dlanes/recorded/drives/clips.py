@@ -11,12 +11,14 @@ from synth3dlanes.geometry.frames import invert
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, Scan
 from synth3dlanes.recorded.drives.lazy import MadeFrames
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import KINDS
 from synth3dlanes.system.arrays import Matrix4, Polyline2
 from synth3dlanes.system.errors import FormatError
 
-# What a clip's points reflect, by their surface: its sweeps have no intensity of their own.
-REFLECTS = {"marking": 0.8, "symbol": 0.8, "road": 0.15, "shoulder": 0.2, "terrain": 0.35, "car": 0.5}
+# What a clip's points reflect, by their semantic id: its sweeps have no intensity of their own.
+REFLECTS = np.zeros(256)
+for _kind in KINDS:
+    REFLECTS[_kind.semantic_id] = _kind.reflectance
 
 
 def read_clip(reader: Reader, scene: int, camera: str = "") -> Drive:
@@ -74,7 +76,4 @@ def _world_from_host(labels: Labels) -> Matrix4:
 
 def _scan(reader: Reader, at: int, time_s: float, world_from_host: Matrix4) -> Scan:
     points = reader.lidar(at).points()
-    reflects = np.zeros(256)
-    for name, value in REFLECTS.items():
-        reflects[SEMANTIC_IDS[name]] = value
-    return Scan(points.xyz_lidar, reflects[points.semantic], time_s, world_from_host)
+    return Scan(points.xyz_lidar, REFLECTS[points.semantic], time_s, world_from_host)
