@@ -16,6 +16,7 @@ from synth3dlanes.draw.map_standing import map_trees, stand
 from synth3dlanes.draw.map_terrain import terrain_of
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
+from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_network import MapNetwork
@@ -25,7 +26,6 @@ from synth3dlanes.roads.maps.part import MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
 from synth3dlanes.roads.maps.read import read_map
 from synth3dlanes.roads.roads import NetworkLane
-from synth3dlanes.roads.section_road import CrossSection
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import Camera, Shot
 from synth3dlanes.scene.road_map import LaneName, MapRoad, RoadMap

@@ -121,7 +121,7 @@ def half_widths(scene: Scene, names: list[str]) -> list[tuple[float, float]]:
     found, network = [], scene_network(scene)
     for name in names:
         lane = network.lanes[name]
-        _, left, right = network.road(lane.road).lines_of(lane)
+        left, right = lane.edges
         first_m, last_m = np.nan_to_num([lane.start_m, lane.end_m], posinf=GRAPH_END_M, neginf=-GRAPH_END_M)
         s = np.linspace(first_m, last_m, 50)
         widths_m = right(s) - left(s)

@@ -16,7 +16,8 @@ from synth3dlanes.formats.comparing import distances
 from synth3dlanes.formats.lane_map import MIRRORED
 from synth3dlanes.geometry.polylines import resampled, thinned
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import Polyline3, Scalars
 from synth3dlanes.world.paint import is_double, line_width_m, paint_color, pair_of
@@ -145,7 +146,7 @@ def _wide(road: Road, lane: NetworkLane) -> tuple[float, float] | None:
     """The stations between which a lane is written: readers stumble over bounds that begin at one place."""
     from_m, to_m = max(lane.start_m, -REACH_M), min(lane.end_m, REACH_M)
     s = np.linspace(from_m, to_m, 3 + int(abs(to_m - from_m) / STEP_M))
-    _, low, high = road.lines_of(lane)
+    low, high = lane.edges
     wide = s[high(s) - low(s) > LEAST_WIDTH_M] if to_m > from_m else s[:0]
     return (float(wide[0]), float(wide[-1])) if len(wide) > 1 else None
 
@@ -208,7 +209,7 @@ def _cuts(lanes: Sequence[tuple[NetworkLane, float, float]], painted: Sequence[P
             is_on = any(
                 low < s_m < high and np.abs(edge(at) - paint.t(at))[0] < PAINT_M
                 for lane, low, high in lanes
-                for edge in road.lines_of(lane)[1:]
+                for edge in lane.edges
             )
             if is_on and min(abs(s_m - end) for end in ends) > LEAST_M:
                 ends.add(s_m)
@@ -222,7 +223,7 @@ def _pieces(
     s = np.linspace(from_m, to_m, 3 + int((to_m - from_m) / STEP_M))
     lines, edges, sides = list[Scalars](), list[Polyline3](), dict[str, list[int]]()
     for lane in lanes:
-        _, *offsets = road.lines_of(lane)
+        offsets = lane.edges
         for t in (offset(s) for offset in offsets):
             at = next((i for i, line in enumerate(lines) if np.abs(line - t).max() < SAME_M), len(lines))
             if at == len(lines):

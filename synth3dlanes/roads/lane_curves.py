@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.labels.labels import Direction, LaneKind, Marking, Pair
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.system.arrays import AnyScalars
 
 # Lengths along a curve of a map are measured in steps of this length.

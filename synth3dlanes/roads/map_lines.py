@@ -10,12 +10,10 @@ import scipy
 from jaxtyping import Float
 
 from synth3dlanes.roads.maps.cubics import SAME_M
-from synth3dlanes.roads.reference_line import LineFrames, ReferenceLine, paired
+from synth3dlanes.roads.reference_line import GUESS_STEP_M, LineFrames, ReferenceLine, paired
 from synth3dlanes.scene.road_map import PlanPiece
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Polyline2
 
-# A point's station is looked for among places this far apart.
-GUESS_STEP_M = 4.0
 # Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns.
 NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
 NODES = NODES + 0.5
@@ -169,6 +167,11 @@ class Chain(FiniteLine):
         steps = np.diff(points_world, axis=0)
         ways = zip(points_world.tolist(), steps.tolist(), strict=False)
         return cls.of([Spiral(float(np.hypot(dx, dy)), (x, y), float(np.arctan2(dy, dx))) for (x, y), (dx, dy) in ways])
+
+    @property
+    def parts(self) -> Sequence[FiniteLine]:
+        """Its lines."""
+        return self.lines
 
     @cached_property
     def starts(self) -> Float[np.ndarray, " k"]:

@@ -18,7 +18,6 @@ from synth3dlanes.roads.maps.cubics import SAME_M
 from synth3dlanes.roads.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
 from synth3dlanes.roads.road_table import OnRoads, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
-from synth3dlanes.roads.section_road import SectionRoad
 from synth3dlanes.scene.host import Camera
 from synth3dlanes.scene.scene import Car
 from synth3dlanes.system.arrays import AnyPoints3, AnyScalars, Points2, Points3, Scalars
@@ -39,7 +38,7 @@ class Junction(NamedTuple):
     first of which yields to the second."""
 
     id: str
-    roads: tuple[SectionRoad, ...]
+    roads: tuple[Road, ...]
     outline: Points2
     yields: tuple[tuple[str, str], ...]
 
@@ -68,7 +67,7 @@ class MapNetwork(Network):
     """Roads with stations of their own. `given_paths` are its centre lines: on through links where there is only one
     way, up to a junction, and every connector through one; `courses` are those of lanes. `way` is the host's."""
 
-    roads: tuple[SectionRoad, ...]
+    roads: tuple[Road, ...]
     given_paths: tuple[LaneCurve, ...]
     junctions: tuple[Junction, ...]
     courses: Mapping[str, Course]
@@ -97,7 +96,7 @@ class MapNetwork(Network):
         return [(at, at.start_m, at.end_m) for at in found.values()]
 
     @property
-    def main(self) -> SectionRoad:
+    def main(self) -> Road:
         """The road where the host's way begins."""
         return self.road(self.way.lanes[0].road)
 
@@ -111,10 +110,10 @@ class MapNetwork(Network):
         return {lane.id: path for path in self.paths for lane in path.lanes}
 
     @cached_property
-    def _road_of(self) -> dict[str, SectionRoad]:
+    def _road_of(self) -> dict[str, Road]:
         return {road.id: road for road in self.roads}
 
-    def road(self, name: str) -> SectionRoad:
+    def road(self, name: str) -> Road:
         """A road by its id. Raises InputError for one that is too far from the host."""
         if name not in self._road_of:
             raise InputError(f"map: expected roads near the host, got {name}")
@@ -282,7 +281,7 @@ class MapNetwork(Network):
         where it is farther from a place than about `reach_m`."""
         road, (first_m, last_m) = self.road(lane.road), lane.driven
         s = np.linspace(first_m, last_m, max(2 + int(abs(last_m - first_m) / LINES_STEP_M), 3))
-        middle, low, high = (road.stretch_of(lane).points(s, offset(s)) for offset in road.lines_of(lane))
+        middle, low, high = (road.stretch_of(lane).points(s, offset(s)) for offset in (lane.middle, *lane.edges))
         if not _is_near(middle, xy_world, reach_m):
             return None
         return (middle, low, high) if lane.ascends else (middle, high, low)
@@ -301,7 +300,7 @@ class MapNetwork(Network):
         the host, from above."""
         own = self.road(road.id)
         begins = np.array([section.start_m for section in own.sections[1:]])
-        s = np.union1d(own.plan.stations, [begins - SAME_M, begins])
+        s = np.union1d(own.stations, [begins - SAME_M, begins])
         away_m = np.hypot(*(road.xy(s, 0.0) - self.host_points(camera, np.zeros(1))[0, :2]).T)
         return s if (away_m < ahead_m).any() else s[:0]
 
@@ -356,7 +355,7 @@ class MapNetwork(Network):
 
     @cached_property
     def _index(self) -> "_Index":
-        stations = [road.plan.stations for road in self.roads]
+        stations = [road.stations for road in self.roads]
         starts = np.cumsum([0, *map(len, stations)])[:-1]
         s, road = np.concatenate(stations), np.repeat(np.arange(len(stations)), list(map(len, stations)))
         points, normals, _, _ = self.table.frames(road, s)

@@ -11,9 +11,9 @@ import scipy
 
 from synth3dlanes.labels.labels import Direction, Marking, Pair
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, LinePaint, Neighbour, measured
+from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.road_table import RoadTable, TableLine
-from synth3dlanes.roads.roads import NetworkLane, Offset
-from synth3dlanes.roads.section_road import SectionRoad
+from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.road_map import JUMP_M, MapMark, MapRoad
 
 # Painted lines that end within JUMP_M of each other, and turn by less than this, are one if their marks are.
@@ -38,7 +38,7 @@ class PaintedEdge(NamedTuple):
     line, its stations, its paint as s grows, and the lanes on its left and right."""
 
     name: str
-    road: SectionRoad
+    road: Road
     section: int
     edge: int
     line: Offset
@@ -55,7 +55,7 @@ class PaintedEdge(NamedTuple):
         return self.marking, self.paint if onwards or pair is None else self.paint._replace(pair=OTHER_WAY[pair])
 
 
-def edges_of(given: MapRoad, road: SectionRoad) -> Iterator[PaintedEdge]:
+def edges_of(given: MapRoad, road: Road) -> Iterator[PaintedEdge]:
     """The stretches of all edges of a road's lanes with one mark."""
     driving = {lane.id for lane in road.lanes}
     for i, (section, stretch) in enumerate(zip(given.sections, road.stretches, strict=True)):

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from synth3dlanes.labels.labels import Direction
+from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_network import Junction, MapNetwork
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
+from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.road_table import RoadTable, TableLine
-from synth3dlanes.roads.roads import NetworkLane, Offset
-from synth3dlanes.roads.section_road import CrossSection, SectionRoad
+from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.road_map import JUMP_M, MapRoad, RoadMap
 from synth3dlanes.scene.scene import Terrain
 
@@ -80,7 +81,7 @@ class _Reading:
 
     # -- roads
 
-    def _near(self, at_m: float) -> list[SectionRoad]:
+    def _near(self, at_m: float) -> list[Road]:
         """The roads within AROUND_M of a place along the route, and those of the route."""
         wanted = {name.rsplit(".", 2)[0] for name in self.map.route}
         by_id = {road.id: self._road(road) for road in self.map.roads if road.id in wanted}
@@ -96,7 +97,7 @@ class _Reading:
                 found.append(self._road(road))
         return found
 
-    def _road(self, road: MapRoad) -> SectionRoad:
+    def _road(self, road: MapRoad) -> Road:
         bare = bare_road(road, self.terrain)
         lanes = [
             lane for i, section in enumerate(bare.sections) if section.end_m > section.start_m
@@ -129,10 +130,10 @@ class _Reading:
         return found
 
 
-def bare_road(road: MapRoad, terrain: Terrain) -> SectionRoad:
+def bare_road(road: MapRoad, terrain: Terrain) -> Road:
     """A road of a map without its lanes of traffic."""
     line = plan_line(road.plan)
-    return SectionRoad(
+    return Road(
         road.id,
         line,
         terrain,
@@ -143,7 +144,6 @@ def bare_road(road: MapRoad, terrain: Terrain) -> SectionRoad:
         start_m=0.0,
         end_m=line.length_m,
         sections=tuple(CrossSection.of(road, i) for i in range(len(road.sections))),
-        plan=line,
         bridges=road.bridges,
         tunnels=road.tunnels,
         junction=road.junction,
@@ -174,6 +174,7 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
             section.end_m,
             ascends=up[i],
             junction=road.junction,
+            sides=(section.edge_line(i), section.edge_line(i + 1)),
         )
 
 
@@ -199,7 +200,7 @@ def _path(lanes: list[NetworkLane], courses: Mapping[str, Course]) -> LaneCurve:
     )
 
 
-def _middle(lane: NetworkLane, road: SectionRoad, numbers: Mapping[tuple[str, int], int]) -> TableLine:
+def _middle(lane: NetworkLane, road: Road, numbers: Mapping[tuple[str, int], int]) -> TableLine:
     """The middle of a lane, as its traffic drives."""
     section, number = map(int, lane.id.rsplit(".", 2)[1:])
     edge = next(i for i, own in enumerate(road.sections[section].lanes) if own.number == number)

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.labels.labels import LaneGraph, Segment
 from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, joined, neighbours
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road, lift
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.host import Camera
 from synth3dlanes.scene.scene import Car, Terrain
@@ -294,13 +295,13 @@ class Network:
         s = np.unique(np.clip(self.stations_near(xy_world, reach_m), lane.start_m, lane.end_m))
         if len(s) < 2:
             return None
-        lines = [road.points(s, offset(s)) for offset in road.lines_of(lane)]
+        lines = [road.points(s, offset(s)) for offset in (lane.middle, *lane.edges)]
         before = next((at for at in self.joined_to(lane) if at.road != lane.road and at.end_m == lane.start_m), None)
         if before is not None and s[0] <= lane.start_m:
             # It begins where the lane before it ends, on another road; its own first points may lie behind that.
             other = self.road(before.road)
             ahead = np.all([other.line.project(line[:, :2])[0] > s[0] + LEAST_GAP_M for line in lines], axis=0)
-            starts = [other.points(s[:1], offset(s[:1])) for offset in other.lines_of(before)]
+            starts = [other.points(s[:1], offset(s[:1])) for offset in (before.middle, *before.edges)]
             lines = [np.concatenate([start, line[ahead]]) for start, line in zip(starts, lines, strict=True)]
         middle, low, high = (line[:: 1 if lane.ascends else -1] for line in lines)
         return (middle, low, high) if lane.ascends != road.line.is_mirrored else (middle, high, low)

@@ -12,7 +12,8 @@ from synth3dlanes.labels.labels import Direction, Marking
 from synth3dlanes.roads.lane_curves import LaneCurve, joined, neighbours
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_lines import S_END_M, Displaced, Flips, Opening, Quartic
-from synth3dlanes.roads.roads import NetworkLane, Offset, Parting, Ramp, Road
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Parting, Ramp, Road
 from synth3dlanes.scene.scene import PaperRoad, Terrain
 from synth3dlanes.system.arrays import AnyScalars
 

@@ -5,10 +5,12 @@ growing s; on a mirrored line to the left.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars
 
@@ -16,6 +18,8 @@ from synth3dlanes.system.arrays import AnyPoints2, AnyScalars
 NEWTON_STEPS = 4
 # After steps below this, a projection has converged.
 SETTLED_M = 1e-9
+# First guesses are looked for among places this far apart.
+GUESS_STEP_M = 4.0
 # A step goes no farther than this, and takes no piece of the line for shorter than this share of its length.
 MAX_STEP_M, MIN_SHARE = 20.0, 0.3
 
@@ -42,6 +46,27 @@ def dot(a: AnyPoints2, b: AnyPoints2) -> AnyScalars:
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
+@dataclass(frozen=True)
+class Offset:
+    """t(s) of a line beside a reference line: a constant, and what moves it along the road."""
+
+    base_m: float
+    moves: Callable[[AnyScalars], AnyScalars] | None = None
+
+    def __call__(self, s: AnyScalars) -> AnyScalars:
+        """The offsets at stations."""
+        return np.full(s.shape, self.base_m) if self.moves is None else np.asarray(self.base_m + self.moves(s))
+
+    def shifted(self, t_m: float) -> "Offset":
+        """The line `t_m` beside it."""
+        return replace(self, base_m=self.base_m + t_m)
+
+    @property
+    def order(self) -> tuple[float, bool]:
+        """Sorts lanes as t grows: one that opens lies beyond its neighbour, where it begins."""
+        return self.base_m, self.moves is not None
+
+
 class ReferenceLine(ABC):
     """A line by its frames, and by a first guess of the station next to a point."""
 
@@ -57,6 +82,20 @@ class ReferenceLine(ABC):
     def is_mirrored(self) -> bool:
         """Whether t grows to the left of growing s."""
         return False
+
+    @property
+    def parts(self) -> Sequence["ReferenceLine"]:
+        """The lines that it consists of, one after the other."""
+        return (self,)
+
+    @property
+    def starts(self) -> Float[np.ndarray, " k"]:
+        """Where each of these begins; from there on its own stations count."""
+        return np.zeros(1)
+
+    def within(self, start_m: float, end_m: float) -> "ReferenceLine":
+        """Those of its parts that are between two stations, with all their length."""
+        return self
 
     def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) of places."""

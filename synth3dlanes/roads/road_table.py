@@ -1,6 +1,6 @@
 """Roads of maps as arrays: answers for places on many roads in one call. World frame, metres.
 
-A road is known by its number. What a call tells of a place is what the `SectionRoad` of that number tells of it.
+A road is known by its number. What a call tells of a place is what the `Road` of that number tells of it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.roads.cross_section import CrossSection, Profile
 from synth3dlanes.roads.lane_curves import n_knots
 from synth3dlanes.roads.map_lines import Spiral, spiral_frames
 from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, LineFrames, dot
-from synth3dlanes.roads.section_road import CrossSection, Profile, SectionRoad
+from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
@@ -101,11 +102,11 @@ class _Cubics:
 class RoadTable:
     """The lines, sections and heights of roads as arrays."""
 
-    def __init__(self, roads: Sequence[SectionRoad], terrain: Terrain) -> None:
+    def __init__(self, roads: Sequence[Road], terrain: Terrain) -> None:
         self.roads, self._terrain = tuple(roads), terrain
-        lines = [line for road in roads for line in road.plan.lines]
+        lines = [line for road in roads for line in road.line.parts]
         self._lines = lines
-        self._pieces = _Ragged.of(road.plan.starts.tolist() for road in roads)
+        self._pieces = _Ragged.of(road.line.starts.tolist() for road in roads)
         self._spirals = np.array([line.numbers if isinstance(line, Spiral) else (0.0,) * 5 for line in lines])
         self._is_other = np.array([not isinstance(line, Spiral) for line in lines])
         self._is_straight = ~self._is_other & (self._spirals[:, 3:] == 0).all(axis=1)

@@ -1,20 +1,24 @@
 """Roads on reference lines, and their lanes. World frame, metres; the rules are in docs/network.md.
 
-A place is (road, s, t), see reference_line.py. It lies on the terrain or, on a raised road, at a height over it.
+A place is (road, s, t), see reference_line.py. It lies on the terrain, at the height of a ramp over that, or as high as
+the road's own sections say.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import groupby, pairwise
+from types import EllipsisType
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.labels.labels import Direction
-from synth3dlanes.roads import terrain as ground
-from synth3dlanes.roads.reference_line import ReferenceLine
+from synth3dlanes.roads.cross_section import KERB_M, SEAM_M, CrossSection
+from synth3dlanes.roads.reference_line import GUESS_STEP_M, Offset, ReferenceLine
+from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene.road_map import MapSpan
 from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars
 
@@ -26,29 +30,10 @@ RAMP_SAG_M = 0.001
 # Where roads part, places of the branch are looked for up to this far behind the station on the other road, this deep
 # in that one's pavement, and up to so many times its opening beside it.
 BEFORE_M, OVERLAP_M, WIDER = 20.0, 1.0, 1.5
+# Width that is assumed where a road has no lanes of traffic.
+LANE_WIDTH_M = 3.5
 # An offset this close to the middle between two carriageways counts as on it, and that as of the right one.
 HAIR_M = 1e-6
-
-
-@dataclass(frozen=True)
-class Offset:
-    """t(s) of a line beside a reference line: a constant, and what moves it along the road."""
-
-    base_m: float
-    moves: Callable[[AnyScalars], AnyScalars] | None = None
-
-    def __call__(self, s: AnyScalars) -> AnyScalars:
-        """The offsets at stations."""
-        return np.full(s.shape, self.base_m) if self.moves is None else np.asarray(self.base_m + self.moves(s))
-
-    def shifted(self, t_m: float) -> "Offset":
-        """The line `t_m` beside it."""
-        return replace(self, base_m=self.base_m + t_m)
-
-    @property
-    def order(self) -> tuple[float, bool]:
-        """Sorts lanes as t grows: one that opens lies beyond its neighbour, where it begins."""
-        return self.base_m, self.moves is not None
 
 
 @dataclass(frozen=True)
@@ -75,8 +60,9 @@ class Ramp:
 @dataclass(frozen=True)
 class NetworkLane:
     """A lane between two stations of its road, a node of the lane graph: `number` of its section from the host's left.
-    Its traffic drives as the host does, or is `oncoming`; on a map it may be neither, and `ascends` says whether it
-    goes with growing s. `junction` is the one that the lane is in."""
+    Its traffic drives as the host does, is `oncoming` or neither; `ascends` says whether it goes with growing s. Its
+    `sides` are its edges as t grows, half its width from its middle unless they are given. `junction` is the one that
+    it is in."""
 
     id: str
     road: str
@@ -89,6 +75,13 @@ class NetworkLane:
     direction: Direction = "same"
     ascends: bool = True
     junction: str | None = None
+    sides: tuple[Offset, Offset] | None = None
+
+    @property
+    def edges(self) -> tuple[Offset, Offset]:
+        """Its edges as t grows."""
+        half_m = self.width_m / 2
+        return self.sides or (self.middle.shifted(-half_m), self.middle.shifted(half_m))
 
     @property
     def driven(self) -> tuple[float, float]:
@@ -127,7 +120,9 @@ class Parting:
 @dataclass(frozen=True, eq=False)
 class Road:
     """A road on its reference line over the stations [start_m, end_m]. Its cross-section, as t grows: the left edge of
-    its pavement, a shoulder, lanes and perhaps a median between them, a shoulder, and the right edge."""
+    its pavement, a shoulder, lanes and perhaps a median between them, a shoulder, and the right edge. It lies on the
+    terrain, or on a `ramp` over it. With `sections` these say what lies across it and, where they have heights, how
+    high (world z of its line) and how far turned about that: then `left` and `right` are theirs (`with_edges`)."""
 
     id: str
     line: ReferenceLine
@@ -140,16 +135,17 @@ class Road:
     end_m: float = np.inf
     ramp: Ramp | None = None
     parting: Parting | None = None
+    sections: tuple[CrossSection, ...] = ()
+    bridges: tuple[MapSpan, ...] = ()
+    tunnels: tuple[MapSpan, ...] = ()
+    junction: str | None = None
 
-    @property
-    def is_raised(self) -> bool:
-        """Whether it leaves the terrain anywhere."""
-        return self.ramp is not None
+    # -- its lanes and sections
 
     @property
     def lane_width_m(self) -> float:
-        """Width of its lanes."""
-        return self.lanes[0].width_m
+        """Width of its first lane."""
+        return self.lanes[0].width_m if self.lanes else LANE_WIDTH_M
 
     @cached_property
     def carriageways(self) -> tuple[Carriageway, ...]:
@@ -173,19 +169,59 @@ class Road:
         beyond = sum(t + HAIR_M > (low_m + high_m) / 2 for low_m, high_m in self.medians)
         return self.carriageways[beyond].direction == "oncoming"
 
-    def lines_of(self, lane: NetworkLane) -> tuple[Offset, Offset, Offset]:
-        """The lines of a lane's middle and of its edges, as t grows."""
-        half_m = lane.width_m / 2
-        return lane.middle, lane.middle.shifted(-half_m), lane.middle.shifted(half_m)
-
-    def stretch_of(self, lane: NetworkLane) -> "Road":
-        """The road as it is along one of its lanes."""
-        return self
-
     def lanes_at(self, s: float) -> list[NetworkLane]:
         """Its lanes at a station, as t grows."""
         here = [lane for lane in self.lanes if lane.start_m <= s < lane.end_m]
         return sorted(here, key=lambda lane: lane.middle.order)
+
+    @cached_property
+    def stretches(self) -> tuple["Road", ...]:
+        """The road within each of its sections. Where one ends, the road itself is as the next one begins."""
+        if len(self.sections) < 2:
+            return (self,)
+        return tuple(
+            replace(
+                self, start_m=at.start_m, end_m=at.end_m, sections=(at,), line=self.line.within(at.start_m, at.end_m)
+            ).with_edges()
+            for at in self.sections
+        )
+
+    def with_edges(self) -> "Road":
+        """The road between the edges of the pavement of its own sections."""
+        left, right = (Offset(0.0, partial(self._paved, side)) for side in (0, 1))
+        return replace(self, left=left, right=right)
+
+    def stretch_of(self, lane: NetworkLane) -> "Road":
+        """The road within the section of one of its lanes."""
+        return next(at for at in self.stretches if at.start_m <= lane.start_m < lane.end_m <= at.end_m)
+
+    @cached_property
+    def _starts(self) -> Float[np.ndarray, " k"]:
+        return np.array([section.start_m for section in self.sections])
+
+    def sections_at(self, s: AnyScalars) -> Iterator[tuple[CrossSection, np.ndarray | EllipsisType]]:
+        """The sections at stations, and at which of these each is."""
+        if len(self.sections) == 1:
+            yield self.sections[0], ...
+            return
+        at = np.clip(np.searchsorted(self._starts, s, side="right") - 1, 0, None)
+        for i in np.unique(at):
+            yield self.sections[i], at == i
+
+    def _paved(self, which: int, s: AnyScalars) -> AnyScalars:
+        """Offsets of the left (0) or right (1) edge of the pavement of its sections."""
+        found = np.zeros(s.shape)
+        for section, here in self.sections_at(s):
+            found[here] = section.edge(section.paved[which], s[here])
+        return found
+
+    # -- places
+
+    @cached_property
+    def stations(self) -> Float[np.ndarray, " k"]:
+        """The stations of places along it, GUESS_STEP_M apart or closer; of a road with both ends."""
+        n = 2 + int((self.end_m - self.start_m) / GUESS_STEP_M)
+        return np.asarray(self.start_m + np.linspace(0, self.end_m - self.start_m, n))
 
     def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:
         """World (x, y) of places."""
@@ -193,15 +229,66 @@ class Road:
 
     def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface."""
-        return lift(self.terrain, self.xy(s, t), self.raised(s, t))
+        points = self.base_points(s, t)
+        if self.has_kerbs:
+            points[..., 2] += self.kerb(s, t)
+        return points
 
     def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface without raised lanes."""
-        return self.points(s, t)
+        xy = self.xy(s, t)
+        if self.has_heights:
+            return np.concatenate([xy, self._own_height(s, t)[..., None]], -1)
+        return lift(self.terrain, xy, self._on_ramp(s))
+
+    @cached_property
+    def is_raised(self) -> bool:
+        """Whether it leaves the terrain anywhere."""
+        return self.ramp is not None or self.has_heights or self.has_kerbs
+
+    @cached_property
+    def has_heights(self) -> bool:
+        """Whether it has heights of its own."""
+        return any(section.heights is not None for section in self.sections)
+
+    @cached_property
+    def has_kerbs(self) -> bool:
+        """Whether any of its lanes is raised."""
+        return any(section.raised for section in self.sections)
 
     def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
         """Height of its surface over the terrain at places."""
+        if self.has_heights:
+            return np.asarray(self._own_height(s, t) + self.kerb(s, t) - height_at(self.terrain, self.xy(s, t)))
+        return self._on_ramp(s) + self.kerb(s, t) if self.has_kerbs else self._on_ramp(s)
+
+    def _on_ramp(self, s: AnyScalars) -> AnyScalars:
         return np.zeros(np.shape(s)) if self.ramp is None else self.ramp(s)
+
+    def _own_height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+        s, t = np.broadcast_arrays(s, t)
+        found = np.zeros(s.shape)
+        for section, here in self.sections_at(s):
+            found[here] = section.height(s[here], t[here])
+        return found
+
+    def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+        """Height of raised lanes over the pavement at places."""
+        found = np.zeros(np.shape(s))
+        if not self.has_kerbs:
+            return found
+        t = np.broadcast_to(t, found.shape)
+        for section, here in self.sections_at(s):
+            for left, right in section.raised:
+                # Most places lie on the road's side of the inner edge.
+                is_right = left >= section.n_left
+                inner, outer = (left, right) if is_right else (right, left)
+                sign = 1 if is_right else -1
+                beyond = sign * (t[here] - section.edge(inner, s[here])) > SEAM_M
+                if beyond.any():
+                    beyond &= sign * (section.edge(outer, s[here]) - t[here]) > SEAM_M
+                    found[here] = np.where(beyond, KERB_M, found[here])
+        return found
 
     def edge(self, side: Side, s: AnyScalars, out_m: AnyScalars | float = 0.0) -> AnyScalars:
         """Offsets `out_m` outside an edge of its pavement."""
@@ -230,5 +317,5 @@ class Road:
 
 def lift(terrain: Terrain, xy_world: AnyPoints2, above_m: AnyScalars | float = 0.0) -> AnyPoints3:
     """3D points on the terrain, or `above_m` over it."""
-    z = ground.height_at(terrain, xy_world) + above_m
+    z = height_at(terrain, xy_world) + above_m
     return np.concatenate([xy_world, np.asarray(z)[..., None]], -1)

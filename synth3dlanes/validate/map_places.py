@@ -72,9 +72,9 @@ class MapPlaces:
         near, roads = self.ground.network.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
         rows = np.flatnonzero(near)
         for road, which, s, t in roads:
-            own, inside = self.ground.network.road(road.id), road.outside(s, t) < EDGE_M
+            inside = road.outside(s, t) < EDGE_M
             at = rows[np.flatnonzero(which)[inside]]
-            z = own.base_points(s[inside], t[inside])[:, 2]
+            z = road.base_points(s[inside], t[inside])[:, 2]
             low[at], high[at] = np.minimum(low[at], z), np.maximum(high[at], z)
         return (high - low < APART_M) & ~self.ground.is_stacked(self.xy_world)
 
@@ -126,12 +126,10 @@ class MapPlaces:
             taken[at[inside]] += 1
             if road.id not in inner:
                 continue
-            own = self.ground.network.road(road.id)
-            sections = own.section_at(s)
-            for i in np.unique(sections):
-                section = own.sections[i]
-                amid = (s > section.start_m + SEAM_M) & (s < section.end_m - SEAM_M)
-                here = np.flatnonzero((sections == i) & amid)
+            for section, on in road.sections_at(s):
+                amid = np.zeros(len(s), dtype=bool)
+                amid[on] = (s[on] > section.start_m + SEAM_M) & (s[on] < section.end_m - SEAM_M)
+                here = np.flatnonzero(amid)
                 edges = section.edges(s[here])
                 for k, lane in enumerate(section.lanes):
                     within = inside[here] & (t[here] > edges[k] + margin_m) & (t[here] < edges[k + 1] - margin_m)

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Int
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.roads import Offset, Road
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2, Points3, Scalars

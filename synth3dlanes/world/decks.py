@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.polylines import stretches
-from synth3dlanes.roads.section_road import KERB_M
+from synth3dlanes.roads.cross_section import KERB_M
 from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.world.map_ground import MapGround
 from synth3dlanes.world.solids import SINK_M, Body, GroundFrame, Quads

@@ -10,8 +10,8 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.roads.map_lines import GUESS_STEP_M
 from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.reference_line import GUESS_STEP_M
 from synth3dlanes.roads.road_table import OnRoads
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.system.arrays import Points2, Scalars
@@ -216,7 +216,7 @@ class GradedGround:
     @cached_property
     def _rows(self) -> "_Rows":
         table, own = self.network.table, np.flatnonzero(self._has_heights)
-        stations = [self.network.roads[i].plan.stations for i in own]
+        stations = [self.network.roads[i].stations for i in own]
         road, s = np.repeat(own, [len(at) for at in stations]), np.concatenate(stations)
         left, right = table.edges(road, s)
         points = np.stack([table.base_points(road, s, left + share * (right - left)) for share in SHARES], axis=1)

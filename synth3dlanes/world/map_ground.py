@@ -16,11 +16,11 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
+from synth3dlanes.roads.cross_section import KERB_M, RAISED
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.map_network import AS_FAR, Junction, MapNetwork
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
-from synth3dlanes.roads.section_road import KERB_M, RAISED, SectionRoad
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
@@ -122,7 +122,7 @@ class MapGround(Ground):
         away_m = np.split(self.away_at(xy), np.cumsum(counts)[:-1])
         return {road.id: _rows(*at) for road, *at in zip(roads, coarse, away_m, strict=True)}
 
-    def stretch_rows(self, stretch: SectionRoad) -> Scalars:
+    def stretch_rows(self, stretch: Road) -> Scalars:
         """The stations of the rows of a stretch of a road."""
         s, ends = self._road_rows[stretch.id], [stretch.start_m, stretch.end_m]
         return np.union1d(s[(s > ends[0]) & (s < ends[1])], ends)
@@ -148,7 +148,7 @@ class MapGround(Ground):
     def _edge_lines(self) -> dict[tuple[int, int], Float[np.ndarray, "_ 2"]]:
         """Lines that bound areas: edges of lanes by the identity of their stretch, which the network keeps, and their
         numbers there."""
-        known, wanted = {at.id for at in self.network.junctions}, list[tuple[int, SectionRoad, int]]()
+        known, wanted = {at.id for at in self.network.junctions}, list[tuple[int, Road, int]]()
         stretches = [stretch for road in self.network.roads for stretch in road.stretches]
         for i, stretch in enumerate(stretches):
             (section,) = stretch.sections
@@ -164,7 +164,7 @@ class MapGround(Ground):
         ends = np.cumsum(counts)[:-1]
         return {(id(at), k): line for (_, at, k), line in zip(wanted, np.split(xy, ends), strict=True)}
 
-    def strip(self, road: SectionRoad) -> BaseGeometry:
+    def strip(self, road: Road) -> BaseGeometry:
         """The pavement of a road from above."""
         paved = [(at, at.sections[0].paved) for at in road.stretches]
         lines = self._edge_lines
@@ -177,7 +177,7 @@ class MapGround(Ground):
         return union(self.strip(road) for road in self.outside)
 
     @property
-    def outside(self) -> list[SectionRoad]:
+    def outside(self) -> list[Road]:
         """The roads that are in no junction."""
         known = {at.id for at in self.network.junctions}
         return [road for road in self.network.roads if road.junction not in known]
@@ -231,7 +231,7 @@ class MapGround(Ground):
         stretches = [stretch for road in self.outside for stretch in road.stretches]
         return [self._between(stretch, edges) for stretch in stretches for edges in stretch.sections[0].raised]
 
-    def _between(self, stretch: SectionRoad, edges: tuple[int, int]) -> BaseGeometry:
+    def _between(self, stretch: Road, edges: tuple[int, int]) -> BaseGeometry:
         """The area between two edges of a stretch of a road."""
         left, right = (self._edge_lines[id(stretch), edge] for edge in edges)
         return polygon_between(left, right)
@@ -413,7 +413,7 @@ class MapGround(Ground):
         shapely.prepare(whole)
         return whole
 
-    def _ground_strips(self, road: SectionRoad) -> Iterator[BaseGeometry]:
+    def _ground_strips(self, road: Road) -> Iterator[BaseGeometry]:
         """The pavement of a road where it lies on the ground."""
         spans_of = self.graded_ground.spans_of
         if road.id not in spans_of:

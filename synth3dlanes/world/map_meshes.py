@@ -14,7 +14,8 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
-from synth3dlanes.roads.section_road import KERB_M, SectionRoad
+from synth3dlanes.roads.cross_section import KERB_M
+from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference, intersection, outset, union
@@ -121,7 +122,7 @@ def _near(ground: MapGround, mesh: Mesh) -> Mesh:
     return mesh if kept.all() else replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _strips(ground: MapGround, stretch: SectionRoad) -> list[Mesh]:
+def _strips(ground: MapGround, stretch: Road) -> list[Mesh]:
     """The lanes of a stretch of a road, raised ones with kerbs on both sides."""
     s, (section,) = ground.stretch_rows(stretch), stretch.sections
     edges, first, last = section.edges(s), *section.paved

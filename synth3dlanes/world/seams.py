@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.streams import Streams
@@ -93,7 +94,7 @@ def clear_lanes(network: Network, stretch: RoadPart) -> list[NetworkLane]:
     s = np.linspace(low_m, high_m, 9)
 
     def stays(lane: NetworkLane) -> bool:
-        _, left, right = network.road(road.id).lines_of(lane)
+        left, right = lane.edges
         is_whole = lane.start_m <= low_m and lane.end_m >= high_m
         is_here = is_whole or all(beyond.road == road.id for beyond in network.joined_to(lane))
         return bool(is_here and (right(s) - left(s)).min() > 2 * CLEAR_M)
@@ -118,7 +119,7 @@ def _cracks(network: Network, part: RoadPart, amount: float, rng: np.random.Gene
     for _ in range(rng.poisson((high_m - low_m) * CRACKS_PER_M * amount)):
         at_m = rng.uniform(low_m, high_m)
         lanes, s = _same(road, at_m), np.array([at_m])
-        edges = [float(line(s)[0]) for lane in lanes for line in network.road(road.id).lines_of(lane)[1:]]
+        edges = [float(line(s)[0]) for lane in lanes for line in lane.edges]
         first, last = (0, len(lanes)) if rng.random() < ACROSS_ALL else sorted(rng.integers(0, len(lanes) + 1, 2))
         t = np.arange(edges[2 * first], edges[2 * last - 1], STEP_M) if first < last else np.zeros(0)
         if len(t) > 1:

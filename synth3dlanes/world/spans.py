@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.roads.road_table import RoadTable
-from synth3dlanes.roads.section_road import SectionRoad
+from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.areas import intersection, polygon_between
 from synth3dlanes.world.ground import EMBANKMENT_SLOPE
@@ -38,7 +38,7 @@ class Span(NamedTuple):
     """A part of a road that is off the ground: its stations, its area from above, and whether it is a tunnel, or a
     bridge of a file."""
 
-    road: SectionRoad
+    road: Road
     from_m: float
     to_m: float
     area: BaseGeometry
@@ -60,7 +60,7 @@ class Span(NamedTuple):
         return np.asarray(self.road.base_points(s, np.clip(t, self.road.left(s), self.road.right(s)))[:, 2])
 
 
-def spans(table: RoadTable, strip: Callable[[SectionRoad], BaseGeometry]) -> list[Span]:
+def spans(table: RoadTable, strip: Callable[[Road], BaseGeometry]) -> list[Span]:
     """The decks and tunnels of roads with heights, whose pavements from above `strip` tells."""
     raised = np.array([i for i, road in enumerate(table.roads) if road.has_heights], dtype=int)
     passed = list(_passages(table, raised, strip))
@@ -79,7 +79,7 @@ def spans(table: RoadTable, strip: Callable[[SectionRoad], BaseGeometry]) -> lis
     return found
 
 
-def _span(road: SectionRoad, from_m: float, to_m: float, is_tunnel: bool = False, is_given: bool = False) -> Span:
+def _span(road: Road, from_m: float, to_m: float, is_tunnel: bool = False, is_given: bool = False) -> Span:
     s, aside_m = np.linspace(from_m, to_m, 2 + int(to_m - from_m)), WALL_M if is_tunnel else 0.0
     left, right = road.left(s), road.right(s)
     out_m = np.array([-BEFORE_M, BEFORE_M]) * is_tunnel
@@ -98,7 +98,7 @@ class _Passage(NamedTuple):
     """The area from above where a road passes below another, that road, and its height there."""
 
     area: BaseGeometry
-    lower: SectionRoad
+    lower: Road
     z: float
 
 
@@ -119,7 +119,7 @@ def _ways(
 
 
 def _passages(
-    table: RoadTable, numbers: Int[np.ndarray, " k"], strip: Callable[[SectionRoad], BaseGeometry]
+    table: RoadTable, numbers: Int[np.ndarray, " k"], strip: Callable[[Road], BaseGeometry]
 ) -> Iterator[_Passage]:
     roads, ways = [table.roads[i] for i in numbers], [rows for _, rows in _ways(table, numbers, STEP_M).values()]
     low, high = ([lead(rows[1, :, 2]) for rows in ways] for lead in (np.min, np.max))
@@ -160,7 +160,7 @@ def _over(s: Scalars, rows: Float[np.ndarray, "3 n 3"], at: _Passage) -> Iterato
         yield float(s[max(first - 1, 0)]), float(s[min(end, len(s) - 1)])
 
 
-def _joined(ends: Sequence[tuple[float, float]], road: SectionRoad) -> Iterator[tuple[float, float]]:
+def _joined(ends: Sequence[tuple[float, float]], road: Road) -> Iterator[tuple[float, float]]:
     """Spans without those between which there is hardly any ground, up to the ends of the road."""
     found: list[tuple[float, float]] = []
     for low, high in sorted(ends):

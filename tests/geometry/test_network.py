@@ -7,7 +7,8 @@ import pytest
 
 from synth3dlanes.roads.map_lines import Spiral
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills

@@ -95,7 +95,7 @@ def test_on_a_map_seams_lie_on_the_hosts_lanes_below_the_paint_and_clear_of_line
         for lane in lanes:
             road = network.road(lane.road)
             s, t = road.line.project(seen)
-            _, left, right = road.lines_of(lane)
+            left, right = lane.edges
             inside = (s > lane.start_m - 0.3) & (s < lane.end_m + 0.3)
             in_lane |= inside & (t > left(s) - 0.3) & (t < right(s) + 0.3)
         assert in_lane.all()

@@ -12,11 +12,11 @@ from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.opendrive.write import opendrive
 from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.cross_section import Shapes
 from synth3dlanes.roads.maps.cubics import value
 from synth3dlanes.roads.maps.furniture import edges_at
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
 from synth3dlanes.roads.maps.plan import places
-from synth3dlanes.roads.section_road import Shapes
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.world import World
 from tests.maps.files import lane, plan, road, section

@@ -231,7 +231,7 @@ def _half_widths(truth: SourceSample, names: list[str], global_from_cam: Matrix4
         road = network.road(lane.road)
         first_m, last_m = np.nan_to_num([lane.start_m, lane.end_m], posinf=ENDLESS_M, neginf=-ENDLESS_M)
         s = np.linspace(first_m, last_m, 50)
-        left, right = (transform(global_from_world, road.points(s, edge(s)))[:, :2] for edge in road.lines_of(lane)[1:])
+        left, right = (transform(global_from_world, road.points(s, edge(s)))[:, :2] for edge in lane.edges)
         # On a slope what is beside a place is not square to the road from above.
         (dx, dy), (x, y) = np.gradient((left + right) / 2, axis=0).T, (right - left).T
         widths_m = np.abs(dx * y - dy * x) / np.hypot(dx, dy)

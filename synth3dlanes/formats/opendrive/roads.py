@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.system.arrays import Points2, Points3, Scalars

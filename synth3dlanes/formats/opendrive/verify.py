@@ -11,10 +11,10 @@ from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compa
 from synth3dlanes.formats.format import FrameList, ReadFrame
 from synth3dlanes.formats.opendrive.xml import USER_DATA, Element
 from synth3dlanes.formats.reading import read_text
+from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.maps.document import parse_xml
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
 from synth3dlanes.roads.maps.plan import places, plan_points
-from synth3dlanes.roads.section_road import CrossSection
 from synth3dlanes.scene.road_map import MapRoad, Polynomial
 from synth3dlanes.system.arrays import Points3, Scalars
 

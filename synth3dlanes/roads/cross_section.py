@@ -1,26 +1,20 @@
-"""Roads of maps: sections of lanes of many kinds, with widths that change, heights and banks of their own. World frame,
-metres; t grows to the right of growing s."""
+"""Cross-sections of roads: lanes of many kinds beside each other, with widths that change, heights and banks of their
+own. World frame, metres; t grows to the right of growing s."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
-from types import EllipsisType
 
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.roads.map_lines import Chain
 from synth3dlanes.roads.maps.cubics import holding
-from synth3dlanes.roads.roads import NetworkLane, Offset, Road, lift
-from synth3dlanes.roads.terrain import height_at
-from synth3dlanes.scene.road_map import MapLane, MapLaneKind, MapRoad, MapShape, MapSpan, Polynomial
-from synth3dlanes.system.arrays import AnyPoints3, AnyScalars, Numbers
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.scene.road_map import MapLane, MapLaneKind, MapRoad, MapShape, Polynomial
+from synth3dlanes.system.arrays import AnyScalars, Numbers
 
 # Height of raised lanes over the pavement, the width of the seam at their edges that is not raised, and their kinds.
 KERB_M, SEAM_M = 0.12, 0.005
 RAISED: frozenset[MapLaneKind] = frozenset({"walkway", "kerb"})
-# Width that is assumed where a road has no lanes of traffic.
-LANE_WIDTH_M = 3.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,132 +192,3 @@ class CrossSection:
             if lane.kind in RAISED:
                 runs[-1:] = [(runs[-1][0], i + 1)] if runs and runs[-1][1] == i else [*runs[-1:], (i, i + 1)]
         return runs
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SectionRoad(Road):
-    """A road of sections over the stations [start_m, end_m], on the terrain or at the heights of its sections (world z
-    of its line), turned about that by their banks (radians, positive where its right side is lower)."""
-
-    plan: Chain
-    sections: tuple[CrossSection, ...]
-    bridges: tuple[MapSpan, ...] = ()
-    tunnels: tuple[MapSpan, ...] = ()
-    junction: str | None = None
-
-    @property
-    def lane_width_m(self) -> float:
-        """Width of its first lane of traffic."""
-        return self.lanes[0].width_m if self.lanes else LANE_WIDTH_M
-
-    @cached_property
-    def is_raised(self) -> bool:
-        """Whether it leaves the terrain anywhere."""
-        return self.has_heights or self.has_kerbs
-
-    @property
-    def has_heights(self) -> bool:
-        """Whether it has heights of its own."""
-        return self.sections[0].heights is not None
-
-    @cached_property
-    def stretches(self) -> tuple["SectionRoad", ...]:
-        """The road within each of its sections. Where one ends, the road itself is as the next one begins."""
-        if len(self.sections) == 1:
-            return (self,)
-        return tuple(
-            replace(self, start_m=at.start_m, end_m=at.end_m, sections=(at,), line=line, plan=line).with_edges()
-            for at in self.sections
-            for line in [self.plan.within(at.start_m, at.end_m)]
-        )
-
-    def with_edges(self) -> "SectionRoad":
-        """The road between the edges of the pavement of its own sections."""
-        left, right = (Offset(0.0, partial(self.paved, side)) for side in (0, 1))
-        return replace(self, left=left, right=right)
-
-    def stretch_of(self, lane: NetworkLane) -> "SectionRoad":
-        """The road within the section of one of its lanes."""
-        return self.stretches[int(lane.id.rsplit(".", 2)[1])]
-
-    def lines_of(self, lane: NetworkLane) -> tuple[Offset, Offset, Offset]:
-        """The lines of a lane's middle and of its edges, from the left."""
-        number = lane.id.rpartition(".")[2]
-        (across,) = self.stretch_of(lane).sections
-        at = next(i for i, given in enumerate(across.lanes) if given.number == int(number))
-        return lane.middle, across.edge_line(at), across.edge_line(at + 1)
-
-    def section_at(self, s: AnyScalars) -> np.ndarray:
-        """The numbers of the sections at stations."""
-        return np.clip(np.searchsorted(self._starts, s, side="right") - 1, 0, None)
-
-    @cached_property
-    def _starts(self) -> Float[np.ndarray, " k"]:
-        return np.array([section.start_m for section in self.sections])
-
-    def _sections_at(self, s: AnyScalars) -> Iterator[tuple[CrossSection, np.ndarray | EllipsisType]]:
-        """The sections at stations, and at which of these each is."""
-        if len(self.sections) == 1:
-            yield self.sections[0], ...
-            return
-        at = self.section_at(s)
-        for i in np.unique(at):
-            yield self.sections[i], at == i
-
-    def paved(self, which: int, s: AnyScalars) -> AnyScalars:
-        """Offsets of the left (0) or right (1) edge of its pavement."""
-        found = np.zeros(s.shape)
-        for section, here in self._sections_at(s):
-            found[here] = section.edge(section.paved[which], s[here])
-        return found
-
-    def points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
-        """Points on its surface."""
-        points = self.base_points(s, t)
-        if self.has_kerbs:
-            points[..., 2] += self.kerb(s, t)
-        return points
-
-    def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
-        """Points on its surface without raised lanes."""
-        xy = self.xy(s, t)
-        if not self.has_heights:
-            return lift(self.terrain, xy)
-        return np.concatenate([xy, self._own_height(s, t)[..., None]], -1)
-
-    @cached_property
-    def has_kerbs(self) -> bool:
-        """Whether any of its lanes is raised."""
-        return any(section.raised for section in self.sections)
-
-    def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
-        """Height of its surface over the terrain at places."""
-        kerb_m = self.kerb(s, t)
-        if not self.has_heights:
-            return kerb_m
-        return np.asarray(self._own_height(s, t) + kerb_m - height_at(self.terrain, self.xy(s, t)))
-
-    def _own_height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
-        s, t = np.broadcast_arrays(s, t)
-        found = np.zeros(s.shape)
-        for section, here in self._sections_at(s):
-            found[here] = section.height(s[here], t[here])
-        return found
-
-    def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
-        """Height of raised lanes over the pavement at places."""
-        found = np.zeros(np.shape(s))
-        if not self.has_kerbs:
-            return found
-        t = np.broadcast_to(t, found.shape)
-        for section, here in self._sections_at(s):
-            for left, right in section.raised:
-                # Most places lie on the road's side of the inner edge.
-                is_right = left >= section.n_left
-                inner, outer = (left, right) if is_right else (right, left)
-                sign = 1 if is_right else -1
-                beyond = sign * (t[here] - section.edge(inner, s[here])) > SEAM_M
-                if beyond.any():
-                    beyond &= sign * (section.edge(outer, s[here]) - t[here]) > SEAM_M
-                    found[here] = np.where(beyond, KERB_M, found[here])
-        return found
