@@ -186,7 +186,7 @@ KEYS_OF_CAMERA_FILES = (
 )
 # Parameters of what a given map has itself.
 KEYS_OF_ROADS = (
-    *("road.", "town.", "town_streets.", "symbols.", "roadside.", "structures."),
+    *("road.", "town.", "town_streets.", "mountain.", "symbols.", "roadside.", "structures."),
     *("camera.lane", "camera.y_m", "cars.parked"),
 )
 Command = TypeVar("Command", bound=Callable[..., Any])

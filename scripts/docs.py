@@ -80,8 +80,9 @@ were added after version 0.1.0, which have the constants of `appendix_i` then; `
 Four rules change what is drawn: weather and time of day replace ranges (below); topologies 3 and 4 have at least two
 lanes; a median needs oncoming lanes and at least a metre; the host's lane is one of those present. Oncoming lanes that
 would fold on the inside of a sharp bend are left out. Towns have rules of their own ([town.md](town.md)); they use
-neither `road`, `symbols`, `motion` nor most of `cars` and `roadside`. `synth3dlanes stats` tests what was drawn against
-these rules.
+neither `road`, `symbols`, `motion` nor most of `cars` and `roadside`. Mountain roads use neither `road`, `symbols`,
+`roadside` nor the host's lane and place, and leave out cars without room. `synth3dlanes stats` tests what was drawn
+against these rules.
 
 "ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
 """

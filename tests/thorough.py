@@ -15,6 +15,6 @@ def first(n: int, cases: Iterable[Any]) -> list[Any]:
 
 
 def presets(*quick: str) -> list[Any]:
-    """The names of all presets; those not in `quick` are thorough, or `town` alone, which takes a second a scene."""
-    names = quick or {*preset_names()} - {"town"}
+    """The names of all presets; those not in `quick`, or the slow ones `town` and `mountain`, are thorough."""
+    names = quick or {*preset_names()} - {"town", "mountain"}
     return [pytest.param(name, marks=[pytest.mark.thorough] * (name not in names)) for name in preset_names()]

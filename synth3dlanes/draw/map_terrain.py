@@ -14,8 +14,8 @@ from synth3dlanes.scene.road_map import MapRoad, RoadMap
 from synth3dlanes.scene.scene import HeightGrid, Terrain
 from synth3dlanes.system.arrays import Points3, Scalars
 
-# Reach of the grid from the world's origin, its step, and how many coefficients at its edge are level.
-REACH_M, STEP_M, LEVEL = 640.0, 20.0, 4
+# The step of the grid, half the number of its steps, and how many coefficients at its edge are level.
+STEP_M, HALF_N, LEVEL = 20.0, 32, 4
 # Places of roads that the ground is fitted to, along roads.
 ALONG_M = 6.0
 # Of two roads one above the other the ground meets the lower one: the height between their places, beyond the distance
@@ -26,15 +26,16 @@ STIFF, MEAN = 0.02, 1e-4
 DECIMALS = 3
 
 
-def terrain_of(roads: RoadMap, hills: Terrain) -> Terrain:
-    """The hills, on a ground so that both together meet the roads; the hills alone for a map without heights."""
+def terrain_of(roads: RoadMap, hills: Terrain, step_m: float = STEP_M) -> Terrain:
+    """The hills, on a ground so that both together meet the roads; the hills alone for a map without heights. The
+    ground is a grid of this step around the world's origin."""
     raised = [road for road in roads.roads if road.heights]
     if not raised:
         return hills
     xyz = _lowest(road_points(raised, hills))
-    xyz = xyz[(np.abs(xyz[:, :2]) < REACH_M - LEVEL * STEP_M).all(axis=1)]
-    n = 2 * round(REACH_M / STEP_M) + 1
-    flat = HeightGrid(corner_m=(-REACH_M, -REACH_M), step_m=STEP_M, rows=((0.0,) * n,) * n)
+    xyz = xyz[(np.abs(xyz[:, :2]) < (HALF_N - LEVEL) * step_m).all(axis=1)]
+    n, corner_m = 2 * HALF_N + 1, -HALF_N * step_m
+    flat = HeightGrid(corner_m=(corner_m, corner_m), step_m=step_m, rows=((0.0,) * n,) * n)
     rows = _fitted(flat, xyz[:, :2], xyz[:, 2] - height_at(hills, xyz[:, :2]))
     base = flat.model_copy(update={"rows": tuple(tuple(row) for row in np.round(rows, DECIMALS).tolist())})
     return hills.model_copy(update={"base": base})

@@ -13,7 +13,7 @@ from synth3dlanes.draw.cars import SPEED_TRIES, BodySize, CarPlace, Traffic, Way
 from synth3dlanes.draw.draws import DECIMALS, DrawsOf
 from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, first_shot
 from synth3dlanes.draw.map_standing import map_trees, stand
-from synth3dlanes.draw.map_terrain import terrain_of
+from synth3dlanes.draw.map_terrain import STEP_M, terrain_of
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.cross_section import CrossSection
@@ -44,10 +44,19 @@ SIDEWAYS, BEND_M = 3.0, 4.0
 LEFT_M, NARROW_M = 6.0, 2.2
 
 
-def map_roads(of: DrawsOf, roads: RoadMap, camera: Camera, shot: Shot, stand: Stand, town: Town | None = None) -> Roads:
+def map_roads(
+    of: DrawsOf,
+    roads: RoadMap,
+    camera: Camera,
+    shot: Shot,
+    stand: Stand,
+    *,
+    town: Town | None = None,
+    ground_step_m: float = STEP_M,
+) -> Roads:
     """A map with the host on its route, on a terrain that meets the heights of the map's roads. In a clip the host
     drives no faster than the bends and the end of its way allow; cars drive along the lanes."""
-    terrain = terrain_of(roads, draw_hills(of("terrain")))
+    terrain = terrain_of(roads, draw_hills(of("terrain")), ground_step_m)
     network = map_network(roads, terrain, camera.y_m)
     if shot.speed_m_s and not shot.track:
         speed_m_s = _allowed(network.way, camera.y_m, shot.speed_m_s, shot.duration_s)

@@ -59,7 +59,12 @@ class ParameterRules:
         if "sold" in params.cars.palette.values:
             del found["cars.color"], found["cars.saturation"]  # not drawn from these keys
         if scene.map is not None:
-            return found if scene.town is None else self._of_town(found, scene.town)
+            unused = ("road.", "symbols.", "camera.lane", "camera.y_m", "cars.s_m")
+            found = {key: form for key, form in found.items() if not key.startswith(unused)}
+            if scene.town is not None:
+                return self._of_town(found, scene.town)
+            # Cars for which there is no room are left out.
+            return found | {"cars.n": None}
         road = scene.paper_road
         found["road.n_lanes"] = lanes_of(params.road.n_lanes, road.topology)
         if not self._has_room(road):
@@ -73,7 +78,7 @@ class ParameterRules:
 
     def _of_town(self, found: dict[str, Distribution | None], town: Town) -> dict[str, Distribution | None]:
         """Those of a town: of the road of the paper there is none, and lanes and control are as its junction allows."""
-        unused = {"camera.lane", "camera.y_m", "cars.n", "cars.s_m", "trees.n", "trees.model", "trees.x_m", "trees.y_m"}
+        unused = {"cars.n", "trees.n", "trees.model", "trees.x_m", "trees.y_m"}
         found["cars.model"] = None  # those that turn or park are short
         declared = self.params.town
         if town.junction in ROUNDABOUTS:
@@ -82,8 +87,7 @@ class ParameterRules:
             unused.add("town.turn_lanes")
         elif town.n_lanes > 1:
             found["town.control"] = None  # only streets of one lane are equal
-        groups = ("road.", "symbols.", "motion.")
-        found = {key: form for key, form in found.items() if key not in unused and not key.startswith(groups)}
+        found = {key: form for key, form in found.items() if key not in unused and not key.startswith("motion.")}
         found["town.n_side"] = at_most(declared.n_side, town.n_lanes)
         return found
 

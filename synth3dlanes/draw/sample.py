@@ -10,6 +10,7 @@ import numpy as np
 from synth3dlanes.draw.draws import Draw, DrawsOf, draws_of
 from synth3dlanes.draw.like import Neighbourhood
 from synth3dlanes.draw.makers import Maker
+from synth3dlanes.draw.mountain import mountain_roads
 from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.paper import paper_roads
 from synth3dlanes.draw.town.draw import town_roads
@@ -28,7 +29,7 @@ from synth3dlanes.world.world import World, surfaces_of, world_on
 # Of a lidar's elevations: on the road ahead, a microradian is a centimetre of range.
 LIDAR_DECIMALS = 9
 # The makers of roads that a parameter names, unless it is none.
-MAKERS: dict[tuple[str, str], Maker] = {("town", "junction"): town_roads}
+MAKERS: dict[tuple[str, str], Maker] = {("town", "junction"): town_roads, ("mountain", "road"): mountain_roads}
 # The parts of a scene whose fields are one parameter each.
 PARTS = ("markings", "surface", "light", "air", "sensor", "weather", "host", "vegetation")
 # From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.

@@ -520,16 +520,19 @@ def compare_map(
     return Comparison(tuple(gaps), tuple(problems), strange=strange, outside=outside)
 
 
+ASIDE_M = 8.0
+"""A place of a lane that is farther aside of its path is beyond the path's end."""
 COVERED_M = 0.5
 """A centre line of ours has a lane of the map where one is this near."""
 
 
 def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule: Rule) -> tuple[Gap | None, list[str]]:
-    """How far points are aside of the nearest path, where it reaches, and what is wrong with height and direction."""
+    """How far points are aside of the nearest path, where it reaches, and what is wrong with height and direction. A
+    lane goes on beyond the end of its path, in a serpentine to the side of a part of it: that is another place."""
     found = list[tuple[Gap, list[str]]]()
     for name, line, direction in paths:
         apart, at, share = _feet(points[:, :2], line[:, :2])
-        inner = (at + share > 0) & (at + share < len(line) - 1)
+        inner = (at + share > 0) & (at + share < len(line) - 1) & (apart < ASIDE_M)
         if inner.sum() < 2:
             continue
         problems, feet = [], line[at] + share[:, None] * np.diff(line, axis=0, append=line[-1:])[at]

@@ -144,7 +144,7 @@ def lanelets_of(world: World) -> tuple[Lanelets, int]:
 
 def _wide(road: Road, lane: NetworkLane) -> tuple[float, float] | None:
     """The stations between which a lane is written: readers stumble over bounds that begin at one place."""
-    from_m, to_m = max(lane.start_m, -REACH_M), min(lane.end_m, REACH_M)
+    from_m, to_m = np.nan_to_num([lane.start_m, lane.end_m], neginf=-REACH_M, posinf=REACH_M)
     s = np.linspace(from_m, to_m, 3 + int(abs(to_m - from_m) / STEP_M))
     low, high = lane.edges
     wide = s[high(s) - low(s) > LEAST_WIDTH_M] if to_m > from_m else s[:0]

@@ -57,7 +57,7 @@ REPLACED = {
 }
 # Groups that were added later; parameters without them have their defaults, or the values of the reference.
 OPTIONAL: tuple[str, ...] = (
-    *("symbols", "weather", "host", "vegetation", "roadside", "motion", "town"),
+    *("symbols", "weather", "host", "vegetation", "roadside", "motion", "town", "mountain"),
     *(*KINDS, *DAYTIMES, "structures", "town_streets"),
 )
 # Groups whose values stand in the reference alone.
@@ -432,6 +432,25 @@ class TownParams(Group):
     parked: Fraction = added(0.5)
     fronts: Fraction = added(0.7)
     street_trees: Fraction = added(0.3)
+
+
+class MountainParams(Group):
+    """A mountain road in place of the road: legs and sharp bends in turn, uphill. `grade` is the rise per metre; it is
+    drawn for each leg, as `leg_m`, and `radius_m` and `turn_deg` for each bend."""
+
+    road: Annotated[Named, names("none", "serpentines")] = added("none")
+    n_bends: Annotated[Integer, integers(1, 5)] = added(4)
+    first_left: Flag = added(True)
+    radius_m: Annotated[Real, reals(10, 20)] = added(15.0)
+    turn_deg: Annotated[Real, reals(100, 180)] = added(155.0)
+    leg_m: Annotated[Real, reals(30, 100)] = added(80.0)
+    grade: Annotated[Real, reals(0, 0.12)] = added(0.08)
+    lane_width_m: Annotated[Real, reals(2.5, 4)] = added(3.0)
+    widening_m: Annotated[Real, reals(0, 1.5)] = added(0.6)
+    rail: Annotated[Named, names("none", "guardrail", "posts")] = added("guardrail")
+    lay_by: Flag = added(False)
+    descent: Flag = added(False)
+    host_place: Fraction = added(0.5)
 
 
 Green = Annotated[Real, reals(3, 120)]

@@ -30,6 +30,7 @@ from synth3dlanes.params.groups import (
     LightParams,
     MarkingsParams,
     MotionParams,
+    MountainParams,
     NightParams,
     RainParams,
     RoadParams,
@@ -107,6 +108,7 @@ class Params(Group):
     motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
     town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
     town_streets: TownStreetParams = _as_in_reference("town_streets")
+    mountain: MountainParams = Field(default=MountainParams(), exclude_if=lambda group: group == MountainParams())
     kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
 
     @model_validator(mode="before")

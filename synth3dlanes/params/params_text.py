@@ -151,15 +151,15 @@ def preset_of(document: Mapping[str, Any]) -> str:
 def keys_left_out(source: str) -> list[str]:
     """The keys that a preset or file leaves out, which have their defaults: `group.key`, or `group.*` for all of one.
 
-    Files of earlier versions lack the keys that were added since. Keys of towns and of kinds of weather are not told
-    where none of these may be drawn.
+    Files of earlier versions lack the keys that were added since. Keys of towns, mountain roads and kinds of weather
+    are not told where none of these may be drawn.
     """
     document = merged(files_of(source))
     told: list[str] = []
     params = Params.model_validate(document)
     unused = {*KINDS, *DAYTIMES}.difference(params.weather.kind.values, params.weather.daytime.values)
     for group, keys in forms(params).items():
-        if (group == "town" and not params.is_town) or group in unused:
+        if (group == "town" and not params.is_town) or group in (*unused, "mountain"):
             continue
         there = document.get(group, {})
         missing = [f"{group}.{key}" for key in keys if key not in there]

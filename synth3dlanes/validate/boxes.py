@@ -18,7 +18,7 @@ from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import World
 
 # Length of the pieces of rails, and how far these overlap.
-PIECE_M, OVERLAP_M = 8.0, 1.0
+PIECE_M, OVERLAP_M = 4.0, 1.0
 # The middle of a rail behind its front, half its width, and the room over it. The wires of a power line are straight
 # between poles, unlike the road.
 RAILS_M = {

@@ -22,7 +22,7 @@ from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference, int
 from synth3dlanes.world.decks import span_bodies
 from synth3dlanes.world.ground import PRESS_M
 from synth3dlanes.world.map_ground import GroundArea, MapGround
-from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, Surfaces, grid
+from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, Surfaces, grid, with_crease
 from synth3dlanes.world.solids import Body
 
 # Faces of lanes are no wider than this; cells of junctions, near the host and far from it.
@@ -153,7 +153,13 @@ def _strips(ground: MapGround, stretch: Road) -> list[Mesh]:
             ends[:, 1:-1, 2] -= down_m
             vertices = np.concatenate([ends[:1], vertices, ends[1:]])
             uv = np.concatenate([uv[:1], uv, uv[-1:]])
-        found.append(grid(vertices, uv, np.array(surfaces)))
+        mesh = grid(vertices, uv, np.array(surfaces))
+        if not run:
+            # Shading of a level edge does not bend down to its skirt.
+            is_skirt = np.zeros((len(s) - 1, len(surfaces)), bool)
+            is_skirt[:, [0, -1]] = True
+            mesh = with_crease(mesh, is_skirt.ravel())
+        found.append(mesh)
         i = end
     return found
 

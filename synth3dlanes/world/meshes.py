@@ -100,6 +100,16 @@ def grid(vertices: Float[np.ndarray, "r c 3"], uv: Float[np.ndarray, "r c 2"], c
     return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
+def with_crease(mesh: Mesh, apart: Bool[np.ndarray, " f"]) -> Mesh:
+    """The mesh with some of its faces apart from the others: shading, which is smooth over vertices that faces share,
+    ends between them."""
+    used, numbers = np.unique(mesh.faces[apart], return_inverse=True)
+    faces = mesh.faces.copy()
+    faces[apart] = len(mesh.vertices_world) + numbers.reshape(-1, 4)
+    vertices, uv = (np.concatenate([values, values[used]]) for values in (mesh.vertices_world, mesh.uv_m))
+    return replace(mesh, vertices_world=vertices, uv_m=uv, faces=faces)
+
+
 def facing_up(vertices_world: Float[np.ndarray, "v 3"], uv_m: Float[np.ndarray, "v 2"]) -> Mesh:
     """A mesh of separate quads, four vertices each, with their front sides up."""
     faces = np.arange(len(vertices_world)).reshape(-1, 4)

@@ -84,7 +84,7 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
         return (*street_trees(town_map, ground, scene.roadside, *draws), *trees)
 
     shot = _shot_of(town, traffic, shot, hills)
-    roads = map_roads(of, town_map.road_map(host.lanes), camera, shot, stand, town_map.town)
+    roads = map_roads(of, town_map.road_map(host.lanes), camera, shot, stand, town=town_map.town)
     return replace(roads, drive=drive, grow=grow)
 
 
