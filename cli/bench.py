@@ -3,45 +3,25 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from synth3dlanes.system.words import counted
 
-from .options import (
-    RENDERERS,
-    CountRange,
-    assets_option,
-    device_option,
-    json_option,
-    open_assets,
-    open_params,
-    output_console,
-    params_option,
-    passes_option,
-    samples_option,
-    set_option,
-    workers_option,
-)
+from .options import RENDERERS, CountRange, JobCommand, given, job_options, json_option, output_console, warn
 
 if TYPE_CHECKING:
     from synth3dlanes.production.bench import Bench
 
 
-FPS = 10.0
-
-
-@click.command()
+@click.command(cls=JobCommand)
 @click.option("--n", type=CountRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
-@params_option
-@set_option
-@assets_option
-@workers_option(RENDERERS)
-@device_option
-@samples_option
-@passes_option
-@click.option("--frames", type=click.IntRange(min=1), default=1, help="Time clips of this many frames, not pictures.")
+@job_options(
+    *("params", "set", "assets", "workers", "device", "quality", "samples", "passes", "frames"),
+    workers=RENDERERS,
+    frames="Time clips of this many frames, not pictures.",
+)
 @click.option(
     "--reference",
     is_flag=True,
@@ -55,41 +35,23 @@ FPS = 10.0
     help="Compare with an earlier result, saved from --json.",
 )
 @json_option
-def bench(
-    n: int,
-    source: str,
-    changes: tuple[str, ...],
-    assets: Path | None,
-    workers: int,
-    device: str,
-    samples: int,
-    passes: tuple[str, ...],
-    frames: int,
-    reference: bool,
-    naive: bool,
-    against: Path | None,
-    as_json: bool,
-) -> None:
+def bench(n: int, reference: bool, naive: bool, against: Path | None, as_json: bool, **fields: Any) -> None:
     """Measure rendering speed and the time spent in each stage.
 
     The time per image is compared with its lower bound, the "floor": path tracing and denoising alone. Samples are
     written to disk as by `generate`, then deleted.
     """
 
-    from synth3dlanes.draw.sample import Scenes
-    from synth3dlanes.params.shots import clips
     from synth3dlanes.production import bench as measuring
     from synth3dlanes.production.devices import resolve_device
-    from synth3dlanes.production.recipe import Recipe
-    from synth3dlanes.scene.settings import RenderSettings
+    from synth3dlanes.production.job import Job
 
-    stored = measuring.read_bench(against, source, samples, frames) if against else None
-    library = open_assets(assets)
-    params, settings = open_params(source, changes, library), RenderSettings(samples, passes, device)
-    scenes = Scenes(params, 0, "bench", assets=library.assets, shots=clips(frames, FPS))
-    recipe, slots = resolve_device(Recipe(scenes, settings, "jpg", library))
+    job = Job(split="bench", **given(fields))
+    source = str(job.params)
+    stored = measuring.read_bench(against, source, job.settings.samples, job.frames) if against else None
+    recipe, slots = resolve_device(job.recipe(warn))
     with output_console(stderr=True).status("warming up") as status:
-        found = measuring.bench(source, recipe, n, workers or slots.workers, list(slots.masks), status.update)
+        found = measuring.bench(source, recipe, n, job.workers or slots.workers, list(slots.masks), status.update)
         if reference:
             found = replace(found, quality=measuring.measure_quality(recipe, status.update))
         if naive:

@@ -8,10 +8,10 @@ import click
 
 from .generate import progress
 from .networks import WEIGHTS, CheckpointPath, need_torch
-from .options import RENDERERS, json_option, progress_bar, workers_option
+from .options import RENDERERS, JobCommand, given, job_options, json_option, progress_bar
 
 
-@click.command()
+@click.command(cls=JobCommand)
 @click.argument("source", metavar="NAME|FILE")
 @click.option("--out", metavar="DIR", required=True, help="The data set: a folder or a URL such as s3://lanes/hills.")
 @click.option("--train", "is_training", is_flag=True, help="Make the images for training and validation too.")
@@ -26,18 +26,19 @@ from .options import RENDERERS, json_option, progress_bar, workers_option
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Predictions to score, as written by predict (JSON lines).",
 )
-@workers_option(RENDERERS)
+@job_options("workers", workers=RENDERERS)
 @json_option
 @click.pass_context
 def benchmark(
     ctx: click.Context,
+    /,
     source: str,
     out: str,
     is_training: bool,
     checkpoint: str | None,
     predictions: Path | None,
-    workers: int,
     as_json: bool,
+    **fields: Any,
 ) -> None:
     """Make a benchmark (clips, exits, hills, weather, or a file of your own), check that its labels are those of
     everybody, and score a network on its test images.
@@ -45,7 +46,7 @@ def benchmark(
     Rerun to resume. docs/benchmarks.md has the benchmarks and the scores of the networks in this package.
     """
     from synth3dlanes.production.benchmarks import load_benchmark
-    from synth3dlanes.production.run import generate
+    from synth3dlanes.production.job import make
 
     if checkpoint is not None and predictions is not None:
         raise click.UsageError("--checkpoint and --predictions cannot be used together")
@@ -53,7 +54,7 @@ def benchmark(
     document: dict[str, Any] = {"benchmark": Path(source).stem, "splits": {}}
     for split in found.splits if is_training else ["test"]:
         with progress() as notify:
-            report = generate(found.plan(split, out, workers), notify)
+            report = make(found.job(split, out).changed(given(fields)), notify)
         problems = [report.problem] if report.exit_code else list(found.problems(split, out))
         if problems:
             click.echo("\n".join(problems), err=True)

@@ -1,14 +1,18 @@
 """What `--json` prints, command by command, as docs/outputs.schema.json says it; the tests hold both together."""
 
-from typing import Any
+from typing import Any, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from synth3dlanes.dataset.info import DatasetInfo
 from synth3dlanes.figures.stats import ParameterStatistics, QuantitySummary
+from synth3dlanes.formats.verify import Compared, DistanceMeasure
 from synth3dlanes.production.bench import Bench
+from synth3dlanes.production.forecast import Forecast
 from synth3dlanes.production.tally import RunReport
+from synth3dlanes.recorded.lift.write import LiftReport
 from synth3dlanes.scene.assets.folder import FolderCheck
+from synth3dlanes.validate.findings import Problem
 
 Value = bool | int | float | str | None
 
@@ -44,16 +48,18 @@ class InspectionOutput(Document):
     summary: dict[str, dict[str, str]]
 
 
-class DryRun(Document):
-    """`generate --dry-run`: the plan in words, and what it takes."""
+def fields_of(kind: type, *left_out: str) -> dict[str, Any]:
+    """The fields of a class of the library whose values are printed as an object, for `create_model`."""
+    return {name: (of, ...) for name, of in get_type_hints(kind).items() if name not in left_out}
 
-    plan: str
-    samples: int
-    workers: int
-    seconds: float
-    bytes_kept: int
-    bytes_needed: int
-    is_measured: bool
+
+DryRun = create_model(
+    "DryRun",
+    __base__=Document,
+    __doc__="`generate --dry-run`: the plan in words, and what it takes.",
+    plan=(str, ...),
+    **fields_of(Forecast),
+)
 
 
 class Stats(Document):
@@ -65,12 +71,7 @@ class Stats(Document):
     labels: list[QuantitySummary] | None = None
 
 
-class FaultOutput(Document):
-    """A problem: the sample or file, the lane ("" for none), and what was expected and found."""
-
-    where: str
-    lane: str
-    reason: str
+FaultOutput = create_model("FaultOutput", __base__=Document, __doc__=Problem.__doc__, **fields_of(Problem))
 
 
 class WorstSample(Document):
@@ -150,21 +151,9 @@ class EvaluatedPhotographs(BaseModel):
     kitti: dict[str, float | None] | None = None
 
 
-class DistanceOutput(Document):
-    """How far the lines of some frames of an export are from those of the labels, in m or px."""
-
-    worst: float
-    median: float
-    tolerance: float
-
-
-class ComparedOutput(Document):
-    """How many things of one kind were compared with the labels, how many of them are as there, and how many were not
-    compared because the labels do not reach them."""
-
-    n: int
-    n_matched: int
-    n_outside: int
+DistanceOutput = create_model(
+    "DistanceOutput", __base__=Document, __doc__=DistanceMeasure.__doc__, **fields_of(DistanceMeasure, "unit")
+)
 
 
 class VerificationOutput(Document):
@@ -173,7 +162,7 @@ class VerificationOutput(Document):
 
     name: str
     n_frames: int
-    compared: dict[str, ComparedOutput]
+    compared: dict[str, Compared]
     measures: dict[str, DistanceOutput]
     problems: list[str]
 
@@ -202,18 +191,6 @@ class DriveCheck(Document):
     findings: list[str]
 
 
-class LiftOutput(Document):
-    """`lift`: frames, those without lanes, different lanes, the middle standard deviations up to 40 m (null without
-    lanes), and the ids of rejected lanes that were found nowhere."""
-
-    frames: int
-    frames_without_lanes: int
-    lanes: int
-    lateral_std_m: float | None
-    height_std_m: float | None
-    not_found: list[str]
-
-
 class ListedName(Document):
     """What has a name, and a line that says what it is."""
 
@@ -234,7 +211,7 @@ class Outputs(Document):
     generate_dry_run: DryRun
     info: DatasetInfo
     inspect: InspectionOutput
-    lift: LiftOutput
+    lift: LiftReport
     list_: list[ListedName] = Field(alias="list", description="`list`: what has a name, in order.")
     params_show: dict[str, dict[str, Any]] = Field(description="`params show`: every key, by group.")
     stats: Stats

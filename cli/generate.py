@@ -1,135 +1,35 @@
 """`synth3dlanes generate`: make a data set, with progress on stderr."""
 
 import json
-import re
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import click
 
 from synth3dlanes.production.events import LEVELS, Event, duration
-from synth3dlanes.scene.settings import TRIES
 
-from .idle import refuse_idle, refuse_idle_keys, refuse_repeated, refuse_together
-from .options import (
-    KEYS_OF_ROADS,
-    LINE_EVERY_S,
-    RENDERERS,
-    CountRange,
-    assets_option,
-    camera_option,
-    clip_options,
-    device_option,
-    json_option,
-    lidar_option,
-    open_assets,
-    open_params,
-    open_shots,
-    params_option,
-    passes_option,
-    refuse_idle_changes,
-    rig_option,
-    samples_option,
-    seed_option,
-    set_option,
-    split_option,
-    workers_option,
+from .idle import refuse_together
+from .options import LINE_EVERY_S, JobCommand, OutputFile, given, job_options, json_option, warn
+
+# The options that are fields of Job, in the order of the help.
+FIELDS = (
+    *("n", "out", "split", "splits", "seed", "params", "set", "like", "spreads", "map", "at", "where", "tries"),
+    *("camera", "rig", "assets", "frames", "fps", "workers", "device", "quality", "samples", "passes", "lidar"),
+    *("image_format", "executor", "address", "part"),
 )
-
 # Columns of a terminal that has room for a bar beside the numbers.
 WIDE = 100
 
 
-class PartOf(click.ParamType):
-    """i/n: part i of n of the work."""
-
-    name = "part"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Read it; the library checks that i is within 1..n."""
-        found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", value)
-        if found is None:
-            self.fail(f"expected i/n such as 2/8, got {value!r}", param, ctx)
-        return int(found[1]), int(found[2])
-
-
-@click.command()
-@click.option("--n", type=CountRange(min=1), required=True, help="Number of samples in the split.")
-@click.option(
-    "--out",
-    metavar="DIR",
-    required=True,
-    help="Data set to create or extend: a folder, or a URL such as s3://lanes/v1.",
-)
-@split_option
-@seed_option
-@params_option
-@set_option
-@click.option(
-    "--like",
-    metavar="FILE",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Draw scenes near those in FILE, or near the worst in a result of evaluate --json (docs/like.md).",
-)
-@click.option(
-    "--spread",
-    "spreads",
-    metavar="SHARE|GROUP.KEY=SHARE",
-    multiple=True,
-    callback=refuse_repeated,
-    help="With --like: share of a parameter's range in which it varies; repeatable.  [default: 0.1]",
-)
-@click.option(
-    "--map",
-    "map_file",
-    metavar="FILE",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Place scenes on the roads of an OpenDRIVE or Lanelet2 file (docs/maps.md).",
-)
-@click.option("--at", metavar="ROAD:S:LANE", help="With --map: the host's place, in place of a random one.")
-@click.option(
-    "--where",
-    metavar="QUERY",
-    help='Draw scenes for each sample until one fits, by columns of the index: "max_grade > 0.04 and junction = '
-    "'merge'\" (docs/recipes.md).",
-)
-@click.option("--tries", type=CountRange(min=1), default=TRIES, help="With --where: most scenes to draw for a sample.")
-@camera_option
-@rig_option
-@assets_option
-@clip_options
-@workers_option(f"{RENDERERS} With Ray: cores per task.")
-@device_option
-@samples_option
-@passes_option
-@lidar_option
-@click.option(
-    "--image-format",
-    type=click.Choice(["jpg", "png"]),
-    default="jpg",
-    help="jpg has quality 95 (sensor.jpeg_quality); png is lossless.",
-)
-@click.option(
-    "--executor",
-    type=click.Choice(["local", "ray"]),
-    default="local",
-    help="Where to run: on this machine or on a Ray cluster.",
-)
-@click.option(
-    "--address", default="auto", help="Address of the Ray cluster. auto: the cluster this machine belongs to."
-)
-@click.option(
-    "--part",
-    metavar="I/N",
-    type=PartOf(),
-    default="1/1",
-    help="Make only part I of N, for example one part per machine.",
-)
+@click.command(cls=JobCommand)
+@click.argument("source", metavar="[JOB.YAML]", required=False, type=click.Path(path_type=Path))
+@job_options(*FIELDS)
+@click.option("--save-job", metavar="FILE", type=OutputFile(".yaml", ".yml"), help="Write these choices to a job file.")
 @click.option(
     "--log-level",
     type=click.Choice(LEVELS),
@@ -142,92 +42,54 @@ class PartOf(click.ParamType):
 @click.pass_context
 def generate(
     ctx: click.Context,
-    n: int,
-    out: str,
-    split: str,
-    seed: int,
-    source: str,
-    changes: tuple[str, ...],
-    like: Path | None,
-    spreads: tuple[str, ...],
-    map_file: Path | None,
-    at: str | None,
-    where: str | None,
-    tries: int,
-    camera: str | None,
-    rig: str | None,
-    assets: Path | None,
-    frames: int,
-    fps: float,
-    workers: int,
-    device: str,
-    samples: int,
-    passes: tuple[str, ...],
-    lidar: str | None,
-    image_format: str,
-    executor: Literal["local", "ray"],
-    address: str,
-    part: tuple[int, int],
+    /,
+    source: Path | None,
+    save_job: Path | None,
     log_level: str,
     quiet: bool,
     dry_run: bool,
     as_json: bool,
+    **fields: Any,
 ) -> None:
     """Generate a split of N labelled samples: scenes, or frames of clips with --frames.
 
-    Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
+    JOB.YAML is a file of these choices (docs/jobs.md), or the dataset.json of a data set to make it anew; options come
+    before what it says. Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then
+    stops.
     """
-    from synth3dlanes.draw.like import read_like
-    from synth3dlanes.draw.on_map import place_on_map
-    from synth3dlanes.draw.sample import Scenes
-    from synth3dlanes.production.condition import Condition
-    from synth3dlanes.production.given_scenes import given_scenes
-    from synth3dlanes.production.plan import Plan
-    from synth3dlanes.production.recipe import Recipe
+    from synth3dlanes.production import job as jobs
     from synth3dlanes.production.run import generate as run
-    from synth3dlanes.scene.settings import RenderSettings
+    from synth3dlanes.production.tally import total
 
-    refuse_idle(like is not None, ["spreads"], "without --like")
-    refuse_idle(map_file is not None, ["at"], "without --map")
-    refuse_together("like", "map_file")
-    refuse_together("like", "where")
-    refuse_idle(where is not None, ["tries"], "without --where")
-    refuse_idle_keys(map_file is None, changes, KEYS_OF_ROADS, "with --map")
-    refuse_idle(executor == "ray", ["address"], "without --executor ray")
-    refuse_idle_keys(image_format == "jpg", (*changes, *spreads), ["sensor.jpeg_quality"], "with --image-format png")
-    library = open_assets(assets)
-    params, shots = open_params(source, changes, library), open_shots(camera, rig, frames, fps, lidar)
-    refuse_idle_changes((*changes, *spreads), shots)
-    settings = RenderSettings(samples, (*passes, *(["lidar"] if lidar else [])), device)
-    given = read_like(given_scenes(like, params, library.assets, bool(shots.cameras)), spreads) if like else None
-    place = place_on_map(map_file, at or "") if map_file else None
-    scenes = Scenes(params, seed, split, assets=library.assets, shots=shots, like=given, map=place)
-    condition = Condition(where, tries) if where is not None else None
-    recipe = Recipe(scenes, settings, image_format, library, where=condition)
-    plan = Plan(out, n, recipe, workers, part)
-    drawn_from = f"parameters {source}{' with ' * bool(changes)}{', '.join(changes)}"
-    drawn_from += f", {given.text()}" if given else ""
-    drawn_from += f", {place.map.text()}" if place else ""
-    drawn_from += f", {condition.probe(scenes)}" if condition else ""
-    drawn_from += f", camera {camera}" if camera else f", rig {rig}" if rig else ""
+    job = jobs.Job(**given(fields)) if source is None else jobs.load_job(source, given(fields))
+    plans = job.plans(warn)
+    drawn_from = job.text(plans[0].recipe)
+    if save_job is not None:
+        jobs.save_job(job, save_job)
     if dry_run:
-        plan = plan.resolved() if executor == "local" else plan
-        told, expected = f"{plan.text()}, {drawn_from}", plan.expected()
-        click.echo(json.dumps({"plan": told, **asdict(expected)}) if as_json else f"{told}\n{expected.text()}")
+        for plan in plans:
+            plan = plan.resolved() if job.executor == "local" else plan
+            told, expected = f"{plan.text()}, {drawn_from}", plan.expected()
+            click.echo(json.dumps({"plan": told, **asdict(expected)}) if as_json else f"{told}\n{expected.text()}")
         return
     refuse_together("quiet", "log_level")
-    with progress(log_level, quiet) as notify:
+    reports = []
+    for plan in plans:
+        with progress(log_level, quiet) as notify:
 
-        def tell(event: Event) -> None:
-            notify(replace(event, message=f"{drawn_from}; {event.message}") if event.kind == "start" else event)
+            def tell(event: Event) -> None:
+                notify(replace(event, message=f"{drawn_from}; {event.message}") if event.kind == "start" else event)
 
-        report = run(plan, tell, executor, address)
-    if report.problem:
-        click.echo(report.problem, err=True)
+            reports.append(run(plan, tell, job.executor, job.address))
+        if reports[-1].problem:
+            click.echo(reports[-1].problem, err=True)
+        if not as_json:
+            click.echo(f"{job.out}/{plan.recipe.scenes.split}: {reports[-1].text()}")
+        if reports[-1].exit_code:
+            break
+    report = total(reports)
     if as_json:
         click.echo(json.dumps(asdict(report)))
-    else:
-        click.echo(f"{out}/{split}: {report.text()}")
     ctx.exit(report.exit_code)
 
 

@@ -140,8 +140,11 @@ def _shortened(line: str) -> str:
 
 
 def _naming_flags(problem: str, flags: dict[str, str]) -> str:
-    """A library's message may begin with the name of an argument, alone or before a value; the user knows it as a
-    flag."""
+    """A library's message may begin with the name of an argument, alone or before a value, or say what another one is
+    of no use with; the user knows them as flags."""
+    found = re.match(r"(?:\w+: expected none|[^:]*: no effect) (?:with|without|beside) (\w+)", problem)
+    if found and found[1] in flags:
+        problem = f"{problem[: found.start(1)]}{flags[found[1]]}{problem[found.end(1) :]}"
     name, rest = re.fullmatch(r"(\w*)(.*)", problem, re.DOTALL).groups()  # type: ignore[union-attr]
     return flags.get(name, name) + rest if rest[:1] in (":", " ", "") else problem
 

@@ -6,26 +6,23 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 import click
-from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from synth3dlanes.production.events import duration
-from synth3dlanes.scene.settings import DEVICES, MAX_SEED, PASSES, QUALITY_SAMPLES, SPLIT_NAME
+from synth3dlanes.scene.settings import SPLIT_NAME
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.files import Folder
 
-from .idle import refuse_idle, refuse_idle_keys, refuse_repeated
+from .idle import is_given, refuse_repeated
 
 if TYPE_CHECKING:
-    from synth3dlanes.params.params import Params
-    from synth3dlanes.params.shots import Shots
-    from synth3dlanes.scene.assets.catalogue import Library
+    from pydantic.fields import FieldInfo
 
     from .console import OutputConsole
 
@@ -34,25 +31,7 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 30.0
 
 
-class Names(click.ParamType):
-    """A comma-separated choice of names, or `all`."""
-
-    name = "names"
-
-    def __init__(self, known: tuple[str, ...]) -> None:
-        self.known = known
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        """Split and check, in the order of the known names."""
-        if isinstance(value, tuple):
-            return value
-        if value.strip() == "all":
-            return self.known
-        names = [name.strip() for name in value.split(",") if name.strip()]
-        for name in names:
-            if name not in self.known:
-                self.fail(f"{name!r} is not one of {', '.join(self.known)}.", param, ctx)
-        return tuple(name for name in self.known if name in names)
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class FileName(click.ParamType):
@@ -143,14 +122,78 @@ def completing(kind: str = "") -> Completer:
     return complete
 
 
-params_option = click.option(
-    "--params",
-    "source",
-    metavar="FILE",
-    default="appendix_i",
-    shell_complete=completing(),
-    help="Parameters: a YAML file or the name of a preset (`list presets`).",
-)
+class FieldOption(click.Option):
+    """Stands for the option that is made of a field of Job, until it is needed: Job takes half a second to load."""
+
+    def __init__(self, names: Sequence[str], about: str = "") -> None:
+        super().__init__(names)
+        self.about = about
+
+    def made(self) -> click.Option:
+        """The option: its type, default and help are those of the field."""
+        from synth3dlanes.production.job import Job, OptionForm
+
+        name = str(self.name)
+        field = Job.model_fields[name]
+        flag = next((found for found in field.metadata if isinstance(found, OptionForm)), OptionForm())
+        kinds = get_args(field.annotation)
+        is_several = kinds[1:] == (...,) and get_origin(kinds[0]) is not Literal
+        default = flag.default or field.get_default(call_default_factory=True)
+        return click.Option(
+            [*self.opts, name],
+            metavar=flag.metavar,
+            type=_click_type(field),
+            multiple=is_several,
+            default=None if default in ((), {}, "") else (default,) if is_several else default,
+            callback=refuse_repeated if is_several else None,
+            shell_complete=None if flag.presets is None else completing(flag.presets),
+            help=self.about or field.description,
+        )
+
+
+def _click_type(field: "FieldInfo") -> click.ParamType:
+    """The type of the values of a field; what is no number and no choice is text, which Job reads."""
+    kinds = get_args(field.annotation) or (field.annotation,)
+    bounds = {name: getattr(bound, name) for bound in field.metadata for name in ("ge", "gt") if hasattr(bound, name)}
+    if field.annotation is float:
+        return FiniteRange(min=bounds["gt"], min_open=True)
+    if get_origin(field.annotation) is Literal:
+        return click.Choice(kinds)
+    is_count = int in kinds and "ge" in bounds
+    return CountRange(min=bounds["ge"]) if is_count else click.STRING
+
+
+class JobCommand(click.Command):
+    """A command with options that are fields of Job."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """The parameters, with the options of Job's fields made."""
+        self.params = [param.made() if isinstance(param, FieldOption) else param for param in self.params]
+        return super().get_params(ctx)
+
+
+def job_options(*fields: str, **abouts: str) -> Callable[[Command], Command]:
+    """Options of these fields of Job, for a JobCommand; `abouts` has help of this command's own."""
+
+    def decorated(command: Command) -> Command:
+        for name in reversed(fields):
+            flag = {"spreads": "spread"}.get(name, name).replace("_", "-")
+            command = click.option(f"--{flag}", name, cls=FieldOption, about=abouts.get(name, ""))(command)
+        return command
+
+    return decorated
+
+
+def given(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the fields of Job that the user gave."""
+    return {name: value for name, value in fields.items() if is_given(name)}
+
+
+def warn(line: str) -> None:
+    """Tell on stderr what is usable but does not fit together."""
+    click.echo(line, err=True)
+
+
 set_option = click.option(
     "--set",
     "changes",
@@ -159,69 +202,15 @@ set_option = click.option(
     callback=refuse_repeated,
     help="Change one parameter, such as light.exposure=3; repeatable.",
 )
-
-
-def _checked_seed(_: click.Context, __: click.Parameter, seed: int) -> int:
-    if seed > MAX_SEED:
-        raise click.BadParameter("expected at most 2**128")
-    return seed
-
-
-seed_option = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, callback=_checked_seed, help="Random seed of the data set."
-)
 split_option = click.option(
     "--split",
     metavar="NAME",
     type=FileName(),
     default="train",
-    help="Name of the split. Splits of other names have other scenes.",
+    help="Name of the split.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-QUALITY = "synth3dlanes.quality"
-# Parameters that a file of --camera or --rig has in place of those of the scene: all but the host's place on the road.
-KEYS_OF_CAMERA_FILES = (
-    *("camera.height_m", "camera.pitch_deg", "camera.width_px", "camera.height_px", "camera.horizontal_fov_deg"),
-    *("camera.roll_deg", "camera.principal_offset_px"),
-)
-# Parameters of what a given map has itself.
-KEYS_OF_ROADS = (
-    *("road.", "town.", "town_streets.", "mountain.", "symbols.", "roadside.", "structures."),
-    *("camera.lane", "camera.y_m", "cars.parked"),
-)
-Command = TypeVar("Command", bound=Callable[..., Any])
-
-
-def _number_of_samples(context: click.Context, param: click.Parameter, value: int | None) -> int:
-    quality = context.meta[QUALITY]
-    if value is not None and context.get_parameter_source("quality") is not ParameterSource.DEFAULT:
-        raise click.BadParameter(f"--samples {value} and --quality {quality} exclude each other", context, param)
-    return value or QUALITY_SAMPLES[quality]
-
-
-def samples_option(command: Command) -> Command:
-    """`--quality`, and `--samples` for any other number; the command gets the number as `samples`."""
-    levels = ", ".join(f"{name} {samples}" for name, samples in QUALITY_SAMPLES.items())
-    number = click.option(
-        "--samples",
-        metavar="K",
-        type=click.IntRange(min=1),
-        callback=_number_of_samples,
-        help="Samples per pixel, in place of --quality.",
-    )
-    level = click.option(
-        "--quality",
-        type=click.Choice(list(QUALITY_SAMPLES)),
-        default="standard",
-        is_eager=True,
-        expose_value=False,
-        callback=lambda ctx, _, value: ctx.meta.__setitem__(QUALITY, value),
-        help=f"Samples per pixel: {levels}.",
-    )
-    return level(number(command))
-
-
-RENDERERS = "one per core and GB of memory that may be used, or up to four per GPU."
+RENDERERS = "Worker processes. auto: one per core and GB of memory that may be used, or up to four per GPU."
 READERS = "one per core, fewer for few samples."
 
 
@@ -230,57 +219,6 @@ def workers_option(auto: str) -> Callable[[Command], Command]:
     return click.option(
         "--workers", metavar="N|auto", type=Workers(), default="auto", help=f"Worker processes. auto: {auto}"
     )
-
-
-passes_option = click.option(
-    "--passes",
-    type=Names(PASSES),
-    default="",
-    metavar="NAMES",
-    help=f"Extra images to write as OpenEXR, separated by commas, or all: {', '.join(PASSES)}.",
-)
-lidar_option = click.option(
-    "--lidar",
-    metavar="FILE",
-    shell_complete=completing("lidars"),
-    help="Lidar on the host: a YAML file or the name of a ready one (`list lidars`, docs/lidar.md).",
-)
-
-
-def clip_options(command: Command) -> Command:
-    """`--frames` and `--fps`."""
-    frames = click.option(
-        "--frames",
-        type=click.IntRange(min=1),
-        default=1,
-        help="Frames of each scene: with 20, samples 0 to 19 are a clip of scene 0 (docs/clips.md).",
-    )
-    fps = click.option(
-        "--fps", type=FiniteRange(min=0, min_open=True), default=10.0, help="Frames per second of clips."
-    )
-    return frames(fps(command))
-
-
-device_option = click.option("--device", type=click.Choice(DEVICES), default="auto", help="Device to render on.")
-camera_option = click.option(
-    "--camera",
-    metavar="FILE|NAME",
-    shell_complete=completing("cameras"),
-    help="Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
-    "ready one (`list cameras`, docs/camera.md).",
-)
-rig_option = click.option(
-    "--rig",
-    metavar="FILE|NAME",
-    shell_complete=completing("rigs"),
-    help="Several cameras that see every scene: a YAML file, or the name of a ready rig (`list rigs`, docs/camera.md).",
-)
-assets_option = click.option(
-    "--assets",
-    metavar="DIR",
-    type=click.Path(path_type=Path),
-    help="Folder of your own cars, trees, textures and skies (docs/assets.md).",
-)
 
 
 def output_console(*, stderr: bool = False, soft_wrap: bool = False) -> "OutputConsole":
@@ -343,44 +281,3 @@ def patience(what: str) -> Iterator[None]:
     finally:
         over.set()
         thread.join()
-
-
-def open_assets(folder: Path | None) -> "Library":
-    """Check the folder of `--assets`; warnings go to stderr."""
-    from synth3dlanes.production.user_assets import open_library
-
-    library, warnings = open_library(folder)
-    for warning in warnings:
-        click.echo(f"--assets {folder}: {warning}", err=True)
-    return library
-
-
-def open_params(source: str, changes: Sequence[str], library: "Library") -> "Params":
-    """What `--params` and `--set` say; what does not fit each other is said on stderr."""
-    from synth3dlanes.params.params import load_params
-    from synth3dlanes.params.params_text import contradictions
-
-    params = load_params(source, changes, library.assets)
-    for line in contradictions(params):
-        click.echo(line, err=True)
-    return params
-
-
-def open_shots(camera: str | None, rig: str | None, frames: int, fps: float, lidar: str | None = None) -> "Shots":
-    """What `--camera` or `--rig`, `--frames` and `--fps`, and `--lidar` say."""
-    from synth3dlanes.params.camera_files import load_camera
-    from synth3dlanes.params.lidar_files import load_lidar
-    from synth3dlanes.params.rig_files import load_rig
-    from synth3dlanes.params.shots import clips
-
-    if camera is not None and rig is not None:
-        raise click.UsageError("--camera and --rig exclude each other; a rig's file names its cameras.")
-    refuse_idle(frames > 1, ["fps"], "without --frames of 2 or more")
-    cameras = load_rig(rig) if rig is not None else () if camera is None else (load_camera(camera),)
-    return clips(frames, fps, cameras).model_copy(update={"lidar": load_lidar(lidar) if lidar else None})
-
-
-def refuse_idle_changes(changes: Sequence[str], shots: "Shots") -> None:
-    """Refuse changes of parameters that these shots do not use."""
-    refuse_idle_keys(not shots.cameras, changes, KEYS_OF_CAMERA_FILES, "with --camera or --rig, whose files have it")
-    refuse_idle_keys(shots.frames > 1, changes, ["motion."], "without --frames of 2 or more")

@@ -2,27 +2,27 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
 from synth3dlanes.system.files import encoded, write
 
-from .idle import refuse_idle, refuse_idle_keys
+from .idle import refuse_idle
 from .options import (
     CountRange,
+    JobCommand,
     OutputFile,
-    assets_option,
     completing,
+    given,
+    job_options,
     json_option,
-    open_assets,
-    open_params,
     output_console,
-    seed_option,
-    set_option,
+    warn,
 )
 
 
-@click.command()
+@click.command(cls=JobCommand)
 @click.argument("folder", metavar="[DIR]", required=False)
 @click.option(
     "--n",
@@ -37,21 +37,10 @@ from .options import (
     shell_complete=completing(),
     help="Draw new scenes from these parameters instead of reading DIR.",
 )
-@set_option
-@assets_option
-@seed_option
+@job_options("set", "assets", "seed")
 @click.option("--out", type=OutputFile(".png", ".svg", ".pdf"), help="Write the plots to this file.")
 @json_option
-def stats(
-    folder: str | None,
-    n: int,
-    source: str | None,
-    changes: tuple[str, ...],
-    assets: Path | None,
-    seed: int,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def stats(folder: str | None, n: int, source: str | None, out: Path | None, as_json: bool, **fields: Any) -> None:
     """Compare the drawn values of every parameter with its declared distribution, and summarise slopes, curvature and
     visibility.
 
@@ -61,16 +50,17 @@ def stats(
 
     from synth3dlanes.api import dataset_stats
     from synth3dlanes.figures.stats_views import draw_statistics, statistics_table, verdict
+    from synth3dlanes.production.job import Job
+    from synth3dlanes.scene.assets.catalogue import Library
 
     if (folder is None) == (source is None):
         raise click.UsageError("Give either DIR or --params FILE.")
-    refuse_idle(source is not None, ["changes", "seed", "assets"], "without --params")
-    refuse_idle_keys(False, changes, ["motion."], "on single pictures")
+    refuse_idle(source is not None, ["set", "seed", "assets"], "without --params")
     if folder is not None:
         found = dataset_stats(folder, n=n)
     else:
-        library = open_assets(assets)
-        found = dataset_stats(open_params(str(source), changes, library), n=n, seed=seed, assets=library)
+        scenes = Job(params=source, **given(fields)).recipe(warn).scenes
+        found = dataset_stats(scenes.params, n=n, seed=scenes.seed, assets=Library("", scenes.assets))
     if out:
         figure = draw_statistics(found.scenes, found.labels)
         write(out, encoded(lambda stream: figure.savefig(stream, format=out.suffix[1:], dpi=100)))

@@ -1,23 +1,25 @@
 """`synth3dlanes validate`: check the files of a data set, and its labels against its pixels."""
 
 import json
-from pathlib import Path
+from typing import Any
 
 import click
 
 from .idle import refuse_idle
 from .options import (
     READERS,
-    assets_option,
+    JobCommand,
+    given,
+    job_options,
     json_option,
-    open_assets,
     output_console,
     progress_bar,
+    warn,
     workers_option,
 )
 
 
-@click.command()
+@click.command(cls=JobCommand)
 @click.argument("folder", metavar="DIR")
 @workers_option(READERS)
 @click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check only N samples of each split.")
@@ -28,11 +30,11 @@ from .options import (
     default=0,
     help="Make K samples again, chosen at random, and compare them with what lies there.",
 )
-@assets_option
+@job_options("assets")
 @json_option
 @click.pass_context
 def validate(
-    ctx: click.Context, folder: str, workers: int, limit: int | None, rerender: int, assets: Path | None, as_json: bool
+    ctx: click.Context, /, folder: str, workers: int, limit: int | None, rerender: int, as_json: bool, **fields: Any
 ) -> None:
     """Check every file and sample of a data set (DIR) or one split (DIR/train), and its labels against its images.
 
@@ -41,9 +43,10 @@ def validate(
     """
 
     from synth3dlanes.api import validate_dataset
+    from synth3dlanes.production.job import Job
 
     refuse_idle(rerender, ["assets"], "without --rerender")
-    library = open_assets(assets)
+    library = Job(**given(fields)).library(warn)
     with progress_bar("samples") as move:
         report = validate_dataset(
             folder, workers=workers, limit=limit, rerender=rerender, assets=library, progress=move

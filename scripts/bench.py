@@ -4,12 +4,8 @@ import json
 import sys
 from pathlib import Path
 
-from synth3dlanes.draw.sample import Scenes
-from synth3dlanes.params.params import load_params
-from synth3dlanes.params.shots import clips
 from synth3dlanes.production.bench import bench
-from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.production.job import Job
 from synth3dlanes.system.files import write
 
 # Parameters, samples per pixel, frames of a clip.
@@ -25,8 +21,8 @@ def main() -> None:
     """Measure the rows and write them."""
     found = []
     for params, samples, frames in ROWS:
-        scenes = Scenes(load_params(params), 0, "bench", shots=clips(frames, FPS))
-        recipe = Recipe(scenes, RenderSettings(samples), "jpg")
+        clip = {"frames": frames, "fps": FPS} if frames > 1 else {}
+        recipe = Job(params=params, split="bench", samples=samples, device="cpu", **clip).recipe()
         found.append(bench(params, recipe, N, WORKERS, [{}], _say).document())
     path = Path(__file__).parents[1] / "docs" / "bench.json"
     write(path, f"{json.dumps({'rows': found}, indent=1)}\n".encode())

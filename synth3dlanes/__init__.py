@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         label,
         lift_drive,
         load_camera,
+        load_job,
         load_params,
         load_rig,
         load_scene,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
         open_drive,
         report_dataset,
         sample_scene,
+        save_job,
         save_scene,
         score_predictions,
         split_dataset,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from synth3dlanes.labels.labels import Labels, Lane, SymbolLabel
     from synth3dlanes.params.cameras import CameraSpec
     from synth3dlanes.params.params import Params
+    from synth3dlanes.production.job import Job
     from synth3dlanes.renderer import Rendered, Renderer, render
     from synth3dlanes.scene.scene import Scene
     from synth3dlanes.system.errors import (
@@ -65,6 +68,7 @@ __all__ = [
     "Export",
     "FormatError",
     "InputError",
+    "Job",
     "Labels",
     "Lane",
     "MissingPackageError",
@@ -86,6 +90,7 @@ __all__ = [
     "label",
     "lift_drive",
     "load_camera",
+    "load_job",
     "load_params",
     "load_rig",
     "load_scene",
@@ -97,6 +102,7 @@ __all__ = [
     "render",
     "report_dataset",
     "sample_scene",
+    "save_job",
     "save_scene",
     "score_predictions",
     "split_dataset",
@@ -110,6 +116,7 @@ _HOMES = {
     **dict.fromkeys(("Synth3dlanesError", "WorkerError"), "system.errors"),
     "CameraSpec": "params.cameras",
     "Export": "formats.export",
+    "Job": "production.job",
     "Labels": "labels.labels",
     "Lane": "labels.labels",
     "Params": "params.params",

@@ -7,22 +7,16 @@ it.
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from synth3dlanes.dataset.description import is_lifted
-from synth3dlanes.dataset.format import (
-    IMAGE_FORMATS,
-)
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge as _merge
 from synth3dlanes.dataset.rearrange import split_dataset as _split
 from synth3dlanes.dataset.scenes import load_scene as _load_scene
 from synth3dlanes.dataset.scenes import provenance_of, read_scene
 from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader, readers, split_name
-from synth3dlanes.draw.like import read_like
-from synth3dlanes.draw.on_map import MapPlace, place_on_map
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.draw.sample import sample_scene as _sample_scene
 from synth3dlanes.formats.export import Export
@@ -30,18 +24,14 @@ from synth3dlanes.formats.summary import ExportSummary
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.camera_files import load_camera as _load_camera
 from synth3dlanes.params.cameras import CameraSpec
-from synth3dlanes.params.lidar_files import load_lidar
 from synth3dlanes.params.params import Params
 from synth3dlanes.params.params import load_params as _load_params
 from synth3dlanes.params.params_text import contradictions
 from synth3dlanes.params.rig_files import load_rig as _load_rig
-from synth3dlanes.params.shots import Shots, clips
-from synth3dlanes.production.condition import Condition
 from synth3dlanes.production.events import Event
-from synth3dlanes.production.given_scenes import drawn
-from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.production.run import generate
+from synth3dlanes.production.job import Job, make
+from synth3dlanes.production.job import load_job as _load_job
+from synth3dlanes.production.job import save_job as _save_job
 from synth3dlanes.production.tally import RunReport
 from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.recorded.drives.checks import drive_findings
@@ -49,12 +39,12 @@ from synth3dlanes.recorded.drives.drive import Drive
 from synth3dlanes.recorded.drives.open import open_drive as _open_drive
 from synth3dlanes.recorded.lift.precision import Precision
 from synth3dlanes.recorded.lift.write import LiftReport, lift_to
-from synth3dlanes.renderer import STANDARD, one_of, render_settings, several
+from synth3dlanes.renderer import several
 from synth3dlanes.scene import scene as scene_format
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.scene.change import change_scene as _change_scene
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import MAX_SEED, N_SCENE_NUMBERS, SPLIT_NAME, TRIES
+from synth3dlanes.scene.settings import MAX_SEED, N_SCENE_NUMBERS, SPLIT_NAME
 from synth3dlanes.system.arguments import checked
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.files import write
@@ -122,34 +112,15 @@ def load_rig(source: str | Path) -> tuple[CameraSpec, ...]:
 
 
 @checked
-def sample_scene(
-    params: Params,
-    *,
-    seed: int = 0,
-    split: str = "train",
-    index: int = 0,
-    camera: CameraSpec | None = None,
-    rig: Sequence[CameraSpec] = (),
-    frames: int = 1,
-    fps: float = 10.0,
-    map: str | Path | None = None,
-    at: str = "",
-    assets: Library = BUILT_IN,
-) -> Scene:
-    """Draw the scene of sample `index` of a split. Equal arguments give equal scenes.
+def sample_scene(job: Job | Params | None = None, *, index: int = 0, **fields: Any) -> Scene:
+    """Draw the scene of sample `index` of a job's (first) split. Equal arguments give equal scenes.
 
-    `camera`, or the cameras of a `rig`, replace the camera of the parameters. With `frames` above 1, samples are frames
-    of clips at `fps` frames per second. `map` is an OpenDRIVE or Lanelet2 file whose roads the scene is on, `at` the
-    host's place there as ROAD:s:lane, in place of a random one (docs/maps.md). Raises InputError for a wrong argument,
-    and if there is no room for the least number of cars or trees in their ranges; FormatError for a map that cannot be
-    read.
+    In place of a job, its fields may be given, as `sample_scene(params, seed=3, map="town.xodr")`. Raises InputError
+    for a wrong argument, and if there is no room for the least number of cars or trees in their ranges; FormatError for
+    a map that cannot be read.
     """
-    _within(0, MAX_SEED, seed=seed)
     _within(0, N_SCENE_NUMBERS - 1, index=index)
-    _named(split=split)
-    shots, place = _shots(camera, rig, frames, fps), _map_place(map, at)
-    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, map=place)
-    return _sample_scene(scenes, index)
+    return _job(job, fields).recipe(_warn).scene(index)
 
 
 @checked
@@ -184,67 +155,38 @@ def label(scene: Scene) -> Labels:
 
 @checked
 def generate_dataset(
-    params: Params,
-    out: str | Path,
+    job: Job | Params | None = None,
+    out: str | Path | None = None,
     *,
-    n: int,
-    seed: int = 0,
-    split: str = "train",
-    frames: int = 1,
-    fps: float = 10.0,
-    samples: int = STANDARD,
-    passes: str | Sequence[str] = (),
-    lidar: str | Path | None = None,
-    image_format: str = "jpg",
-    device: str = "auto",
-    workers: int = 0,
-    camera: CameraSpec | None = None,
-    rig: Sequence[CameraSpec] = (),
-    map: str | Path | None = None,
-    at: str = "",
-    like: Sequence[Scene] = (),
-    spreads: str | Sequence[str] = (),
-    where: str = "",
-    tries: int = TRIES,
-    assets: Library = BUILT_IN,
     notify: Callable[[Event], None] | None = None,
+    **fields: Any,
 ) -> RunReport:
-    """Make samples 0 to n - 1 of a split in `out`, a folder or a URL. Samples that are already there are kept.
+    """Make the samples that a job asks for in its folder or at its URL. Samples that are already there are kept.
 
-    With `frames` above 1, samples are frames of clips at `fps` frames per second: the first clip is samples 0 to frames
-    - 1. `map` is an OpenDRIVE or Lanelet2 file whose roads the scenes are on, `at` one place there for all of them, as
-    ROAD:s:lane (docs/maps.md). With `like`, scenes that were drawn from the same parameters, every new scene is drawn
-    near one of these; `spreads` sets how near, as shares of the parameters' ranges: `0.1` for all parameters, or
-    `camera.pitch_deg=0.4` for one (docs/like.md). With `where`, a query on the columns of the index, every sample shows
-    the first of at most `tries` scenes drawn for it that fits (docs/recipes.md). `workers` is the number of processes,
-    0 for one per core. `notify` is called with every event of the run; `event.message` is a line of text.
+    In place of a job, its fields may be given, as `generate_dataset(params, "data", n=1000, seed=3)`. `notify` is
+    called with every event of the run; `event.message` is a line of text.
 
     Raises InputError, FormatError, MissingPackageError or DiskFullError if the run cannot start. A later problem does
     not raise: see `problem`, `done` and `asked` of the result.
     """
-    _within(0, MAX_SEED, seed=seed)
-    settings = render_settings(samples, passes, device)
-    shots = _shots(camera, rig, frames, fps)
-    if lidar is not None:
-        settings = replace(settings, passes=(*settings.passes, "lidar"))
-        shots = shots.model_copy(update={"lidar": load_lidar(str(lidar))})
-    image_format = one_of("image_format", image_format, IMAGE_FORMATS)
-    if like and map is not None:
-        raise InputError("map: expected none beside like")
-    if like and where:
-        raise InputError("where: expected none beside like")
-    if spreads and not like:
-        raise InputError("spreads: expected none without scenes to be like")
-    near = None
-    if like:
-        near = read_like(drawn(like, params, assets.assets, "like", bool(shots.cameras)), several(spreads))
-    scenes = Scenes(params, seed, split, assets=assets.assets, shots=shots, like=near, map=_map_place(map, at))
-    condition = Condition(where, tries) if where else None
-    if condition is not None:
-        condition.probe(scenes)
-    recipe = Recipe(scenes, settings, image_format, assets, where=condition)
-    plan = Plan(out, n, recipe, workers)
-    return generate(plan, notify or (lambda event: None))
+    asked = _job(job, fields if out is None else {"out": out, **fields})
+    return make(asked, notify or (lambda event: None), _warn)
+
+
+@checked
+def load_job(path: str | Path) -> Job:
+    """Read a job from a YAML file, or from the `dataset.json` of a data set that `generate` made (docs/jobs.md).
+
+    Raises InputError or FormatError with a line for every problem.
+    """
+    return _load_job(Path(path))
+
+
+@checked
+def save_job(job: Job, path: str | Path) -> None:
+    """Write a job as a YAML file, which `load_job` and `synth3dlanes generate` read."""
+    _file(path=path)
+    _save_job(job, Path(path))
 
 
 @checked
@@ -443,18 +385,15 @@ def report_dataset(place: str | Path, path: str | Path, *, n: int = 2000, sample
     write(Path(path), report_page(data_set_name(found[0]), shown, stats.scenes, stats.labels).encode())
 
 
-def _shots(camera: CameraSpec | None, rig: Sequence[CameraSpec], frames: int, fps: float) -> Shots:
-    if camera is not None and rig:
-        raise InputError("camera: expected none beside a rig")
-    return clips(frames, fps, tuple(rig) if camera is None else (camera,))
+def _job(job: Job | Params | None, fields: dict[str, Any]) -> Job:
+    beside = fields.keys() if isinstance(job, Job) else fields.keys() & {"params"} if job is not None else ()
+    if beside:
+        raise InputError(*(f"{name}: expected none beside job" for name in beside))
+    return job if isinstance(job, Job) else Job(**{"params": job, **fields})
 
 
-def _map_place(file: str | Path | None, at: str) -> MapPlace | None:
-    if file is not None:
-        return place_on_map(Path(file), at)
-    if at:
-        raise InputError(f"at: expected none without a map, got {at!r}")
-    return None
+def _warn(line: str) -> None:
+    warnings.warn(line, stacklevel=4)
 
 
 def _at_least(least: int, **arguments: int) -> None:

@@ -88,7 +88,7 @@ def test_a_scene_on_a_map_is_that_of_the_recipe(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"at": "1:30:-1"}, "at: expected none without a map, got '1:30:-1'"),
+        ({"at": "1:30:-1"}, "at: expected none without map"),
         ({"map": "x.xodr", "at": "1:30"}, "at: expected ROAD:s:lane"),
         ({"map": "x.xodr", "at": "1:30:-2"}, "at: expected a driving lane of road 1 there"),
         ({"map": "none.xodr"}, "map none.xodr: cannot read"),
@@ -169,15 +169,19 @@ def test_a_data_set_states_the_scenes_that_its_own_are_like(tmp_path: Path) -> N
     [
         ("render", {"passes": "colour"}, "passes: expected one of depth, normal, semantic, instance, height"),
         ("render", {"samples": 0}, "samples: expected 1 or more, got 0"),
-        ("sample_scene", {"seed": -1}, f"seed: expected 0 to {2**128}, got -1"),
-        ("sample_scene", {"seed": 2**128 + 1}, f"seed: expected 0 to {2**128}, got "),
+        ("sample_scene", {"seed": -1}, "seed: expected at least 0, got -1"),
+        ("sample_scene", {"seed": 2**128 + 1}, "seed: expected at most 3.4"),
         ("sample_scene", {"index": -1}, "index: expected 0 to 9999999999999, got -1"),
         ("sample_scene", {"index": 10**13}, "index: expected 0 to 9999999999999, got 10000000000000"),
-        ("generate_dataset", {"out": "o", "n": 1, "seed": -2}, f"seed: expected 0 to {2**128}, got -2"),
+        ("generate_dataset", {"out": "o", "n": 1, "seed": -2}, "seed: expected at least 0, got -2"),
         ("render", {"device": "gpu"}, "device: expected one of auto, cpu"),
-        ("generate_dataset", {"out": "o", "n": 1, "image_format": "bmp"}, "image_format: expected one of jpg, png"),
-        ("generate_dataset", {"out": "o", "n": 1, "spreads": "0.1"}, "spreads: expected none without scenes"),
-        ("generate_dataset", {"out": "o", "n": -1}, "n: expected 0 to 100000000, got -1"),
+        (
+            "generate_dataset",
+            {"out": "o", "n": 1, "image_format": "bmp"},
+            "image_format: expected 'jpg' or 'png', got 'bmp'",
+        ),
+        ("generate_dataset", {"out": "o", "n": 1, "spreads": "0.1"}, "spreads: expected none without like"),
+        ("generate_dataset", {"out": "o", "n": -1}, "n: expected at least 0, got -1"),
         ("export_dataset", {"source": "d", "out": "o", "format_name": "kitty"}, "format_name: expected one of apollo"),
     ],
 )

@@ -1,14 +1,15 @@
 """Scenes of files and data sets, as a user names them: a scene.json, a sample such as `DIR/train:00000017`, or some
 samples of a split; and how the scenes of a data set were drawn."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, ValidationError
 
 from synth3dlanes.dataset.address import SAMPLE, splits_near
-from synth3dlanes.dataset.description import DESCRIPTION, is_lifted
+from synth3dlanes.dataset.description import DESCRIPTION, RenderPart, is_lifted
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
@@ -64,22 +65,38 @@ def _in_order(document: Any) -> Any:
     return {kind: tuple(own.values()) if isinstance(own, dict) else own for kind, own in document.items()}
 
 
+class GivenPlace(Excerpt):
+    """The host's place on a map in all scenes: a lane, by its name in the scene, and a station of its road."""
+
+    lane: str
+    s_m: float
+
+    def text(self) -> str:
+        """As `--at` takes it: ROAD:s:lane."""
+        road, _, number = self.lane.rsplit(".", 2)
+        return f"{road}:{self.s_m!r}:{number}"
+
+
 class GivenFile(Excerpt):
-    """The map file that scenes were drawn on, and its SHA-256."""
+    """The map file that scenes were drawn on, its SHA-256, and the host's place if that is one for all."""
 
     file: str
     digest: str
+    at: GivenPlace | None = None
 
 
 class Provenance(Excerpt):
-    """The part of a dataset.json that says how its scenes were drawn."""
+    """The part of a dataset.json that says how its scenes were drawn and rendered."""
 
     seed: Seed
+    image_format: Literal["jpg", "png"]
+    render: RenderPart
     params: Params
     assets: Annotated[Assets, BeforeValidator(_in_order)] = Assets()
     shots: Shots = SINGLE
     like: Neighbourhood | None = None
     map: GivenFile | None = None
+    where: str | None = None
 
     def scenes(self, split: str) -> Scenes:
         """The scenes of a split. Raises InputError for scenes on a map, whose file a data set does not keep."""
@@ -88,13 +105,18 @@ class Provenance(Excerpt):
         return Scenes(self.params, self.seed, split, assets=self.assets, shots=self.shots, like=self.like)
 
 
-def provenance_of(reader: Reader) -> Provenance:
-    """How the scenes of a data set were drawn, from its dataset.json. Raises FormatError with a line for every
-    problem."""
+def read_provenance(description: Mapping[str, Any], where: str) -> Provenance:
+    """How the scenes of a data set were drawn, from the contents of its dataset.json. Raises FormatError with a line
+    for every problem, beginning with `where`."""
     try:
-        return Provenance.model_validate(reader.description)
+        return Provenance.model_validate(description)
     except ValidationError as error:
-        raise FormatError("\n".join(validation_problems(error, f"{reader.url}: {DESCRIPTION}"))) from None
+        raise FormatError("\n".join(validation_problems(error, where))) from None
+
+
+def provenance_of(reader: Reader) -> Provenance:
+    """How the scenes of a data set were drawn. Raises FormatError like `read_provenance`."""
+    return read_provenance(reader.description, f"{reader.url}: {DESCRIPTION}")
 
 
 def scenes_of(reader: Reader) -> Scenes:

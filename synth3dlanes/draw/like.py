@@ -56,6 +56,10 @@ class Neighbourhood(Group):
         """The spread of one parameter."""
         return dict(self.spreads).get(f"{group}.{key}", self.spread)
 
+    def texts(self) -> tuple[str, ...]:
+        """The spreads as `read_like` takes them."""
+        return (repr(self.spread), *(f"{path}={share!r}" for path, share in self.spreads))
+
     def text(self) -> str:
         """In words, for messages."""
         single = "".join(f", {path} {spread:g}" for path, spread in self.spreads)

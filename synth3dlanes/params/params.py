@@ -222,8 +222,8 @@ class _File:
     preset: str
 
 
-# The key of a file that names the preset or the file that it changes.
-BASE = "base"
+# The key of a file that names the preset or the file that it changes; what keys without a file are called in messages.
+BASE, GIVEN = "base", "params"
 
 
 def _read_file(source: str, by: _File | None = None) -> _File:
@@ -244,9 +244,12 @@ def _read_file(source: str, by: _File | None = None) -> _File:
     return _File(where, path, text, document, problems, path.stem if is_preset else "")
 
 
-def files_of(source: str) -> list[_File]:
-    """A preset or file and those that it is based on, itself last. Raises InputError."""
-    files = [_read_file(source)]
+def files_of(source: str | Mapping[Any, Any]) -> list[_File]:
+    """A preset, a file, or the keys of one, and those that it is based on, itself last. Raises InputError."""
+    if isinstance(source, str):
+        files = [_read_file(source)]
+    else:
+        files = [_File(GIVEN, Path(GIVEN), "", copy.deepcopy(dict(source)), [], "")]
     seen = [os.path.realpath(files[0].path)]
     while BASE in files[0].document:
         first, base = files[0], files[0].document.pop(BASE)
@@ -289,8 +292,11 @@ def _named(files: Iterable[_File]) -> dict[str, str]:
     return found
 
 
-def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets) -> Params:
-    """Read a preset (by name) or a YAML file, with what it is based on, then apply overrides like `road.n_lanes=3`.
+def load_params(
+    source: str | Mapping[Any, Any], overrides: Sequence[str] = (), assets: Assets = BUILT_IN.assets
+) -> Params:
+    """Read a preset (by name) or a YAML file, or take the keys of one, with what it is based on, then apply overrides
+    like `road.n_lanes=3`. Keys without a base are all keys, as `dataset.json` has them.
 
     Numbers of models and textures refer to `assets`; see `numbers`. Raises one InputError with a line
     for every problem, each naming file and key.
@@ -309,7 +315,9 @@ def load_params(source: str, overrides: Sequence[str] = (), assets: Assets = BUI
     # Keys of their author's own are those in files that change a preset; of those in a complete file, which has all
     # keys, the ones that differ from the preset that it was made from.
     own = overridden | _named(file for file in files if not file.preset).keys()
-    if not any(file.preset for file in files) and params.open_to():
+    if not isinstance(source, str) and len(files) == 1:
+        own = overridden
+    elif not any(file.preset for file in files) and params.open_to():
         own = overridden | nearest_preset(params)[1] | _named(files[1:]).keys()
     return params.keeping(own)
 

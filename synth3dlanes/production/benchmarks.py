@@ -11,14 +11,12 @@ from pydantic import Field, ValidationError
 
 from synth3dlanes.dataset.description import SplitName
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.draw.sample import sample_world
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.params.camera_files import read_document
-from synth3dlanes.params.params import find_preset, load_params, preset_names
-from synth3dlanes.params.shots import clips
-from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.recipe import Recipe
-from synth3dlanes.scene.settings import DEVICES, MAX_SAMPLES, QUALITY_SAMPLES, RenderSettings
+from synth3dlanes.params.params import find_preset, preset_names
+from synth3dlanes.production.job import Job
+from synth3dlanes.scene.settings import MAX_SAMPLES
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import DocumentPart, Seed, shown, validation_problems
 from synth3dlanes.truth.ground_truth import label
@@ -46,18 +44,15 @@ class Benchmark(DocumentPart):
     fps: float = 10.0
     splits: dict[SplitName, BenchmarkSplit]
 
-    def scenes(self, split: str) -> Scenes:
-        """The scenes of a split."""
-        return Scenes(load_params(self.params, self.changes), self.seed, split, shots=clips(self.frames, self.fps))
-
-    def plan(self, split: str, out: str | Path, workers: int = 0) -> Plan:
-        """The run that makes a split in the data set `out`."""
-        settings = RenderSettings(QUALITY_SAMPLES["standard"], (), DEVICES[0])
-        return Plan(out, self.splits[split].n, Recipe(self.scenes(split), settings, "jpg"), workers)
+    def job(self, split: str, out: str | Path | None = None) -> Job:
+        """The job that makes a split in the data set `out`."""
+        clip = {"frames": self.frames, "fps": self.fps} if self.frames > 1 else {}
+        chosen = {"params": self.params, "set": self.changes, "seed": self.seed, **clip}
+        return Job(n=self.splits[split].n, split=split, out=out, **chosen)
 
     def drawn_digest(self, split: str) -> str:
         """The digest of a split's labels, drawn without Blender."""
-        scenes = self.scenes(split)
+        scenes = self.job(split).recipe().scenes
         worlds = (sample_world(scenes, index) for index in range(self.splits[split].n))
         return labels_digest(label(world, world.view) for world in worlds)
 

@@ -4,7 +4,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -47,6 +47,20 @@ class RunReport:
         if self.problem or self.set_aside:
             return 1
         return 128 + self.stop_signal if self.stop_signal else 0
+
+
+def total(reports: Sequence[RunReport]) -> RunReport:
+    """The report of several runs after each other."""
+    return RunReport(
+        sum(report.made for report in reports),
+        sum(report.done for report in reports),
+        sum(report.asked for report in reports),
+        tuple(index for report in reports for index in report.set_aside),
+        max((report.stop_signal for report in reports), default=0),
+        next((report.problem for report in reports if report.problem), ""),
+        sum(report.restarts for report in reports),
+        sum(report.seconds for report in reports),
+    )
 
 
 class RunTally:

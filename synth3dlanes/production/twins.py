@@ -16,16 +16,16 @@ from typing import Any
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import how_derived
-from synth3dlanes.dataset.scenes import read_scene, scenes_of
+from synth3dlanes.dataset.scenes import provenance_of, read_scene, scenes_of
 from synth3dlanes.draw.rules import ParameterRules
 from synth3dlanes.draw.sample import Scenes, world_again
 from synth3dlanes.params.params import fixed, is_parameter, problems_of
+from synth3dlanes.production.job import Job, pictures_of
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.scene.assets.folder import require_assets
 from synth3dlanes.scene.change import change_scene
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.yaml_text import read_yaml
 from synth3dlanes.world.world import World, resolve
@@ -91,16 +91,18 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
         raise InputError(*(problems or [f"vary {vary}: expected path=value,value,..."]))
     _reader.cache_clear()  # what lies there may have changed since earlier twins
     reader = Reader(source)
-    render, shown = reader.description["render"], tuple(json.dumps(value) for value in values)
-    settings = RenderSettings(int(render["samples"]), tuple(render["passes"]), device)
+    shown = tuple(json.dumps(value) for value in values)
     first = read_scene(reader, 0)
     require_assets(first.assets, library, source)
-    scenes, image_format = scenes_of(reader), str(reader.description["image_format"])
+    scenes = scenes_of(reader)
+    made = Job(**{**pictures_of(provenance_of(reader)), "device": device})
     again = is_drawn_again(first, path)
     if refused := _refusal(first, scenes, path):
         raise InputError(f"vary {path}: {refused}")
     recipes = [
-        TwinRecipe(replace(scenes, split=f"twin_{k}"), settings, image_format, library, reader.url, path, shown)
+        TwinRecipe(
+            replace(scenes, split=f"twin_{k}"), made.settings, made.image_format, library, reader.url, path, shown
+        )
         for k in range(1, len(shown) + 1)
     ]
     # A camera file has bounds of its own, which those of a scene are.

@@ -71,6 +71,8 @@ def _fits(value: Any, annotation: Any) -> bool:
         return isinstance(value, Mapping) and all(_fits(k, of[0]) and _fits(v, of[1]) for k, v in value.items())
     if kind is Callable:
         return callable(value)
+    if annotation is Any:
+        return True
     if annotation is Path:
         return isinstance(value, os.PathLike) and "\0" not in os.fspath(value)
     if annotation is str:

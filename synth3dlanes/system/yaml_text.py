@@ -155,6 +155,22 @@ def read_yaml(text: str, where: str, *, is_calibration: bool = False) -> tuple[A
     return document, [f"{where}: {problem}" for problem in loader.repeated]
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that would be read as another kind of value."""
+
+    def text(self, value: str) -> yaml.ScalarNode:
+        return self.represent_scalar(f"{TAG}str", value, style=None if kind_of(value) == "str" else "'")
+
+
+_Dumper.add_representer(str, _Dumper.text)
+
+
+def to_yaml(document: Any) -> str:
+    """A document of plain values as text that `read_yaml` reads back."""
+    text: str = yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=10_000)
+    return text
+
+
 def _value(kind: str, text: str) -> Any:
     if kind == "null":
         return None

@@ -26,10 +26,10 @@ from synth3dlanes.dataset.format import (
     read_passes,
     read_sweep,
 )
-from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import patience_s
+from synth3dlanes.production.job import Job, pictures_of
 from synth3dlanes.production.recipe import Recipe, take_picture
 from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.scene import scene as scene_module
@@ -37,7 +37,6 @@ from synth3dlanes.scene.assets.catalogue import Library
 from synth3dlanes.scene.assets.folder import require_assets
 from synth3dlanes.scene.instance_ids import END
 from synth3dlanes.scene.settings import PASSES as ALL_PASSES
-from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.integrity import Entry, read_sample
@@ -94,18 +93,12 @@ def how_to_make(description: Description, origin: Origin | None, library: Librar
             "use that version, or validate without"
         )
     require_assets(origin.assets, library, DESCRIPTION)
-    settings = RenderSettings(description.render.samples, description.render.passes, description.render.device)
-    recipe = Recipe(
-        Scenes(origin.params, origin.seed, "", assets=library.assets, shots=origin.shots),
-        settings,
-        description.image_format,
-        library,
-    )
+    job = Job(**pictures_of(origin), assets=library)
     try:
-        return RemakePlan(origin, *resolve_device(recipe))
+        return RemakePlan(origin, *resolve_device(job.recipe()))
     except InputError:
         # Pixels of another device agree within the tolerances.
-        return RemakePlan(origin, *resolve_device(replace(recipe, settings=replace(settings, device="auto"))))
+        return RemakePlan(origin, *resolve_device(job.changed({"device": "auto"}).recipe()))
 
 
 def some_of(entries: Sequence[T], n: int, seed: int) -> list[T]:

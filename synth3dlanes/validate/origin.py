@@ -54,7 +54,6 @@ class Origin(Provenance):
     """What a data set's scenes were drawn from and how they were changed since, according to its dataset.json."""
 
     derived: Derivation | None = None
-    where: str | None = None
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
         """How a sample's scene differs from the one drawn again, in one line; "" if they are equal. A scene on a map

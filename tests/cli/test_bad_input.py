@@ -14,15 +14,19 @@ Run = Callable[..., Result]
 @pytest.mark.parametrize(
     ("command", "expected"),
     [
-        ("generate --n -3 --out d", "synth3dlanes generate: Invalid value for '--n': -3 is not in the range x>=1."),
-        ("generate --out d", "synth3dlanes generate: Missing option '--n'."),
+        ("generate --n -3 --out d", "synth3dlanes generate: Invalid value for '--n': -3 is not in the range x>=0."),
+        ("generate --out d", "--n: expected the number of samples, got none"),
+        ("generate --n 3", "--out: expected a folder or a URL, got none"),
         ("generate --n 3 --out file/d", "--out file/d: cannot write to this folder"),
         ("generate --n 3 --out d --params no.yaml", "no.yaml: cannot read: No such file or directory"),
         ("generate --n 3 --out d --set road.lanes=3", "--set road.lanes: unknown key; did you mean n_lanes?"),
-        ("generate --n 3 --out d --passes deth", "synth3dlanes generate: Invalid value for '--passes'"),
-        ("generate --n 3 --out d --split ../up", "synth3dlanes generate: Invalid value for '--split'"),
-        ("generate --n 3 --out d --workers -1", "synth3dlanes generate: Invalid value for '--workers'"),
-        ("generate --n 3 --out d --part 3/2", "--part: expected i/n with 1 <= i <= n, got 3/2"),
+        (
+            "generate --n 3 --out d --passes deth",
+            "--passes: expected one of depth, normal, semantic, instance, height, or all, got 'deth'",
+        ),
+        ("generate --n 3 --out d --split ../up", "--split: expected letters, digits, - and _, got '../up'"),
+        ("generate --n 3 --out d --workers -1", "--workers: expected auto or a number of processes, got '-1'"),
+        ("generate --n 3 --out d --part 3/2", "--part: expected i/n with 1 <= i <= n, such as 2/8, got '3/2'"),
         (
             "sample --set camera.pitch_deg=[5,0]",
             "--set camera.pitch_deg: expected [low, high] with low <= high, got [5,",
@@ -45,7 +49,7 @@ Run = Callable[..., Result]
         ("report none --html none/x.html", "none/x.html: expected a file in a folder that exists"),
         ("inspect d/train:3 --image file", "--image file: expected none beside a sample, which has its own"),
         ("split d --out e --into train=0.5,val=0.6", "expected shares whose sum is 1, got 1.1"),
-        ("generate --n 1000000000 --out d", "--n: expected 0 to 100000000, got 1000000000"),
+        ("generate --n 1000000000 --out d", "--n: expected at most 1e+08, got 1000000000"),
         ("generate --n 90000000 --out d --device cpu", "d: 90,000,000 samples need "),
         ("generate --n 90000000 --out d --device cpu --dry-run", "d: 90,000,000 samples need "),
         (

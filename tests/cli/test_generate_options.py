@@ -7,8 +7,10 @@ import sys
 import pytest
 from synth3dlanes_cli.generate import generate, progress
 from synth3dlanes_cli.main import main
+from synth3dlanes_cli.options import given
 
 from synth3dlanes.production.events import LEVEL_OF, Event, duration
+from synth3dlanes.production.job import Job
 
 
 @pytest.mark.parametrize(
@@ -21,8 +23,8 @@ from synth3dlanes.production.events import LEVEL_OF, Event, duration
     ],
 )
 def test_quality_is_a_name_for_a_number_of_samples(options, samples):
-    arguments = ["--n", "1", "--out", "d", *options]
-    assert generate.make_context("generate", arguments, **main.context_settings).params["samples"] == samples
+    with generate.make_context("generate", ["--n", "1", *options], **main.context_settings) as context:
+        assert Job(**given(context.params)).settings.samples == samples
 
 
 @pytest.mark.parametrize(

@@ -13,31 +13,31 @@ GENERATE = "generate --n 1 --out d --params tiny"
 @pytest.mark.parametrize(
     ("command", "why"),
     [
-        (f"{GENERATE} --fps 5", "--fps has no effect without --frames of 2 or more."),
-        (f"{GENERATE} --fps 10", "--fps has no effect without --frames of 2 or more."),
-        (f"{GENERATE} --spread 0.2", "--spread has no effect without --like."),
-        (f"{GENERATE} --address auto", "--address has no effect without --executor ray."),
-        (f"{GENERATE} --samples 4 --quality high", "--samples 4 and --quality high exclude each other"),
-        (f"{GENERATE} --quality standard --samples 4", "--samples 4 and --quality standard exclude each other"),
+        (f"{GENERATE} --fps 5", "--fps: expected none without --frames of 2 or more"),
+        (f"{GENERATE} --fps 10", "--fps: expected none without --frames of 2 or more"),
+        (f"{GENERATE} --spread 0.2", "--spread: expected none without --like"),
+        (f"{GENERATE} --address auto", "--address: expected none without --executor ray"),
+        (f"{GENERATE} --samples 4 --quality high", "--quality: expected none beside --samples"),
+        (f"{GENERATE} --quality standard --samples 4", "--quality: expected none beside --samples"),
         (
             f"{GENERATE} --camera kitti --set camera.height_m=5",
-            "camera.height_m=5 has no effect with --camera or --rig, whose files have it.",
+            "camera.height_m=5: no effect with --camera, whose file has it",
         ),
         (
             f"{GENERATE} --rig nuscenes --set camera.roll_deg=5 --set camera.width_px=640",
-            "camera.roll_deg=5, camera.width_px=640 have no effect with --camera or --rig, whose files have it.",
+            "camera.roll_deg=5, camera.width_px=640: no effect with --rig, whose file has it",
         ),
-        (f"{GENERATE} --set motion.host_speed_m_s=20", "no effect without --frames of 2 or more."),
-        (f"{GENERATE} --image-format png --set sensor.jpeg_quality=50", "no effect with --image-format png."),
+        (f"{GENERATE} --set motion.host_speed_m_s=20", "no effect without --frames of 2 or more"),
+        (f"{GENERATE} --image-format png --set sensor.jpeg_quality=50", "no effect with --image-format png"),
         (f"{GENERATE} --set cars.n=1 --set cars.n=2", "expected one value for cars.n, got 2"),
-        (f"{GENERATE} --camera kitti --rig nuscenes", "--camera and --rig exclude each other"),
-        ("sample --fps 5", "--fps has no effect without --frames of 2 or more."),
-        ("sample --camera kitti --set camera.pitch_deg=5", "camera.pitch_deg=5 has no effect with --camera or --rig"),
-        ("sample --set motion.car_speed_m_s=20", "no effect without --frames of 2 or more."),
+        (f"{GENERATE} --camera kitti --rig nuscenes", "--rig: expected none beside --camera"),
+        ("sample --fps 5", "--fps: expected none without --frames of 2 or more"),
+        ("sample --camera kitti --set camera.pitch_deg=5", "camera.pitch_deg=5: no effect with --camera"),
+        ("sample --set motion.car_speed_m_s=20", "no effect without --frames of 2 or more"),
         ("render s.json --lidar velodyne_64 --set lidar=null", "lidar=null has no effect with --lidar"),
-        ("render s.json --samples 4 --quality draft", "--samples 4 and --quality draft exclude each other"),
+        ("render s.json --samples 4 --quality draft", "--quality: expected none beside --samples"),
         ("render s.json --set light.exposure=1 --set light.exposure=2", "expected one value for light.exposure, got 2"),
-        ("bench --samples 4 --quality draft", "--samples 4 and --quality draft exclude each other"),
+        ("bench --samples 4 --quality draft", "--quality: expected none beside --samples"),
         ("gallery d --show height --lanes", "--lanes has no effect with --show height"),
         ("params show tiny --full --json", "--full has no effect with --json, which prints every key."),
         ("stats d --set cars.n=1 --seed 0", "--set and --seed have no effect without --params."),
@@ -77,9 +77,8 @@ def test_a_camera_of_ones_own_keeps_the_hosts_place(key: str, run: Run) -> None:
 
 
 def test_every_other_key_of_the_camera_is_the_files(run: Run) -> None:
-    from synth3dlanes_cli.options import KEYS_OF_CAMERA_FILES
-
     from synth3dlanes.params.groups import CameraParams
+    from synth3dlanes.production.job import KEYS_OF_CAMERA_FILES
 
     own = {f"camera.{name}" for name in CameraParams.model_fields} - set(KEYS_OF_CAMERA_FILES)
     assert own == {"camera.lane", "camera.y_m", "camera.offset_m"}

@@ -56,7 +56,7 @@ def test_too_little_memory_for_a_library_is_one_line(run: Run, monkeypatch: pyte
 
 def test_a_file_that_is_called_like_an_option_keeps_its_name(run: Run) -> None:
     names = sorted({param.name for param in main.commands["generate"].params if isinstance(param, click.Option)})
-    assert {"split", "seed", "out", "n", "source"} < set(names)
+    assert {"split", "seed", "out", "n", "params"} < set(names)
     for name in names:
         for file in (f"{name}.yaml", f"{name}/{name}.yaml", f"{name}-2.yaml"):
             told = run("generate", "--n", 1, "--out", "d", "--params", file).stderr

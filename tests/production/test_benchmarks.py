@@ -118,7 +118,7 @@ def test_two_draws_have_one_digest_and_other_scenes_another():
         update={"splits": {name: BenchmarkSplit(n=2) for name in ("val", "test")}}
     )
     assert hills.drawn_digest("test") == hills.drawn_digest("test") != hills.drawn_digest("val")
-    scenes = hills.scenes("test")
+    scenes = hills.job("test").recipe().scenes
     drawn = [ground_truth(sample_scene(scenes, index)) for index in range(2)]
     assert labels_digest(drawn) == hills.drawn_digest("test")
     assert labels_digest(reread(one) for one in drawn) == hills.drawn_digest("test")
