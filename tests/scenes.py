@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from synth3dlanes.scene.assets.catalogue import THINGS
 from synth3dlanes.scene.host import Camera
-from synth3dlanes.scene.scene import Air, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain
+from synth3dlanes.scene.scene import Air, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain, Thing
 from synth3dlanes.world.world import World
 
 FLAT = Scene(
@@ -89,3 +90,24 @@ def seen_on_flat_ground(world: World, points_world: np.ndarray) -> np.ndarray:
     """Where the camera's rays through points over a flat world meet the ground."""
     eye = world.view.eye_world
     return np.asarray(eye + (points_world - eye) * (eye[2] / (eye[2] - points_world[..., 2:])))
+
+
+def things_ahead() -> Scene:
+    """Every model of people, riders and road works on the flat road, beside each other, each facing its own way."""
+    things = [
+        Thing(
+            kind=kind,
+            model=number,
+            x_m=0.0,
+            y_m=0.0,
+            yaw_rad=0.0,
+            colors=tuple((0.2, 0.3, 0.1 * i) for i in range(len(model.paints))),
+        )
+        for kind, models in THINGS.items()
+        for number, model in enumerate(models, start=1)
+    ]
+    placed = [
+        thing.model_copy(update={"x_m": 1.2 * (i - len(things) / 2), "y_m": -32.0 + 4 * (i % 2), "yaw_rad": 0.7 * i})
+        for i, thing in enumerate(things)
+    ]
+    return Scene.model_validate(FLAT.model_copy(update={"things": tuple(placed)}).model_dump())

@@ -19,19 +19,20 @@ from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.scene.instance_ids import instance_id
-from synth3dlanes.scene.scene import Car
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.schema import Color
 from synth3dlanes.world.bonnet import bonnet
 from synth3dlanes.world.grass import Blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.meshes import Mesh
+from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.paint import paint_color
 from synth3dlanes.world.world import View, World
 
 # The collections of a world's objects, in the order in which Cycles gets them, and those that depend on the view.
-COLLECTIONS = ("ground", "paint", "structures", "cars", "trees", "host", "grass", "lens", "lights")
-OF_VIEW = ("paint", "cars", "host", "grass", "lens", "lights")
+COLLECTIONS = ("ground", "paint", "structures", "objects", "trees", "host", "grass", "lens", "lights")
+OF_VIEW = ("paint", "objects", "host", "grass", "lens", "lights")
 # Shade of a blade of grass at both corners of its foot and at its tip.
 FOOT_TO_TIP = np.array([0.5, 0.5, 1.0])
 
@@ -54,12 +55,15 @@ class Studio:
 
 @dataclass(frozen=True, eq=False)
 class MeshInstance:
-    """A car, a tree or the host's bonnet in the scene: its mesh, pose, scale and instance id."""
+    """An object with a box, a tree or the host's bonnet in the scene: its mesh, pose, scale and instance id; the colour
+    and gloss of its body, and those of the paints of its parts."""
 
     mesh: bpy.types.Mesh
     world_from_object: Matrix4
     scale: float
     instance_id: int
+    body: tuple[float, ...] | None = None
+    paints: tuple[Color, ...] = ()
 
 
 def open_studio(library: Library = BUILT_IN) -> Studio:
@@ -104,20 +108,21 @@ def _plain() -> bpy.types.Material:
 def build(
     studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()
 ) -> list[MeshInstance]:
-    """Replace the previous world by this one; return its cars and trees and the host's bonnet.
+    """Replace the previous world by this one; return its objects with boxes, in the view's order, its trees and the
+    host's bonnet.
 
     Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range. Of the
     world that was built last, as another shot sees it (`World.seen_in`), only what depends on the view is built anew.
     """
     scene, materials = world.scene, studio.materials
-    cars, trees, host = _cars(studio.assets, world, view), _trees(studio.assets, world), _host(studio, view)
-    add: dict[str, Callable[[], None]] = {
+    objects, trees, host = _objects(studio.assets, view), _trees(studio.assets, world), _host(studio, view)
+    add: dict[str, Callable[[], object]] = {
         "ground": lambda: _add_ground(materials, world),
         "paint": lambda: _add_paint(materials, world, view, labelled),
         "structures": lambda: _add_structures(materials, world),
-        "cars": lambda: _add_placed("cars", cars, [(*body_color(car), car.gloss) for car in scene.cars]),
+        "objects": lambda: _add_placed("objects", objects),
         "trees": lambda: _add_placed("trees", trees),
-        "host": lambda: _add_placed("host", host, [(*[scene.host.gray] * 3, scene.host.gloss)] * len(host)),
+        "host": lambda: _add_placed("host", host),
         "grass": lambda: _add_grass(materials, world, view),
         "lens": lambda: _add_lens(studio, view),
         "lights": lambda: _add_lights(materials, world),
@@ -139,7 +144,7 @@ def build(
     set_camera(studio.camera, view.camera, view.world_from_cam)
     _name_in_order()
     set_light(scene, light, studio.assets.skies, view.world_from_host, world.site.street_lamps)
-    return [*cars, *trees, *host]
+    return [*objects, *trees, *host]
 
 
 def _add_ground(materials: Materials, world: World) -> None:
@@ -169,12 +174,6 @@ def _add_lights(materials: Materials, world: World) -> None:
 def _add_lens(studio: Studio, view: View) -> None:
     if not view.camera.lens.is_pinhole:
         set_lens(studio.lens, view, bpy.data.collections["lens"])
-
-
-def body_color(car: Car) -> tuple[float, float, float]:
-    """The colour of a car's body: its drawn colour mixed with the gray of its first channel by `saturation`."""
-    red, green, blue = (car.saturation * channel + (1 - car.saturation) * car.color[0] for channel in car.color)
-    return red, green, blue
 
 
 def _clear(collections: Sequence[str], kept: frozenset[str]) -> None:
@@ -209,11 +208,15 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
         _add_object("paint", new_mesh(mesh, [materials.symbol]), instance_id("symbol", number))
 
 
-def _cars(assets: LoadedAssets, world: World, view: View) -> list[MeshInstance]:
-    return [
-        MeshInstance(assets.cars[car.model - 1], pose, car.scale, instance_id("car", i))
-        for i, (car, pose) in enumerate(zip(world.scene.cars, view.world_from_cars, strict=True))
-    ]
+def _objects(assets: LoadedAssets, view: View) -> list[MeshInstance]:
+    return [_object(assets, item) for item in view.objects]
+
+
+def _object(assets: LoadedAssets, item: PlacedObject) -> MeshInstance:
+    place = item.world_from_object, item.scale, item.id
+    if item.kind is None:
+        return MeshInstance(assets.cars[item.model - 1], *place, body=(*item.colors[0], item.gloss))
+    return MeshInstance(assets.things[item.kind][item.model - 1][item.pose], *place, paints=item.colors)
 
 
 def _trees(assets: LoadedAssets, world: World) -> list[MeshInstance]:
@@ -230,8 +233,9 @@ def _trees(assets: LoadedAssets, world: World) -> list[MeshInstance]:
 
 
 def _host(studio: Studio, view: View) -> list[MeshInstance]:
-    pose = view.world_from_bonnet
-    return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, instance_id("bonnet", 0))]
+    pose, own = view.world_from_bonnet, view.scene.host
+    body = (*[own.gray] * 3, own.gloss)
+    return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, instance_id("bonnet", 0), body)]
 
 
 def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
@@ -258,26 +262,19 @@ def _grass_mesh(grass: Blades, material: bpy.types.Material) -> bpy.types.Mesh:
     return data
 
 
-def _add_placed(
-    collection: str, items: Sequence[MeshInstance], colors: Sequence[tuple[float, ...]] | None = None
-) -> None:
-    for i, item in enumerate(items):
+def _add_placed(collection: str, items: Sequence[MeshInstance]) -> None:
+    for item in items:
         scaled = item.world_from_object * [item.scale, item.scale, item.scale, 1.0]
-        color = colors[i] if colors else None
-        _add_object(collection, item.mesh, item.instance_id, mathutils.Matrix(scaled.tolist()), color)
+        added = _add_object(collection, item.mesh, item.instance_id)
+        added.matrix_world = mathutils.Matrix(scaled.tolist())
+        if item.body is not None:
+            added.color = item.body
+        for number, paint in enumerate(item.paints):
+            added[f"paint{number}"] = paint
 
 
-def _add_object(
-    collection: str,
-    mesh: bpy.types.Mesh,
-    instance_id: int,
-    matrix: mathutils.Matrix | None = None,
-    color: tuple[float, ...] | None = None,
-) -> None:
+def _add_object(collection: str, mesh: bpy.types.Mesh, instance_id: int) -> bpy.types.Object:
     item = bpy.data.objects.new("item", mesh)
     item.pass_index = instance_id
-    if matrix is not None:
-        item.matrix_world = matrix
-    if color is not None:
-        item.color = color
     bpy.data.collections[collection].objects.link(item)
+    return item

@@ -1,4 +1,4 @@
-"""Occlusion by cars, trees and structures: rays against their rendered meshes. World frame; no rendering.
+"""Occlusion by objects, trees and structures: rays against their rendered meshes. World frame; no rendering.
 
 Each asset's mesh gets one search tree per process; rays are transformed into the object's frame. All structures of a
 scene share one tree.
@@ -27,7 +27,7 @@ def hidden_by_objects(
     eye_world: Float[np.ndarray, "3"],
     points_world: Float[np.ndarray, "n 3"],
 ) -> Bool[np.ndarray, " n"]:
-    """True where a car, a tree or a structure is on the straight line from the eye to the point."""
+    """True where an object, a tree or a structure is on the straight line from the eye to the point."""
     hidden = np.zeros(len(points_world), dtype=bool)
     if structures is not None:
         hidden = _meets(structures, eye_world, points_world, END_M)

@@ -93,7 +93,7 @@ def render(
 
 
 def with_object_visibility(world: World, view: View, labels: Labels, placed: list[MeshInstance]) -> Labels:
-    """The labels with every point's `object_visible` and the seen share of every car."""
+    """The labels with every point's `object_visible` and the seen share of every object."""
     eye = view.eye_world
     outlines = [*(lane.xyz_cam for lane in labels.lanes), *(symbol.xyz_cam for symbol in labels.symbols)]
     structures = search_tree(world.site.structures)
@@ -102,7 +102,7 @@ def with_object_visibility(world: World, view: View, labels: Labels, placed: lis
     lanes = tuple(replace(lane, object_visible=next(masks)) for lane in labels.lanes)
     symbols = tuple(replace(symbol, object_visible=next(masks)) for symbol in labels.symbols)
     over_ground = partial(seen_over_ground, world.ground, eye)
-    shares = seen_fractions(placed[: len(world.scene.cars)], placed, structures, labels.camera, over_ground)
+    shares = seen_fractions(placed[: len(view.objects)], placed, structures, labels.camera, over_ground)
     return replace(labels, lanes=lanes, symbols=symbols).with_seen_shares(shares)
 
 

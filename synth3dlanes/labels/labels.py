@@ -17,6 +17,7 @@ from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.labels.element_labels import ElementLabel, element_document
 from synth3dlanes.labels.object_labels import ObjectLabel, object_document
+from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.system.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPairs, JsonPoints, rounded
 from synth3dlanes.system.schema import STRICT, DocumentPart, Name, Number, PixelCount, Positive, SymbolKind, Unit, parse
 
@@ -222,9 +223,9 @@ class Labels:
     farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible or the camera
     does not look ahead.
     `symbols` are those of the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
-    `lidar` is that of the scene, if it has one. `objects` are its cars, in its order; None in older labels, whose
-    seen shares of cars are `older_shares`. `traffic_elements` are the heads of signals and faces of signs near the
-    camera, in the order of their ids; None in older labels.
+    `lidar` is that of the scene, if it has one. `objects` are its cars, then its people, riders and road works, each in
+    its order; None in older labels, whose seen shares of cars are `older_shares`. `traffic_elements` are the heads of
+    signals and faces of signs near the camera, in the order of their ids; None in older labels.
     """
 
     camera: CameraLabel
@@ -244,11 +245,12 @@ class Labels:
         such pixel, None until rendered."""
         if self.objects is None:
             return self.older_shares
-        shares = tuple(item.visible_fraction for item in self.objects if item.visible_fraction is not None)
-        return shares if len(shares) == len(self.objects) else None
+        cars = [item for item in self.objects if thing_of(item.id)[0] == "car"]
+        shares = tuple(item.visible_fraction for item in cars if item.visible_fraction is not None)
+        return shares if len(shares) == len(cars) else None
 
     def with_seen_shares(self, shares: Sequence[float]) -> "Labels":
-        """The labels with these seen shares of the cars, in the scene's order."""
+        """The labels with these seen shares of the objects, in their order."""
         items = zip(self.objects or (), shares, strict=True)
         return replace(self, objects=tuple(replace(item, visible_fraction=share) for item, share in items))
 

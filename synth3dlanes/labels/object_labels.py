@@ -13,6 +13,7 @@ from jaxtyping import Float, Int, Integer
 from pydantic import Field, with_config
 
 from synth3dlanes.geometry.frames import from_axes, rotation, transform
+from synth3dlanes.scene.instance_ids import END
 from synth3dlanes.scene.things import ObjectCategory
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.json_arrays import (
@@ -127,10 +128,9 @@ def as_seen(
     lidar_instance: Integer[np.ndarray, " n"] | None = None,
 ) -> tuple[ObjectLabel, ...]:
     """The objects with what the ids of an image's pixels and of a lidar's points tell of them."""
-    most = max((item.id for item in items), default=0)
-    rows, columns = np.nonzero((instance > 0) & (instance <= most))
+    rows, columns = np.nonzero(np.isin(instance, [item.id for item in items]))
     own = instance[rows, columns]
-    counts = None if lidar_instance is None else np.bincount(lidar_instance, minlength=most + 1)
+    counts = None if lidar_instance is None else np.bincount(lidar_instance, minlength=END)
     return tuple(
         replace(
             item,

@@ -26,7 +26,7 @@ CLIMB_S = 0.01
 class PlacedObject:
     """An object by its instance id: the `pose` of model `model` of `kind` (None of a car), where it stands, without its
     scale, the size of its box (width, length, height), its velocity in metres per second, and the colours of its
-    paints."""
+    paints, of a car with their gloss."""
 
     id: int
     kind: ThingKind | None
@@ -38,6 +38,13 @@ class PlacedObject:
     world_from_object: Matrix4
     velocity_world: Float[np.ndarray, "3"]
     colors: tuple[Color, ...]
+    gloss: float = 0.0
+
+
+def body_color(car: Car) -> Color:
+    """The colour of a car's body: its drawn colour mixed with the gray of its first channel by `saturation`."""
+    red, green, blue = (car.saturation * channel + (1 - car.saturation) * car.color[0] for channel in car.color)
+    return red, green, blue
 
 
 def placed_cars(scene: Scene, network: Network, cars: tuple[Car, ...]) -> Iterator[PlacedObject]:
@@ -55,7 +62,8 @@ def placed_cars(scene: Scene, network: Network, cars: tuple[Car, ...]) -> Iterat
             size_m=car.scale * np.array([model.width_m, model.length_m, model.height_m]),
             world_from_object=pose,
             velocity_world=pose[:3, 1] * car.speed_m_s,
-            colors=(car.color,),
+            colors=(body_color(car),),
+            gloss=car.gloss,
         )
 
 

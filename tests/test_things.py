@@ -1,0 +1,153 @@
+"""People, riders and road works: the table of kinds, scenes with them, where they stand and how they move in clips."""
+
+import ast
+import json
+import re
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from synth3dlanes.labels import labels as label_file
+from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.scene.assets.catalogue import CARS, THINGS
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.instance_ids import KINDS as SERIES
+from synth3dlanes.scene.scene import PlanInstant, Scene, Thing
+from synth3dlanes.scene.things import KIND_OF_CATEGORY, KINDS, STUFF, ObjectCategory, ThingKind, classes_in
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.world.motion import thing_at
+from synth3dlanes.world.world import resolve
+from tests.scenes import FLAT, changed, hill, things_ahead
+
+ROOT = Path(__file__).parents[1]
+CONE = Thing(kind="cone", model=1, x_m=2.0, y_m=-30.0, yaw_rad=0.0)
+
+
+def walker(**changes):
+    colors = ((0.5, 0.5, 0.5),) * len(THINGS["pedestrian"][0].paints)
+    fields = {"kind": "pedestrian", "model": 1, "x_m": 2.0, "y_m": -30.0, "yaw_rad": 0.0, "colors": colors, **changes}
+    return Thing.model_validate(fields)
+
+
+def with_things(*things, **parts):
+    return changed(FLAT.model_copy(update={"things": things}), **parts)
+
+
+def test_the_table_has_each_kind_once_with_what_all_need():
+    assert [kind.semantic_id for kind in KINDS] == list(range(len(KINDS)))
+    assert len({kind.name for kind in KINDS}) == len({kind.color for kind in KINDS}) == len(KINDS)
+    assert {kind.series for kind in KINDS} == {"", *SERIES}
+    assert STUFF == ("sky", "terrain", "road", "shoulder")
+    categories = [found for of in get_args(ObjectCategory) for found in get_args(of) or [of]]
+    assert list(KIND_OF_CATEGORY) == categories
+    assert set(THINGS) == set(get_args(ThingKind)) == {kind.name for kind in KINDS if kind.series == "thing"}
+    assert {car.category for car in CARS} < set(categories)
+
+
+def test_classes_are_those_of_the_formats():
+    """Names as the public development kits spell them."""
+    assert classes_in("kitti").items() >= {("pedestrian", "Pedestrian"), ("cyclist", "Cyclist"), ("car", "Car")}
+    assert "cone" not in classes_in("kitti")
+    assert classes_in("argoverse2")["barrel"] == "CONSTRUCTION_BARREL"
+    assert classes_in("nuscenes")["cone"] == "movable_object.trafficcone"
+    assert classes_in("cosmos")["motorcyclist"] == "rider"
+
+
+def test_a_scene_with_things_is_read_as_written_and_without_them_has_no_such_key():
+    scene = things_ahead()
+    text = scene_file.to_json(scene)
+    assert scene_file.from_json(text, "") == scene
+    assert '"things"' not in scene_file.to_json(FLAT)
+    labels = label(resolve(scene), resolve(scene).view)
+    read = label_file.from_json(label_file.to_json(labels), "")
+    assert [(item.id, item.category) for item in read.objects] == [
+        (10_001 + i, thing.kind) for i, thing in enumerate(scene.things)
+    ]
+    assert read.car_visible_fraction == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"model": 3}, "things.0.model: expected at most 2, got 3"),
+        ({"colors": ((1, 1, 1),)}, r"things.0.colors: expected 0 \(none\), got 1"),
+        ({"kind": "barrier"}, "things.0.kind: expected 'pedestrian', 'cyclist'"),
+        ({"track": [{"time_s": t, "x_m": 0, "y_m": 0, "yaw_rad": 0} for t in (1, 1)]}, "in order, got 1 s"),
+    ],
+)
+def test_a_thing_that_cannot_be_is_refused_in_a_line(change, problem):
+    document = FLAT.model_dump(mode="json") | {"things": [CONE.model_dump(mode="json") | change]}
+    with pytest.raises(FormatError, match=problem):
+        scene_file.from_json(json.dumps(document), "scene.json")
+
+
+def test_a_thing_stands_upright_on_the_ground_and_faces_left_when_turned_counter_clockwise():
+    steep = FLAT.model_copy(update={"terrain": changed(terrain={"gaussians": (hill(30, -30, 8, 12),)}).terrain})
+    thing = walker(x_m=20.0, yaw_rad=np.pi / 2, above_m=0.15, scale=1.1)
+    world = resolve(Scene.model_validate(steep.model_copy(update={"things": (thing,)}).model_dump()))
+    (pose,) = world.view.world_from_things
+    np.testing.assert_allclose(pose[:3, 1], [-1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(pose[:3, 2], [0, 0, 1], atol=1e-12)
+    assert pose[2, 3] == pytest.approx(world.ground.height(np.array([[20.0, -30.0]]))[0] + 0.15)
+    (item,) = label(world, world.view).objects
+    np.testing.assert_allclose(item.size_m, 1.1 * np.array([0.505, 0.97, 1.79]))
+    middle_world = world.view.world_from_cam[:3, :3] @ item.center_cam + world.view.eye_world
+    np.testing.assert_allclose(middle_world - pose[:3, 3], [0, 0, 1.1 * 1.79 / 2], atol=1e-9)
+    assert item.velocity_cam is None
+
+
+def clip(thing, time_s, slope=False):
+    terrain = {"gaussians": (hill(0, 0, 10, 20),)} if slope else {}
+    shot = Shot(frame=round(time_s * 1000), n_frames=1000, fps=1000.0)
+    scene = with_things(thing, terrain=terrain).model_copy(update={"shot": shot})
+    return resolve(Scene.model_validate(scene.model_dump()))
+
+
+TRACK = tuple(
+    PlanInstant(time_s=0.25 * i, x_m=20 + 3 * np.sin(0.2 * i), y_m=-30 + 0.3 * i, yaw_rad=-0.1 * i) for i in range(5)
+)
+
+
+@pytest.mark.parametrize("thing", [walker(speed_m_s=1.4, yaw_rad=0.5), walker(x_m=20.0, track=TRACK)])
+def test_velocities_are_how_places_change(thing):
+    """Up a hill, too; central differences over two milliseconds."""
+    before, now, after = (clip(thing, time_s, slope=True) for time_s in (0.499, 0.5, 0.501))
+    (velocity,) = (item.velocity_world for item in now.view.objects)
+    moved = (after.view.world_from_things[0][:3, 3] - before.view.world_from_things[0][:3, 3]) / 0.002
+    assert np.linalg.norm(velocity[:2]) > 1
+    np.testing.assert_allclose(velocity, moved, atol=0.02)
+    (item,) = label(now, now.view).objects
+    np.testing.assert_allclose(now.view.world_from_cam[:3, :3] @ item.velocity_cam, velocity, atol=1e-9)
+
+
+def test_a_thing_is_where_its_track_says_and_stands_before_and_after_it():
+    thing = walker(track=TRACK)
+    for instant in TRACK:
+        found = thing_at(thing, instant.time_s).thing
+        assert (found.x_m, found.y_m, found.yaw_rad) == pytest.approx((instant.x_m, instant.y_m, instant.yaw_rad))
+    late = thing_at(thing, 9.0)
+    assert (late.thing.x_m, late.thing.speed_m_s) == (TRACK[-1].x_m, 0.0)
+    assert late.driven_m == pytest.approx(np.hypot(*np.diff([(at.x_m, at.y_m) for at in TRACK], axis=0).T).sum())
+
+
+def test_steps_follow_the_way_and_rest_is_at_standstill():
+    model = THINGS["pedestrian"][0]
+    at_rest = clip(walker(phase=0.5), 0.5).view.objects[0].pose
+    poses = [clip(walker(speed_m_s=model.stride_m), 0.125 * i + 0.01).view.objects[0].pose for i in range(8)]
+    assert (at_rest, poses) == (0, list(range(1, 9)))
+
+
+def test_no_module_but_the_table_and_makers_names_a_kind_of_thing():
+    """Their names in quotes; of cars and the like, which are rows too, many modules still do."""
+    # OpenDRIVE calls its crosswalks by the word.
+    makers = {"scene/things.py", "scene/assets/catalogue.py", "formats/opendrive/objects.py"}
+    named = {}
+    for path in (ROOT / "synth3dlanes").rglob("*.py"):
+        strings = {node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)}
+        name = path.relative_to(ROOT / "synth3dlanes").as_posix()
+        if name not in makers and not re.match(r"draw/", name) and strings & {*get_args(ThingKind)}:
+            named[name] = strings & {*get_args(ThingKind)}
+    assert named == {}
