@@ -36,7 +36,7 @@ from synth3dlanes.formats.writing import PARTS, FrameAnnotation
 from synth3dlanes.labels.labels import Lane
 from synth3dlanes.labels.object_labels import ObjectLabel, object_document
 from synth3dlanes.scene.instance_ids import thing_of
-from synth3dlanes.scene.things import SEMANTIC_IDS, STUFF
+from synth3dlanes.scene.things import BOXED, SEMANTIC_IDS, STUFF
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.json_arrays import Row3, Row4
 from synth3dlanes.system.schema import MAX_PX, Excerpt, PathBelow, parse
@@ -79,8 +79,9 @@ README = """COCO layout.
   stuff, all others are things: each lane line, car, tree, symbol and structure is one.
 - A lane line's paint is one instance, with all its dashes. `lane` has the line's id in the labels, its `marking` and
   its `color`; lines that begin more than 110 m ahead have none. There are no crowds.
-- Cars have the key `object` with their 3D box: `id`, `category`, `size_m`, `center_cam` and `rotation_wxyz` as in the
-  labels of the data set (camera frame: x right, y along the viewing direction, z up).
+- Cars, people, riders and road works have the key `object` with their 3D box: `id`, `category`, `size_m`,
+  `center_cam` and `rotation_wxyz` as in the labels of the data set (camera frame: x right, y along the viewing
+  direction, z up).
 """
 
 
@@ -284,12 +285,12 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 
 
 def _object_problems(instances: list[_Instance], truth: SourceSample) -> Iterator[str]:
-    """Findings unless each car has the 3D box of the object whose pixels it has."""
+    """Findings unless each object has the 3D box of the object whose pixels it has."""
     boxes = {item.id: item for item in truth.labels.objects or ()}
     ids = truth.passes["instance"]
     for instance in instances:
         mask = _decoded(instance.segmentation, (ids.shape[0], ids.shape[1]))
-        if instance.category_id != SEMANTIC_IDS["car"] + 1 or mask is None or not len(mask):
+        if instance.category_id - 1 not in BOXED or mask is None or not len(mask):
             continue
         own = boxes.get(int(np.bincount(ids.ravel()[mask].astype(int)).argmax()))
         if own is None or instance.object is None:

@@ -46,7 +46,7 @@ SEEN_BY_LEVEL = (0.9, 0.5)
 LEAST_SEEN = 0.05
 """Objects of which less is seen are regions that detectors need not care about."""
 N_FIELDS = 15
-NOT_SEEN, OUT = "hidden", "out of the image"
+NOT_SEEN, OUT, NO_TYPE = "hidden", "out of the image", "of a kind that KITTI has no type for"
 # Names of six digits, as KITTI's tools take them, in data sets of up to ten splits of 100,000 samples.
 SHORT = 100_000
 # Places and sizes have four decimals, pixels two; labels are rounded as much.
@@ -63,8 +63,9 @@ README = f"""KITTI's object detection layout.
 
 - `training/image_2/*.png`, `label_2/*.txt`, `calib/*.txt`, and `velodyne/*.bin` of data sets with a lidar. All frames
   are in `training`, as KITTI's testing frames have no labels; `ImageSets/{{train,val,trainval,test}}.txt` divide them.
-- Types are Car (with pickups), Van, Truck (with tractors and their semitrailers) and Misc (buses). A car of which less
-  than {100 * LEAST_SEEN:.0f} % is seen is a region DontCare; one that is not seen at all is left out. A frame without
+- Types are Car (with pickups), Van, Truck (with tractors and their semitrailers), Pedestrian, Cyclist and Misc (buses,
+  motorcyclists). KITTI has no road works: cones and the like are left out. An object of which less than
+  {100 * LEAST_SEEN:.0f} % is seen is a region DontCare; one that is not seen at all is left out. A frame without
   objects has one region DontCare without a size, as no label file of the original is empty and OpenPCDet fails on one.
 - Occlusion is 0 if {100 * 0.9:.0f} % or more of the object's pixels are seen, 1 from 50 %, else 2. Truncation is the
   share of the 3D box that is outside the image.
@@ -134,7 +135,7 @@ def write(frame: SampleFrame) -> FrameAnnotation:
         raise InputError(f"{where}: expected a camera without distortion, got {labels.camera.lens}")
     name, dropped, lines = _name(frame), Counter[str](), list[str]()
     for item in labels.objects:
-        reason = OUT if item.box_px is None else NOT_SEEN if item.seen_box_px is None else ""
+        reason = _left_out(item)
         if reason:
             dropped[reason] += 1
         else:
@@ -151,6 +152,13 @@ def write(frame: SampleFrame) -> FrameAnnotation:
         lists.append("trainval")
     shared = ((name, tuple(f"{LISTS}/{part}.txt" for part in lists)),)
     return FrameAnnotation(path_of("image", name), len(lines), dropped, files, shared)
+
+
+def _left_out(item: ObjectLabel) -> str:
+    """Why an object has no line; "" for one that has."""
+    if item.category not in TYPES:
+        return NO_TYPE
+    return OUT if item.box_px is None else NOT_SEEN if item.seen_box_px is None else ""
 
 
 def kitti_object(camera: CameraLabel, item: ObjectLabel) -> KittiObject:
@@ -254,7 +262,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     objects, calib, points = content
     camera, items = truth.labels.camera, truth.labels.objects or ()
     sides = np.array([camera.width_px, camera.height_px, camera.width_px, camera.height_px], float)
-    wanted = [item for item in items if item.box_px is not None and item.seen_box_px is not None]
+    wanted = [item for item in items if not _left_out(item)]
     gaps, problems, left = list[Gap](), list[str](), {item.id: item for item in wanted}
     strange = Counter[str]()
     if not objects:
@@ -358,7 +366,7 @@ def _of_points(
 
 
 FORMAT = SampleFormat(
-    title="KITTI: 3D boxes of cars, with the points of a lidar",
+    title="KITTI: 3D boxes of cars, people and riders, with the points of a lidar",
     readme=README,
     write=write,
     read=read,

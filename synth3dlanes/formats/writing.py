@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import invert, project, turned
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.scene.things import ObjectCategory
 from synth3dlanes.system.arrays import Matrix4
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -96,6 +98,11 @@ class FrameAnnotation:
     dropped: Counter[str] = field(default_factory=Counter)
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     shared: tuple[tuple[str, tuple[str, ...]], ...] = ()
+
+
+def objects_of(labels: Labels, classes: Mapping[ObjectCategory, str]) -> list[ObjectLabel]:
+    """The objects of the labels that are of a format's classes."""
+    return [item for item in labels.objects or () if item.category in classes]
 
 
 def world_from_host(camera: CameraLabel, right_m: float, forward_m: float) -> Matrix4:

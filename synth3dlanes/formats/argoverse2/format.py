@@ -31,7 +31,7 @@ from synth3dlanes.formats.argoverse2.maps import PIECE_M, RULE, LogMap, compare_
 from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, compare_camera, compare_sweep, pinhole_pixels
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.reading import read_file
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, world_from_host
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, objects_of, world_from_host
 from synth3dlanes.geometry.frames import from_axes, invert, quaternion, rotation, transform
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
@@ -97,9 +97,10 @@ README = f"""Argoverse 2's sensor data set: a log for each scene, its frames tho
   one. All sensors of an instant measure at once, so `offset_ns` is 0. There is no intensity.
 - Without a lidar, sweeps have no points: tools step through their timestamps. One lidar is both `up_lidar` and
   `down_lidar`; points have 4 bytes a coordinate, where the original has 2.
-- Boxes are those of all cars of the labels, seen or not, with the points of the sweep on them. The API's evaluation
-  leaves out those without points from the truth, but not from detections, where a found one is a false alarm: without
-  a lidar nothing is left of the truth. Take detections without points out as well, or those that are far away.
+- Boxes are those of all objects of the labels but barricades, which it has no class for, seen or not, with the points
+  of the sweep on them. A rider and what is ridden are one box, of the rider's class. The API's evaluation leaves out
+  those without points from the truth, but not from detections, where a found one is a false alarm: without a lidar
+  nothing is left of the truth. Take detections without points out as well, or those that are far away.
 - Lane segments are those of the lane graph, cut into pieces of at most {PIECE_M:g} m: ids count the segment from 1 and
   its pieces from 0, as 2003. Boundaries are half a lane's width beside the middle; their mark type is the paint along
   most of the segment. An oncoming lane across one line is a neighbour.
@@ -180,7 +181,7 @@ def write(frame: SampleFrame) -> FrameAnnotation:
         own |= _calibration(frame, files, world_from_ego)
         mapped, n_lanes = map_files(resolve(frame.scene), labels.graph)
         own |= dict(zip(files.map, mapped, strict=True))
-    boxes = [_box(item, ego_from_cam, files.log, timestamp_ns) for item in labels.objects]
+    boxes = [_box(item, ego_from_cam, files.log, timestamp_ns) for item in objects_of(labels, CATEGORIES)]
     rows = (
         (json.dumps([{"timestamp_ns": timestamp_ns, **_pose(world_from_ego)}]), (files.poses,)),
         (json.dumps(boxes), (files.annotations,)),
@@ -390,7 +391,7 @@ def _boxes(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSamp
     """Corners of boxes in metres, their class, points and track."""
     table = log.annotations
     rows = np.flatnonzero(table["timestamp_ns"] == timestamp_ns)
-    poses, items = matrices({key: table[key][rows] for key in table}), list(truth.labels.objects or ())
+    poses, items = matrices({key: table[key][rows] for key in table}), objects_of(truth.labels, CATEGORIES)
     problems, gaps, tracks, left = list[str](), list[Gap](), dict[str, str](), {item.id: item for item in items}
     for row, pose in zip(rows.tolist(), poses, strict=True):
         size = np.array([table[key][row] for key in ("length_m", "width_m", "height_m")])

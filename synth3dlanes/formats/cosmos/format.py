@@ -50,6 +50,7 @@ from synth3dlanes.formats.cosmos.clip import (
 )
 from synth3dlanes.formats.cosmos.scenario import Scenario, scenario
 from synth3dlanes.formats.cosmos.videos import (
+    CATEGORIES,
     depth_picture,
     edge_picture,
     lane_map_picture,
@@ -59,13 +60,12 @@ from synth3dlanes.formats.cosmos.videos import (
 )
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import Boundary
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, world_from_host
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, objects_of, world_from_host
 from synth3dlanes.geometry.frames import invert, quaternion, transform
 from synth3dlanes.imaging.video import mp4
 from synth3dlanes.labels.labels import CameraLabel, Marking, Pair, SymbolLabel
 from synth3dlanes.labels.object_labels import CORNERS
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.things import classes_in
 from synth3dlanes.scene.traffic_elements import SignKind
 from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.system.errors import InputError
@@ -74,7 +74,6 @@ from synth3dlanes.world.world import resolve
 CAM_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 HOST_FROM_RIG = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """The rear axle in our host's road frame, as for argoverse2, but on the road."""
-CATEGORIES = classes_in("cosmos")
 CRF = 12
 """Finer than a film's: the greys of depth and the edges are data."""
 NAME = re.compile("[A-Za-z0-9_-]{1,80}")
@@ -215,14 +214,14 @@ def _calibration(frame: SampleFrame, views: Mapping[str, str], where: str) -> di
 
 
 def _moving(frame: SampleFrame, clip_from_world: Matrix4) -> dict[str, list[dict[str, Any]]]:
-    """Rows of the host's poses and of all cars, at all frames."""
+    """Rows of the host's poses and of all objects of classes that Cosmos has, at all frames."""
     poses, boxes = list[dict[str, Any]](), list[dict[str, Any]]()
     for picture in frame.pictures(frame.key):
         camera, micros = picture.labels.camera, _micros(picture.scene)
         pose = clip_from_world @ _world_from_rig(camera, picture.scene)
         told = {"location": _xyz(pose[:3, 3]), "orientation": _xyzw(pose)}
         poses.append({"timestamp_micros": micros, "name": "synth3dlanes", **told})
-        for item in picture.labels.objects or ():
+        for item in objects_of(picture.labels, CATEGORIES):
             width_m, length_m, height_m = item.size_m.tolist()
             placed = clip_from_world @ camera.world_from_cam @ item.cam_from_object
             boxes.append(
@@ -457,9 +456,10 @@ def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
 
 
 def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
-    """Corners of cars by their tracks."""
-    ours = {str(item.id): (item.corners_cam, CATEGORIES[item.category]) for item in picture.labels.objects or ()}
-    return _compared("car", boxes, ours, cam_from_clip)
+    """Corners of objects by their tracks."""
+    items = objects_of(picture.labels, CATEGORIES)
+    ours = {str(item.id): (item.corners_cam, CATEGORIES[item.category]) for item in items}
+    return _compared("object", boxes, ours, cam_from_clip)
 
 
 def _elements(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:

@@ -18,14 +18,16 @@ from scipy.ndimage import gaussian_gradient_magnitude, label, maximum_filter, so
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos.clip import FOLDERS, CosmosClip
 from synth3dlanes.formats.cosmos.scenario import PaintedLine, Scenario
+from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel, Labels, PaintColor
 from synth3dlanes.labels.object_labels import CORNERS
-from synth3dlanes.scene.things import BOXED, GROUND, KINDS, SEMANTIC_IDS, Rgb
+from synth3dlanes.scene.things import BOXED, GROUND, KINDS, SEMANTIC_IDS, Rgb, classes_in
 from synth3dlanes.system.arrays import Passes, Points3, RgbImage
 
+CATEGORIES = classes_in("cosmos")
 EDGE_LOW, EDGE_HIGH = 100, 200
 """The thresholds of Canny's edges that inference takes by default."""
 CLASS_COLORS = np.zeros((256, 3), np.uint8)
@@ -36,8 +38,13 @@ LINE_COLORS: dict[PaintColor, Rgb] = {"white": (255, 255, 255), "yellow": (255, 
 BOUNDARY, WAIT_LINE, CROSSWALK, ROAD_MARKING = (253, 1, 232), (108, 179, 59), (139, 93, 255), (20, 254, 185)
 SIGN, LIGHT, BOX_EDGE = (8, 2, 255), (100, 100, 100), (200, 200, 200)
 """Colours of the lane-map video, as its renderer's third version has them."""
-CAR_COLORS, TRUCK_COLORS = ((126, 206, 255), (0, 46, 136)), ((255, 192, 64), (204, 55, 0))
-"""Of the rear and of the front."""
+BOX_COLORS: dict[str, tuple[Rgb, Rgb]] = {
+    "automobile": ((126, 206, 255), (0, 46, 136)),
+    "person": ((255, 150, 200), (170, 10, 90)),
+    "rider": ((150, 240, 170), (0, 110, 50)),
+}
+LARGE_COLORS = ((255, 192, 64), (204, 55, 0))
+"""Of the rear and of the front of boxes by their class; those of persons and riders are our own."""
 WIDTH_PX, OF_WIDTH_PX = 12.0, 1280.0
 """The width of lines in an image of this width."""
 GOLDEN = 0.618034
@@ -161,8 +168,8 @@ def lane_map_picture(picture: SourceSample, around: Scenario) -> RgbImage:
     for line in around.lines:
         for stripe in _stripes(line):
             canvas.line(stripe, LINE_COLORS[line.color], WIDTH_PX)
-    boxes = [(item.corners_cam, TRUCK_COLORS if item.category in ("truck", "bus", "trailer") else CAR_COLORS)
-             for item in picture.labels.objects or ()]  # fmt: skip
+    items = objects_of(picture.labels, CATEGORIES)
+    boxes = [(item.corners_cam, BOX_COLORS.get(CATEGORIES[item.category], LARGE_COLORS)) for item in items]
     states = {item.id: item for item in picture.labels.traffic_elements or ()}
     for element in around.elements:
         label = states.get(element.label.id, element.label)
@@ -393,12 +400,12 @@ def _hdmap(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) ->
             there = light[row, (column + aside).clip(0, light.shape[1] - 1)].mean()
             if there > MORE_LIGHT * light[row, column].mean():
                 return f"expected painted lines in their place, got them nearer {MOVED_PX} px to the {name}"
-    for item in picture.labels.objects or ():
+    for item in objects_of(picture.labels, CATEGORIES):
         inside = picture.labels.camera.shows(item.center_cam[None])[0]
         if inside and item.corners_cam[:, 1].min() > 1.0 and item.center_cam[1] < CHECKED_M:
             column, row = np.floor(picture.labels.camera.project(item.center_cam[None])[0]).astype(int)
             if lit[row, column] <= DARK:
-                return f"expected the box of car {item.id} over its middle, got nothing there"
+                return f"expected the box of object {item.id} over its middle, got nothing there"
     return ""
 
 

@@ -28,8 +28,19 @@ START_US, ROOM_US = 10**15, 4 * 10**6
 """The first timestamp, and how much later the next picture's scene begins at least."""
 DATE = "2001-09-09"
 CATEGORIES = classes_in("nuscenes")
-CLASS_NUMBERS = {"vehicle.bus.rigid": 16, "vehicle.car": 17, "vehicle.truck": 23}
-ATTRIBUTES = ("vehicle.moving", "vehicle.stopped", "vehicle.parked")
+CLASSES = (
+    "animal", "human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker",
+    "human.pedestrian.personal_mobility", "human.pedestrian.police_officer", "human.pedestrian.stroller",
+    "human.pedestrian.wheelchair", "movable_object.barrier", "movable_object.debris",
+    "movable_object.pushable_pullable", "movable_object.trafficcone", "static_object.bicycle_rack", "vehicle.bicycle",
+    "vehicle.bus.bendy", "vehicle.bus.rigid", "vehicle.car", "vehicle.construction", "vehicle.emergency.ambulance",
+    "vehicle.emergency.police", "vehicle.motorcycle", "vehicle.trailer", "vehicle.truck",
+)  # fmt: skip
+"""All classes of the original, numbered from 1."""
+ATTRIBUTES = (
+    "vehicle.moving", "vehicle.stopped", "vehicle.parked", "cycle.with_rider", "pedestrian.moving",
+    "pedestrian.standing",
+)  # fmt: skip
 MOVING_M_S = 0.2
 VISIBLE = (0.4, 0.6, 0.8)
 """Shares from which the levels of visibility 2, 3 and 4 begin."""
@@ -129,3 +140,18 @@ def matrix(record: Mapping[str, Sequence[float]]) -> Matrix4:
     """The pose of a record."""
     x, y, z = rotation(np.array(record["rotation"])).T
     return from_axes(x, y, z, np.array(record["translation"]))
+
+
+def attributes_of(class_: str, speed_m_s: float | None) -> tuple[str, ...]:
+    """The attributes that an object of a class may have at a speed, one of which it has; none without a speed."""
+    if speed_m_s is None:
+        return ()
+    if class_ in ("vehicle.bicycle", "vehicle.motorcycle"):
+        return ("cycle.with_rider",)
+    is_moving = speed_m_s > MOVING_M_S
+    match class_.split(".")[0]:
+        case "human":
+            return ("pedestrian.moving",) if is_moving else ("pedestrian.standing",)
+        case "vehicle":
+            return ("vehicle.moving",) if is_moving else ("vehicle.stopped", "vehicle.parked")
+    return ()

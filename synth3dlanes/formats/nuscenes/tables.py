@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 
 from synth3dlanes.formats.nuscenes.convention import (
     ATTRIBUTES,
-    CLASS_NUMBERS,
+    CLASSES,
     DATE,
     LAYERS,
     LIDAR,
@@ -314,7 +314,7 @@ def _annotation_rows(clip: _Clip) -> Iterator[JsonRow]:
 
 
 def _category_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for name, number in CLASS_NUMBERS.items():
+    for number, name in enumerate(CLASSES, start=1):
         yield {"token": token("category", name), "name": name, "description": "", "index": number}
 
 

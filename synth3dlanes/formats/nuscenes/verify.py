@@ -26,19 +26,19 @@ from synth3dlanes.formats.comparing import (
 from synth3dlanes.formats.format import ReadFrame
 from synth3dlanes.formats.lane_map import link_gaps
 from synth3dlanes.formats.nuscenes.convention import (
-    ATTRIBUTES,
     CATEGORIES,
     FRONT_CAMERA,
     LIDAR,
-    MOVING_M_S,
     REAR_M,
     VISIBLE,
+    attributes_of,
     map_file,
     segment_type,
     token,
 )
 from synth3dlanes.formats.nuscenes.read import Arc, CameraPicture, InstanceRow, LaneOfMap, NamedRow, PlaceMap
 from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform, turned
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.labels.object_labels import CORNERS
@@ -110,7 +110,7 @@ def _pose(
 
 def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """Corners of boxes in metres, their class, attribute, visibility, points and track."""
-    version, items = picture.version, list(truth.labels.objects or ())
+    version, items = picture.version, objects_of(truth.labels, CATEGORIES)
     problems, gaps, tracks, left = list[str](), list[Gap](), dict[str, str](), {item.id: item for item in items}
     seen = _seen(picture, truth)
     for row in version.boxes.get(picture.data.sample_token, []):
@@ -128,12 +128,13 @@ def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample
         instance = version.row("instance", InstanceRow, row.instance_token)
         attributes = [version.row("attribute", NamedRow, name).name for name in row.attribute_tokens]
         speed_m_s = None if item.velocity_cam is None else float(np.linalg.norm(item.velocity_cam))
-        allowed = [()] if speed_m_s is None else [(name,) for name in ATTRIBUTES[:1] if speed_m_s > MOVING_M_S]
+        names = attributes_of(CATEGORIES[item.category], speed_m_s)
+        allowed: list[tuple[str, ...]] = [(name,) for name in names] or [()]
         shares = None if seen[item.id] is None else str(1 + sum(seen[item.id] >= least for least in VISIBLE))
         points = int(bool(seen[item.id])) if item.lidar_points is None else item.lidar_points
         for what, got, expected in (
             ("class", version.row("category", NamedRow, instance.category_token).name, [CATEGORIES[item.category]]),
-            ("attribute", tuple(attributes), allowed or [(name,) for name in ATTRIBUTES[1:]]),
+            ("attribute", tuple(attributes), allowed),
             ("level of visibility", row.visibility_token, [shares or ""]),
             ("number of points", row.num_lidar_pts, [points]),
         ):

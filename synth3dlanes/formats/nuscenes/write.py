@@ -8,7 +8,6 @@ import numpy as np
 
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.nuscenes.convention import (
-    ATTRIBUTES,
     CATEGORIES,
     EGO_FROM_LIDAR,
     FRONT_CAMERA,
@@ -17,7 +16,6 @@ from synth3dlanes.formats.nuscenes.convention import (
     LIDAR,
     LOCATIONS,
     MORE_SCENES,
-    MOVING_M_S,
     OF_BOXES,
     OF_PICTURES,
     PATHS,
@@ -26,17 +24,18 @@ from synth3dlanes.formats.nuscenes.convention import (
     ROOM_US,
     START_US,
     VERSIONS,
+    attributes_of,
     map_file,
     mask_file,
     pose_record,
     table_file,
 )
 from synth3dlanes.formats.nuscenes.maps import map_layers
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, world_from_host
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, objects_of, world_from_host
 from synth3dlanes.geometry.frames import from_axes, invert
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import ObjectLabel
-from synth3dlanes.scene.scene import Car
+from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.world.motion import host_driven
@@ -57,7 +56,8 @@ README = f"""nuScenes (v1.0) with its map expansion: a scene for each of ours, a
 - Tools of map learners want the six cameras and `{LIDAR}`: generate with `--rig nuscenes`. One camera is
   `{FRONT_CAMERA}`. Without a lidar sweeps are empty, and `num_lidar_pts` is 1 for a box that a camera sees and 0 for
   others: tools leave out boxes without points.
-- Boxes are those of all cars of the labels. Attributes are by speed; single pictures have none.
+- Boxes are those of all objects of the labels; barrels and barricades are barriers, a rider is what he rides.
+  Attributes are by speed; single pictures have none.
 - `visibility` is the greatest share that one camera sees.
 """
 
@@ -95,8 +95,11 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
             ego_from_lidar = ego_from_cam @ labels.lidar.cam_from_lidar
         lidar = data(LIDAR, "pcd.bin", ego_from_lidar)
         files[lidar["file"]], picture["data"] = _sweep(frame), [camera, lidar]
-    cars = zip(labels.objects, frame.scene.cars, strict=True)
-    boxes = [_box(item, car, ego_from_cam if frame.cameras else None) for item, car in cars]
+    parked = {instance_id("car", i) for i, car in enumerate(frame.scene.cars) if not car.track}
+    boxes = [
+        _box(item, item.id in parked, ego_from_cam if frame.cameras else None)
+        for item in objects_of(labels, CATEGORIES)
+    ]
     versions = dict.fromkeys(VERSIONS[part] for part in PARTS if frame.serves_as(part))
     shared = [
         (
@@ -150,19 +153,21 @@ def _sweep(frame: SampleFrame) -> bytes:
     return columns.astype("<f4").tobytes()
 
 
-def _box(item: ObjectLabel, car: Car, ego_from_cam: Matrix4 | None) -> dict[str, Any]:
-    """A car as a picture sees it; for the first of an instant with its box, whose frame is x forward, y left, z up."""
+def _box(item: ObjectLabel, parks: bool, ego_from_cam: Matrix4 | None) -> dict[str, Any]:
+    """An object as a picture sees it; for the first of an instant with its box, whose frame is x forward, y left, z
+    up."""
     seen = {"id": item.id, "visible": item.visible_fraction}
     if ego_from_cam is None:
         return seen
     pose = ego_from_cam @ item.cam_from_object
     x, y, z = pose[:3, :3].T
     speed_m_s = None if item.velocity_cam is None else float(np.linalg.norm(item.velocity_cam))
-    attribute = ATTRIBUTES[0] if speed_m_s and speed_m_s > MOVING_M_S else ATTRIBUTES[1 if car.track else 2]
+    class_ = CATEGORIES[item.category]
+    attributes = attributes_of(class_, speed_m_s)
     return seen | {
-        "category": CATEGORIES[item.category],
+        "category": class_,
         "size": item.size_m.tolist(),
         "pose": pose_record(from_axes(y, -x, z, pose[:3, 3])),
-        "attribute": None if speed_m_s is None else attribute,
+        "attribute": attributes[-1 if parks else 0] if attributes else None,
         "points": item.lidar_points,
     }
