@@ -52,9 +52,8 @@ def check_cars(evidence: Evidence) -> Iterator[Result]:
 def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
     """Limits of the share of a car's pixels that is seen, from their number and the car's box in the image."""
     world, camera = evidence.world, evidence.camera
-    foot, corners = world.view.world_from_cars[car][:3, 3], corners_world(world, car)
     corners_cam, outer_cam = (
-        transform(invert(camera.world_from_cam), foot + room * (corners - foot)) for room in (1.0, MIRROR_ROOM)
+        transform(invert(camera.world_from_cam), corners_world(world, car, room)) for room in (1.0, MIRROR_ROOM)
     )
     uv, outer = outline(camera, corners_cam), outline(camera, outer_cam)
     if not _n_pixels(outer, camera):

@@ -1,6 +1,7 @@
 """The list of all checks of a sample: the program runs them, the tests do, and docs/validate.md names them."""
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 from synth3dlanes.validate.alignment import check_alignment
@@ -9,19 +10,17 @@ from synth3dlanes.validate.cars import check_cars
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
 from synth3dlanes.validate.height import check_height
-from synth3dlanes.validate.ids import check_bonnet, check_ids
 from synth3dlanes.validate.integrity import check_row
-from synth3dlanes.validate.lidar import check_lidar
 from synth3dlanes.validate.moving import instant
 from synth3dlanes.validate.object_boxes import check_boxes
+from synth3dlanes.validate.passes import check_bonnet, check_kinds, check_normals, check_sky
 from synth3dlanes.validate.picture import check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
+from synth3dlanes.validate.seen import check_lidar, check_seen
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.standing import check_roadside, check_standing
 from synth3dlanes.validate.structure import check_host, check_labels, check_objects
-from synth3dlanes.validate.surface import check_hills, check_holes, check_normals, check_pavement
-from synth3dlanes.validate.symbols import check_symbols
 from synth3dlanes.validate.traffic_elements import check_elements
 from synth3dlanes.validate.weather import check_weather
 
@@ -79,8 +78,7 @@ CHECKS = (
     Check(
         "standing",
         check_standing,
-        "wheels, trunks and structures that do not touch the ground; with `depth` and `semantic`, terrain that covers "
-        "the road",
+        "wheels, trunks and structures that do not touch the ground",
     ),
     Check(
         "lidar",
@@ -114,21 +112,38 @@ CHECKS = (
     ),
     Check(
         "symbols",
-        check_symbols,
+        partial(check_seen, "symbols"),
         "arrows, stop lines, crosswalks and gores in another place than the scene's, or missing",
         _needs("aim depth semantic"),
     ),
     Check(
         "pavement",
-        check_pavement,
+        partial(check_seen, "pavement"),
         "a road or ramp that does not match the scene, swapped ids of road and shoulder; with `normal`, normals in "
         "another frame",
         _needs("aim depth semantic"),
     ),
-    Check("hills", check_hills, "hills that do not match the scene", _needs("aim depth semantic")),
-    Check("holes", check_holes, "holes in the ground, through which the sky shows", _needs("aim semantic")),
+    Check(
+        "terrain",
+        partial(check_seen, "terrain"),
+        "hills that do not match the scene, terrain that covers the road",
+        _needs("aim depth semantic"),
+    ),
+    Check(
+        "sky",
+        check_sky,
+        "holes in the ground, through which the sky shows; with `depth`, depth that is finite in the sky, or infinite "
+        "elsewhere",
+        _needs("aim semantic"),
+    ),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
-    Check("ids", check_ids, "ids of another car, tree, structure, surface or line, or of another kind", _needs("aim")),
+    Check("kinds", check_kinds, "ids of another kind of thing", _needs("aim semantic instance")),
+    Check(
+        "ids",
+        partial(check_seen, "ids"),
+        "ids of another car, tree, structure, surface or line",
+        _needs("aim depth"),
+    ),
     Check("cars", check_cars, "a `car_visible_fraction` that does not match the car's pixels", _needs("aim instance")),
     Check(
         "boxes",

@@ -11,20 +11,108 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import LidarPoints, Sweep
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
 from synth3dlanes.params.distributions import Distribution
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.system.arrays import Passes, Points3, RgbImage
+from synth3dlanes.system.arrays import Ids, Passes, Points3, RgbImage, Scalars
 from synth3dlanes.truth.ground_truth import label
-from synth3dlanes.validate.boxes import StructureBoxes, structure_boxes
+from synth3dlanes.validate.bodies import BODIES, Boxes
 from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.paint import WorldPaint
-from synth3dlanes.validate.pixels import luma
-from synth3dlanes.validate.places import places
+from synth3dlanes.validate.pixels import MAX_PIXELS, luma, some_pixels
+from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.world.world import World
 
 # Cosine of the angle between the viewing direction and a pixel's ray, of a lens, from which on depth tells a place.
 LEAST_AHEAD = 0.05
 # Points this close to the image's border may be on either side of it after rounding.
 BORDER_PX = 0.2
+# Points are moved onto the road along the line of sight by at most this.
+MAX_FLOAT_M = 0.05
+# Rows of the pavement are 1 m apart where labels are; beams see others behind the host.
+FINE_M = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What pixels or beams of a lidar show: points in the world, their distances ahead of the camera or from the lidar,
+    and their ids as far as there are; of pixels their rows and columns. The ground below is computed once."""
+
+    world: World
+    eye_world: Float[np.ndarray, "3"]
+    points_world: Points3
+    range_m: Scalars
+    ids: Mapping[str, Ids]
+    pixels: Int[np.ndarray, "n 2"] | None = None
+
+    def __len__(self) -> int:
+        return len(self.points_world)
+
+    @property
+    def is_lidar(self) -> bool:
+        """Whether beams show it."""
+        return self.pixels is None
+
+    def at(self, which: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> "Seen":
+        """Some of the points."""
+        ids = {name: values[which] for name, values in self.ids.items()}
+        return Seen(
+            self.world, self.eye_world, self.points_world[which], self.range_m[which], ids, self.pixels_at(which)
+        )
+
+    @cached_property
+    def places(self) -> AnyPlaces:
+        """The points' places on the roads, from above."""
+        return places(self.world.ground, self.points_world[:, :2])
+
+    @cached_property
+    def up_world(self) -> Points3:
+        """The unit normals of the pavement below."""
+        up = np.column_stack([-self.places.slope(), np.ones(len(self))])
+        return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
+
+    @cached_property
+    def above_m(self) -> Scalars:
+        """How far the points are above the pavement, along its normal."""
+        ground_m = height_at(self.world.scene.terrain, self.points_world[:, :2]) + self.places.raised()
+        return (self.points_world[:, 2] - ground_m) * self.up_world[:, 2]
+
+    @cached_property
+    def firm(self) -> "Seen":
+        """The points on ground of one height; of beams those where rows of the pavement are as close as labels are."""
+        firm = self.at(self.places.is_firm())
+        return firm.at(firm.places.is_fine(FINE_M)) if self.is_lidar else firm
+
+    @property
+    def on_road(self) -> "Seen":
+        """Points that float over the road, moved along the line of sight onto it, where this is reliable."""
+        sight = self.points_world - self.eye_world
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        slope = gradient_at(self.world.scene.terrain, self.points_world[:, :2])
+        falls = (sight[:, :2] * slope).sum(axis=1) - sight[:, 2]
+        terrain_m = height_at(self.world.scene.terrain, self.points_world[:, :2])
+        over_m = self.points_world[:, 2] - terrain_m - self.places.raised()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            way_m = np.clip(np.where(falls > 0, over_m / falls, np.inf), -1, 1)
+        on = (np.abs(way_m) < MAX_FLOAT_M) & ~self.places.on_slope()
+        moved = self.points_world + way_m[:, None] * sight
+        ids = {name: values[on] for name, values in self.ids.items()}
+        return Seen(self.world, self.eye_world, moved[on], self.range_m[on], ids, self.pixels_at(on))
+
+    def pixels_at(self, which: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> Int[np.ndarray, "k 2"] | None:
+        """The rows and columns of some of the points."""
+        return None if self.pixels is None else self.pixels[which]
+
+    @property
+    def below_eye_m(self) -> Scalars:
+        """How far the eye is above the points, along the same normal."""
+        return np.asarray(((self.eye_world - self.points_world) * self.up_world).sum(axis=1))
+
+    def number(self, kind: str) -> Int[np.ndarray, " n"]:
+        """The number of the thing of a kind that each point is of; -1 of none, and without instance ids."""
+        if "instance" not in self.ids:
+            return np.full(len(self), -1)
+        return numbers_of(kind, self.ids["instance"].astype(int))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +170,9 @@ class Evidence:
         return {lane.id: of for lane, of in zip(lanes, np.split(single, ends), strict=True)}
 
     @cached_property
-    def structures(self) -> StructureBoxes:
-        """The boxes of all structures."""
-        return structure_boxes(self.world)
+    def bodies(self) -> dict[str, Boxes]:
+        """The boxes of all things that have bodies, by their kinds."""
+        return {kind: boxes(self.world) for kind, boxes in BODIES.items()}
 
     @property
     def picture(self) -> RgbImage:
@@ -96,6 +184,23 @@ class Evidence:
     def returns(self) -> LidarPoints | None:
         """The points of the sweep, if there is one."""
         return None if self.sweep is None else self.sweep.points()
+
+    def seen(self, which: Bool[np.ndarray, "h w"], most: int = MAX_PIXELS) -> Seen:
+        """At most about `most` of these pixels of a sample with depth, by the points that they show."""
+        rows, columns = some_pixels(which & self.has_points, most)
+        points_cam, eye = self.points_cam(rows, columns), self.camera.world_from_cam[:3, 3]
+        points = transform(self.camera.world_from_cam, points_cam)
+        ids = {name: self.passes[name][rows, columns] for name in ("semantic", "instance") if name in self.passes}
+        return Seen(self.world, eye, points, points_cam[:, 1], ids, np.column_stack([rows, columns]))
+
+    @cached_property
+    def swept(self) -> Seen:
+        """The points of a sample's sweep."""
+        points, world_from_lidar = self.returns, self.world.view.world_from_lidar
+        assert points is not None
+        ids = {"semantic": points.semantic, "instance": points.instance}
+        points_world = transform(world_from_lidar, points.xyz_lidar)
+        return Seen(self.world, world_from_lidar[:3, 3], points_world, points.range_m.astype(float), ids)
 
     @cached_property
     def luma(self) -> Float[np.ndarray, "h w"]:

@@ -1,11 +1,11 @@
 """Results of checks: findings and their words, and measured values as distributions of constant size."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 # Bands of distance ahead of the camera; the guarantees of docs/validate.md hold up to PROOF_M.
 PROOF_M = 40.0
@@ -125,3 +125,22 @@ class RangeHistogram:
         upper = [0.0 if i == 0 else float(EDGES[min(i, len(EDGES) - 1)]) for i in at]
         mean = float(self.totals[bands].sum()) / n
         return {"n": n, "mean": mean, "median": upper[0], "p95": upper[1], "p99": upper[2]}
+
+
+def judged(
+    name: str, value: float, reason: str, least: float = -np.inf, most: float = np.inf, lane: str = ""
+) -> Iterator[Result]:
+    """A number of a sample between its limits, or a finding."""
+    number = Bounded(name, value, least, most)
+    yield number
+    if number.is_beyond:
+        yield Finding(lane, reason)
+
+
+def counted(
+    name: str, wrong: Bool[np.ndarray, " n"], reason: str, single: int, share: float = 0.0, lane: str = ""
+) -> Iterator[Result]:
+    """The number of what is wrong: at most `single`, or a share of all, or a finding. In the reason, {wrong} and {n}
+    are the numbers of what is wrong and of all."""
+    n, n_wrong = len(wrong), int(np.count_nonzero(wrong))
+    yield from judged(name, n_wrong, reason.format(wrong=n_wrong, n=n), most=max(single, share * n), lane=lane)

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.scene.settings import SEMANTIC_IDS
-from synth3dlanes.validate.bodies import may_show_cars
-from synth3dlanes.validate.boxes import meet
+from synth3dlanes.validate.bodies import may_show_cars, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
 from synth3dlanes.world.visibility import seen_over_ground
@@ -142,7 +141,7 @@ def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     points_world = np.column_stack([xy, ground.height(xy)])
     eye_world = camera.world_from_cam[:3, 3]
     points_world = points_world[seen_over_ground(ground, eye_world, points_world)]
-    points_world = points_world[~meet(evidence.structures.boxes, eye_world, points_world)]
+    points_world = points_world[~meet(evidence.bodies["structure"], eye_world, points_world)]
     points_cam = transform(invert(camera.world_from_cam), points_world)
     uv = camera.project(points_cam)
     with np.errstate(invalid="ignore"):

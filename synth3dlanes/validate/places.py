@@ -9,19 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int
 
-from synth3dlanes.geometry.frames import transform
-from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import Road
-from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.settings import SEMANTIC_IDS
-from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.validate.map_places import MapPlaces
 from synth3dlanes.world import meshes
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.map_ground import MapGround
-from synth3dlanes.world.world import World
 
 # Points are projected onto a road that parts from another up to this far before that and this far left of its lanes.
 BEHIND_M, ASIDE_M = 20.0, 1.0
@@ -29,8 +26,6 @@ BEHIND_M, ASIDE_M = 20.0, 1.0
 CUT_M = 0.3
 # Points on the other's right shoulder this close to its lanes may be covered by the faces of these.
 COVER_M = 2.0
-# Points are moved onto the road along the line of sight by at most this.
-MAX_FLOAT_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,16 +174,3 @@ def places(ground: Ground, xy_world: Points2) -> AnyPlaces:
         found[:, near] = road.line.project(xy_world[near], np.maximum(s[near], road.start_m))
         on[road.id] = found[0], found[1]
     return RoadPlaces(ground, xy_world, on)
-
-
-def on_road(world: World, camera: CameraLabel, points_cam: Points3) -> tuple[Points3, Bool[np.ndarray, " n"]]:
-    """Move points that float over the road along the line of sight onto it; also return where this is reliable."""
-    terrain, points = world.scene.terrain, transform(camera.world_from_cam, points_cam)
-    place = places(world.ground, points[:, :2])
-    sight = points - camera.world_from_cam[:3, 3]
-    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    falls = (sight[:, :2] * gradient_at(terrain, points[:, :2])).sum(axis=1) - sight[:, 2]
-    over_m = points[:, 2] - height_at(terrain, points[:, :2]) - place.raised()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        way_m = np.clip(np.where(falls > 0, over_m / falls, np.inf), -1, 1)
-    return points + way_m[:, None] * sight, (np.abs(way_m) < MAX_FLOAT_M) & ~place.on_slope()

@@ -14,13 +14,12 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.instance_ids import numbers_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import KINDS, SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes, Points2
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.pixels import Squares, around, depth_between
-from synth3dlanes.world.solids import SURFACES
 
 # Label faults affect whole lines: a line fails if more than this share of its points, and more than two
 # points, are off.
@@ -36,7 +35,7 @@ LIMITS = {
     "height_m": (0.05, "m of the height map"),
 }
 MASKS = ("terrain_visible", "object_visible")
-OBJECTS = [SEMANTIC_IDS[name] for name in ("car", "tree", "host", *SURFACES)]
+OBJECTS = [kind.semantic_id for kind in KINDS if kind.series and not kind.is_ground]
 # A mask moved along its line by one point must have MIN_MOVED more wrong points and MOVED times as many as unmoved.
 MIN_MOVED, MOVED = 3, 2
 # Depth by this factor off is in another unit; objects hide few points that the labels have as visible.

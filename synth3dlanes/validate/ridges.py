@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
-from synth3dlanes.validate.bodies import may_show_cars
-from synth3dlanes.validate.boxes import meet
+from synth3dlanes.validate.bodies import may_show_cars, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
 from synth3dlanes.validate.paint import Strip
@@ -37,6 +36,8 @@ SEARCH_M = 0.75
 BESIDE = (0.75, 1.75)
 # The vertices of symbols are at most twice this far apart.
 BESIDE_SYMBOL_M = 0.4
+# What structures mirror and shade is this far about them.
+STRUCTURE_ROOM_M = 0.3
 # The extent of the pavement is computed for every ROOM_EVERY-th profile.
 ROOM_EVERY = 10
 # A ridge this close to its label counts as in place: about half the width of the narrowest paint.
@@ -200,7 +201,8 @@ def _beside(
 def _behind_structures(evidence: Evidence, ends_world: Float[np.ndarray, "n 3 3"]) -> Bool[np.ndarray, " n"]:
     """Which profiles, by their ends and middles, a structure may hide or be part of."""
     eye_world = evidence.world.view.eye_world
-    return meet(evidence.structures.boxes, eye_world, ends_world.reshape(-1, 3)).reshape(-1, 3).any(axis=1)
+    boxes, ends = evidence.bodies["structure"], ends_world.reshape(-1, 3)
+    return meet(boxes, eye_world, ends, STRUCTURE_ROOM_M).reshape(-1, 3).any(axis=1)
 
 
 def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

@@ -1,5 +1,4 @@
-"""Check that cars, trees and structures stand on the rendered ground, structures beside the pavement, and that the
-terrain does not penetrate the road.
+"""Check that cars, trees and structures stand on the rendered ground, and structures beside the pavement.
 
 Compares with the meshes that Blender renders, which are flat between their rows, instead of the formulas.
 """
@@ -10,16 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.labels.labels import CameraLabel
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.roadside import Building, Crossing
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3, Scalars
-from synth3dlanes.validate.boxes import beside_world
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Bounded, Finding, Measure, Result
+from synth3dlanes.validate.findings import Measure, Result, counted
 from synth3dlanes.validate.places import places
 from synth3dlanes.world import meshes
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.placement import TREE_SINK_M
+from synth3dlanes.world.solids import Body
 from synth3dlanes.world.spans import PASSAGE_M
 from synth3dlanes.world.world import World
 
@@ -27,45 +25,35 @@ from synth3dlanes.world.world import World
 # 5 cm), and beyond RANGE_M along the road the ground's faces are metres long. A tree's base is 0.1 m below the ground
 # and its root reaches 0.3 m deeper.
 MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 100.0
-# Terrain pixels this far inside the pavement's edge penetrate the road; every STEP-th pixel within NEAR_M is checked.
-INSIDE_M, STEP, NEAR_M = 0.3, 2, 80.0
-MAX_THROUGH = 3
 # Every eighth foot of a structure is checked; structures reach as deep into the ground as trees do.
 FEET_STEP = 8
-# Kerbs stand at the very edge.
-ROOM_M = 0.05
+# Kerbs stand at the very edge. Edges of buildings this near to their lowest point are on the ground.
+ROOM_M, LOW_M = 0.05, 0.5
 
 
 def check_standing(evidence: Evidence) -> Iterator[Result]:
-    """Findings, and the measures `wheel_gap_m`, `tree_gap_m` and `structure_gap_m`. With depth and semantic ids, checks
-    the road too."""
+    """Findings, and the measures `wheel_gap_m`, `tree_gap_m` and `structure_gap_m`: gaps between what stands and the
+    meshes of the ground."""
     world, camera = evidence.world, evidence.camera
-    wheels = _ahead(camera, _wheels(world))
-    trunks = _ahead(camera, world.site.trees_world + np.array([0, 0, TREE_SINK_M]))
-    on_ground_m = np.fmax(_under(world.site.surfaces.verges, trunks), terrain_height(world.ground, trunks[:, :2]))
+    pavement, verges = world.site.surfaces.pavement, world.site.surfaces.verges
+    trunks = world.site.trees_world + np.array([0, 0, TREE_SINK_M])
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
-    feet = _ahead(camera, feet)
-    under_m = np.fmax(
-        _under([*world.site.surfaces.pavement, *world.site.surfaces.verges], feet),
-        terrain_height(world.ground, feet[:, :2]),
-    )
-    standing = [
-        ("wheel_gap_m", wheels, _under(world.site.surfaces.pavement, wheels), MAX_WHEEL_M),
-        ("tree_gap_m", trunks, on_ground_m, MAX_TREE_M),
-        *([("structure_gap_m", feet, under_m, MAX_TREE_M)] if len(feet) else []),
-    ]
-    for name, points, ground_m, limit_m in standing:
+    for name, points, surfaces, has_terrain, limit_m in (
+        ("wheel_gap_m", _wheels(world), pavement, False, MAX_WHEEL_M),
+        ("tree_gap_m", trunks, verges, True, MAX_TREE_M),
+        ("structure_gap_m", feet, [*pavement, *verges], True, MAX_TREE_M),
+    ):
+        points = points[_in(camera.world_from_cam, points)[:, 1] > 0]
+        ground_m = mesh_height(surfaces, points[:, :2], points[:, 2] + PASSAGE_M)
+        if has_terrain:
+            ground_m = np.fmax(ground_m, terrain_height(world.ground, points[:, :2]))
         known = np.isfinite(ground_m)
         gap_m = np.abs(points[:, 2] - ground_m)[known]
         yield Measure(name, _in(camera.world_from_cam, points)[known, 1], gap_m)
-        is_near = np.abs(_in(world.view.world_from_host, points)[known, 1]) < RANGE_M
-        yield Bounded(f"standing.{name}", float(gap_m[is_near].max(initial=0)), most=limit_m)
-        off_m = gap_m[(gap_m > limit_m) & is_near]
-        if off_m.size:
-            reason = f"{name}: expected at most {limit_m} m, got {off_m.size} beyond, up to {off_m.max():.2f} m"
-            yield Finding("", reason)
-    if {"depth", "semantic"} <= evidence.has:
-        yield from _through(evidence)
+        near_m = gap_m[np.abs(_in(world.view.world_from_host, points)[known, 1]) < RANGE_M]
+        reason = f"{name}: expected at most {limit_m} m, got {{wrong}} of {{n}} beyond, up to"
+        reason += f" {near_m.max(initial=0):.2f} m"
+        yield from counted(f"standing.{name}", near_m > limit_m, reason, single=0)
 
 
 def _wheels(world: World) -> Points3:
@@ -78,19 +66,9 @@ def _wheels(world: World) -> Points3:
     return np.concatenate(wheels)
 
 
-def _ahead(camera: CameraLabel, points_world: Points3) -> Float[np.ndarray, "m 3"]:
-    """The points that are ahead of the camera."""
-    return points_world[_in(camera.world_from_cam, points_world)[:, 1] > 0]
-
-
 def _in(world_from_frame: Matrix4, points_world: Points3) -> Points3:
     """The points in another frame."""
     return transform(invert(world_from_frame), points_world)
-
-
-def _under(surfaces: Sequence[meshes.Mesh], points_world: Points3) -> Scalars:
-    """Height of the highest face at each point that does not pass over it on a deck."""
-    return mesh_height(surfaces, points_world[:, :2], points_world[:, 2] + PASSAGE_M)
 
 
 def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2, most_m: Scalars | float = np.inf) -> Scalars:
@@ -142,55 +120,30 @@ def terrain_height(ground: Ground, xy: Points2) -> Scalars:
     return np.asarray(near + b * (far - near))
 
 
-def _through(evidence: Evidence) -> Iterator[Result]:
-    """Finding for pixels that show terrain where the scene has pavement."""
-    ground, passes = evidence.world.ground, evidence.passes
-    depth_m, semantic = passes["depth"][::STEP, ::STEP], passes["semantic"][::STEP, ::STEP]
-    v, u = np.nonzero((semantic == SEMANTIC_IDS["terrain"]) & (depth_m < NEAR_M) & evidence.has_points[::STEP, ::STEP])
-    points = evidence.points_world(STEP * v, STEP * u)
-    inside = ground.clearance(points[:, :2]) < -INSIDE_M
-    inside &= ~ground.is_grass(points[:, :2], INSIDE_M)
-    # Below a deck, and over a tunnel, the ground goes on.
-    inside &= ~ground.is_stacked(points[:, :2])
-    through = int(inside.sum())
-    yield Bounded("standing.through", float(through), most=MAX_THROUGH)
-    if through > MAX_THROUGH:
-        yield Finding("", f"passes: expected pavement, got terrain at {through} pixels of {len(u)} on the road")
-
-
-def check_roadside(evidence: Evidence) -> Iterator[Finding]:
+def check_roadside(evidence: Evidence) -> Iterator[Result]:
     """Findings about structures on a pavement; poles may stand on the walkways of a map, and below its decks. What
     stands on a median is left to the road's own checks, and what has no pole hangs."""
-    ground = evidence.world.ground
-    for name, feet in _feet(evidence):
-        place = places(ground, feet)
-        inside_m = -(place.outside() if name.startswith("buildings") else place.off_carriageways())
-        inside_m[ground.is_stacked(feet)] = -np.inf
-        wrong = int((inside_m > ROOM_M).sum())
-        if wrong:
-            reason = (
-                f"expected it beside the pavement, got {wrong} of {len(feet)} places up to {inside_m.max():.2f} m on it"
-            )
-            yield Finding("", f"roadside.{name}: {reason}")
-
-
-def _feet(evidence: Evidence) -> Iterator[tuple[str, Float[np.ndarray, "n 2"]]]:
-    """The name of every structure with a place beside the road, and points where it stands."""
     world, roadside = evidence.world, evidence.scene.roadside
-    for i, rail in enumerate(roadside.rails):
-        if rail.side != "median":
-            s = np.linspace(rail.from_m, rail.to_m, 2 + int(abs(rail.to_m - rail.from_m) / 2))
-            yield f"rails.{i}", beside_world(world, rail.road, rail.side, s, rail.aside_m)
-    for i, post in enumerate(roadside.posts):
-        if post.side != "median":
-            yield f"posts.{i}", beside_world(world, post.road, post.side, np.array([post.s_m]), post.aside_m)
-    for name in ("signals", "signs"):
-        for i, item in enumerate(getattr(roadside, name)):
-            if item.has_pole:
-                yield f"{name}.{i}", np.array([[item.x_m, item.y_m]])
-    first_owner = len(roadside.rails) + len(roadside.posts) + len(roadside.crossings)
-    first = int(np.searchsorted(evidence.structures.owners, first_owner))
-    boxes = [values[first : first + len(roadside.buildings)] for values in evidence.structures.boxes]
-    share = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), [0.0]), -1).reshape(-1, 3)
-    for i, (pose, low, high) in enumerate(zip(*boxes, strict=True)):
-        yield f"buildings.{i}", transform(pose, low + share * (high - low))[:, :2]
+    poles = [item for item in roadside.free_elements if item.has_pole]
+    items = (*roadside.rails, *roadside.posts, *roadside.crossings, *roadside.buildings, *poles)
+    # Bodies of decks, heads and faces follow.
+    for number, (item, body) in enumerate(zip(items, world.site.structures, strict=False)):
+        if isinstance(item, Crossing) or getattr(item, "side", "") == "median":
+            continue
+        is_building = isinstance(item, Building)
+        feet = _outline(body) if is_building else body.feet_world[:, :2]
+        place = places(world.ground, feet)
+        inside_m = -(place.outside() if is_building else place.off_carriageways())
+        inside_m[world.ground.is_stacked(feet)] = -np.inf
+        reason = f"structure {number} ({body.kind}): expected it beside the pavement, got {{wrong}} of {{n}} places"
+        up_to = f" up to {inside_m.max(initial=0):.2f} m on it"
+        yield from counted("roadside", inside_m > ROOM_M, reason + up_to, single=0)
+
+
+def _outline(body: Body) -> Points2:
+    """Places along the lower edges of a body's faces."""
+    corners = body.corners_world
+    ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+    low = ends[(ends[..., 2] < corners[..., 2].min() + LOW_M).all(axis=1)]
+    share = np.linspace(0, 1, 9)[:, None, None]
+    return np.asarray(((1 - share) * low[:, 0, :2] + share * low[:, 1, :2]).reshape(-1, 2))

@@ -16,8 +16,7 @@ from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, SymbolLabel
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4
-from synth3dlanes.validate.bodies import cores, outlines
-from synth3dlanes.validate.boxes import meet
+from synth3dlanes.validate.bodies import cores, meet, outlines
 from synth3dlanes.validate.documents import shown
 from synth3dlanes.validate.evidence import BORDER_PX, Evidence, inside_px
 from synth3dlanes.validate.findings import Finding
@@ -146,7 +145,7 @@ def check_objects(evidence: Evidence) -> Iterator[Finding]:
     through, unhidden = seen.copy(), ~seen
     through[seen] = meet(cores(world), eye_world, points_world[seen])
     unhidden[~seen] = ~meet(outlines(world), eye_world, points_world[~seen])
-    unhidden[unhidden] = ~meet(evidence.structures.boxes, eye_world, points_world[unhidden])
+    unhidden[unhidden] = ~meet(evidence.bodies["structure"], eye_world, points_world[unhidden])
     for id_, of_through, of_unhidden in zip(items, np.split(through, ends), np.split(unhidden, ends), strict=True):
         if of_through.sum() > MAX_WRONG:
             reason = f"object_visible: expected points behind cars as hidden, got {of_through.sum()} as seen"

@@ -243,7 +243,7 @@ OF_STREETS = [
         of_pass("semantic", partial(swapped, "barrier", "kerb")),
         "on faces of (barrier|kerb)",
     ),
-    Fault("symbols missing", of_passes(without_symbols), "pixels of its paint", True),
+    Fault("symbols missing", of_passes(without_symbols), "in all of its paint", True),
     Fault("bonnet missing", of_passes(without_bonnet), "expected the bonnet", True),
     Fault("rear half of the sweep three columns on", of_sweep(rear_turned), "lidar"),
     Fault("ids of the next car behind the host", of_sweep(other_cars_behind), "lidar: expected points of car"),

@@ -28,6 +28,6 @@ def test_what_is_computed_is_computed_once_and_is_the_evidences_own() -> None:
     one, other = (Evidence(resolve(FLAT), seen(ground_truth(FLAT))) for _ in range(2))
     assert one.truth is one.truth
     assert one.paint is one.paint
-    assert one.structures is one.structures
+    assert one.bodies is one.bodies
     assert one.truth is not other.truth
     assert one.paint is not other.paint

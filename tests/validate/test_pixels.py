@@ -184,7 +184,7 @@ def all_to_the_right(sample: Evidence) -> Evidence:
 
 
 # The checks that these tests are about; the program runs them among all others.
-OF_PASSES_ALONE = ("ids", "pavement", "normals", "points")
+OF_PASSES_ALONE = ("kinds", "ids", "pavement", "sky", "normals", "points")
 OF_IMAGE_ALONE = ("ridges", "sharpness", "colours", "alignment")
 ONE_SAMPLE: dict[str, tuple[Callable[[Evidence], Evidence], str]] = {
     "normals in the world frame": (in_world, "normal: expected the road's in the camera frame"),

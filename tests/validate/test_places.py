@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.assets.catalogue import BUILT_IN
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import label
-from synth3dlanes.validate.ids import MAX_BEYOND_M
+from synth3dlanes.validate.evidence import Seen
 from synth3dlanes.validate.paint import WorldPaint
-from synth3dlanes.validate.places import RoadPlaces, on_road, places
-from synth3dlanes.validate.surface import MAX_ASIDE_M, MAX_GAP_M, RANGE_M
+from synth3dlanes.validate.places import RoadPlaces, places
+from synth3dlanes.validate.seen import MAX_ASIDE_M, MAX_BEYOND_M, MAX_GAP_M, RANGE_M
 from synth3dlanes.world import meshes
 from synth3dlanes.world.visibility import seen_over_ground
 from synth3dlanes.world.world import World
@@ -90,11 +89,11 @@ def test_paint_is_seen_within_its_own_line_and_outside_all_others(preset):
                 continue
             points, _ = on_faces(mesh, rng)
             points = points[seen_over_ground(world.ground, camera.world_from_cam[:3, 3], points)]
-            on, asked = on_road(world, camera, transform(invert(camera.world_from_cam), points))
-            place = places(world.ground, on[asked][:, :2])
+            on = Seen(world, camera.world_from_cam[:3, 3], points, np.zeros(len(points)), {}).on_road
+            place = on.places
             assert paint.beyond_m(id_, place).max(initial=-1) < MAX_BEYOND_M
             others = [other for other in paint.ids if other.startswith("main") and other != id_]
-            if id_.startswith("main") and asked.any():
+            if id_.startswith("main") and len(on):
                 assert min(paint.beyond_m(other, place).min() for other in others) > 1
-            n += asked.sum()
+            n += len(on)
     assert n > 2000

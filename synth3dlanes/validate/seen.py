@@ -1,0 +1,366 @@
+"""A table of what pixels and beams of the lidar must show where: their points, un-projected into the world, must lie on
+the surface, in the body or in the paint that the world has for what their ids say.
+
+A pass has one sample at each pixel's centre, so a pixel's point lies exactly on a mesh. A row says which points it is
+about and how to compute, for each thing among them, how far they are from where it is; one function judges all rows. A
+new kind of thing that has a body needs an entry of `bodies.BODIES` and a row.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Integer
+
+from synth3dlanes.roads.terrain import gradient_at
+from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.validate.bodies import BODIES, grown, inside
+from synth3dlanes.validate.evidence import Evidence, Seen
+from synth3dlanes.validate.findings import PROOF_M, Measure, Result, counted, judged
+from synth3dlanes.validate.paint import beyond_symbols
+from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
+from synth3dlanes.validate.pixels import around, depth_between
+from synth3dlanes.validate.standing import mesh_height, terrain_height
+from synth3dlanes.world.camera import project
+from synth3dlanes.world.ground import EMBANKMENT_SLOPE, VERGE_M
+from synth3dlanes.world.solids import SURFACES
+
+# In 2,000 random scenes the meshes are within 8 mm of the formulas up to RANGE_M, and their edges within 2 mm.
+RANGE_M, MAX_GAP_M, MAX_ASIDE_M = 110.0, 0.015, 0.01
+# Limit of |1 - median(depth / expected depth)|: at most 0.0039 in 1,350 rendered scenes, whose faces are flat.
+MAX_SCALE = 0.0045
+# The near road, seen in pixels of its mesh: in 86 images, of 96 to 560 columns, depth is at most 0.00015 m off in the
+# median. Points farther from the mesh than SAME_M are not on it.
+NEAR_ROAD_M, MAX_NEAR, SAME_M, MAX_NEAR_M = 12.0, 1_500, 0.5, 0.002
+# Limit of the normals' median error, as a chord; correct ones are off by at most 0.02 degrees (half floats).
+MAX_TURN = 0.005
+# Of the terrain: range, verge widths from the embankment's foot within which verges cover it, and the median.
+HILLS_M, VERGES, MAX_HILLS_M = 120.0, 1.1, 0.005
+# Terrain this far inside the pavement's edge penetrates the road.
+THROUGH_RANGE_M, INSIDE_M = 80.0, 0.3
+# In 60 random scenes of each preset no pixel of paint is this far outside its line.
+MAX_BEYOND_M = 0.01
+# Pixels this close to an edge of a symbol may show either side of it; lines may lie this far over a gore's edges.
+MARGIN_M, LINE_M = 0.04, 0.15
+
+# Error of a beam's range; depth is interpolated where its error by the surface's bend is below a limit; surfaces whose
+# depths differ by a larger share are two. The number and share of beams that may be wrong.
+MAX_RANGE_M, MAX_BEND_M, ONE_SURFACE, BEAMS, BEAMS_SHARE = 0.01, 0.003, 0.02, 20, 0.02
+
+PAVEMENT = ("road", "shoulder")
+_IDS_TOO = frozenset({"depth", "semantic", "instance"})
+
+
+class Part(NamedTuple):
+    """Points of one thing: its words, how far each is from where the world has it, and the lane to name."""
+
+    whose: str
+    apart_m: Scalars
+    lane: str = ""
+
+
+class Row(NamedTuple):
+    """Points of some semantic classes (or of a kind of instance ids, where there are any) within a range: of each thing
+    among them all but `single` and a share must be within `most`, or, `in_median`, the median must. `expected` may
+    have places for {what} is seen and {whose} it is; `layer` is the pass that findings name, or else that of ids. Beams
+    are judged by rows with `of_beams`, which is the number of these that may be wrong."""
+
+    check: str
+    name: str
+    classes: tuple[str, ...]
+    parts: Callable[[Evidence, Seen], Iterator[Part]]
+    expected: str
+    most: float
+    share: float = 0.0
+    single: int = SINGLE
+    in_median: bool = False
+    kind: str = ""
+    layer: str = ""
+    needs: frozenset[str] = frozenset({"depth", "semantic"})
+    within_m: float = np.inf
+    least_n: int = 1
+    n: int = 10_000
+    of_beams: int | None = None
+
+
+def check_seen(check: str, evidence: Evidence) -> Iterator[Result]:
+    """Findings of the rows of a check about what the sample's pixels show."""
+    passes, known = evidence.passes, {}
+    for row in ROWS:
+        if row.check != check or not row.needs <= evidence.has | _any_ids(evidence, row):
+            continue
+        # Rows about the same points share them, and what is computed of them.
+        key = (row.classes, row.kind, row.within_m, row.n)
+        if key not in known:
+            which = _is_of(row, {name: passes[name] for name in ("semantic", "instance") if name in passes})
+            known[key] = evidence.seen(which & (passes["depth"] < row.within_m), row.n)
+        yield from _judge(row, evidence, known[key])
+
+
+def _any_ids(evidence: Evidence, row: Row) -> frozenset[str]:
+    """Instance ids say what semantic ids would, of kinds of things that have them."""
+    return frozenset({"semantic"}) if row.kind and "instance" in evidence.has else frozenset()
+
+
+def _is_of(row: Row, ids: Mapping[str, Integer[np.ndarray, "*n"]]) -> Bool[np.ndarray, "*n"]:
+    if row.kind and "instance" in ids:
+        return np.asarray(numbers_of(row.kind, ids["instance"]) >= 0)
+    return np.isin(ids["semantic"], [SEMANTIC_IDS[name] for name in row.classes])
+
+
+def _judge(row: Row, evidence: Evidence, seen: Seen) -> Iterator[Result]:
+    what = "points" if seen.is_lidar else "pixels"
+    source = "lidar" if seen.is_lidar else row.layer or ("instance" if "instance" in evidence.passes else "semantic")
+    for part in row.parts(evidence, seen):
+        n, off_m = len(part.apart_m), np.abs(part.apart_m)
+        if n < row.least_n:
+            continue
+        expected = f"{source}: expected {row.expected.format(what=what, whose=part.whose)}, got"
+        if row.in_median:
+            median = float(np.median(off_m))
+            signed = "" if (part.apart_m >= 0).all() else f" ({np.median(part.apart_m):+.4f} with its sign)"
+            found = f"{expected} them {median:.4f} off in the median{signed}, at {n} {what}"
+            yield from judged(row.name, median, found, most=row.most, lane=part.lane)
+            continue
+        wrong = ~(off_m <= row.most)
+        far_m = part.apart_m[wrong & np.isfinite(off_m)]
+        by = f", by {np.median(far_m):+.3f} m in the median" if len(far_m) else ""
+        single = row.of_beams if seen.is_lidar and row.of_beams is not None else row.single
+        found = f"{expected} {{wrong}} of {{n}} {what} elsewhere{by}"
+        yield from counted(row.name, wrong, found, single, row.share, part.lane)
+
+
+def check_lidar(evidence: Evidence) -> Iterator[Result]:
+    """Findings of the rows about what beams see, and of what the image shows too beside the passes; distances of points
+    from the pavement and from the depth pass."""
+    swept = evidence.swept
+    yield from disagreement("lidar", swept.ids["semantic"], swept.ids["instance"])
+    for row in ROWS:
+        if row.of_beams is not None:
+            within_m = PROOF_M if row.check == "pavement" else np.inf
+            of_row = swept.at(_is_of(row, swept.ids) & (swept.range_m < within_m))
+            yield from _judge(row, evidence, of_row)
+            if row.parts is _height:
+                yield Measure("lidar_ground_m", of_row.firm.range_m, np.abs(of_row.firm.above_m))
+    if evidence.has >= _IDS_TOO:
+        yield from _against_passes(evidence, swept)
+
+
+def _against_passes(evidence: Evidence, swept: Seen) -> Iterator[Result]:
+    """Ranges and ids of points where they and the depth pass show one surface, of bodies ids alone: these have parts
+    smaller than a pixel."""
+    points, passes, camera = evidence.returns, evidence.passes, evidence.world.view.camera
+    assert points is not None
+    uv, shape = project(camera, points.xyz_cam), passes["depth"].shape
+    with np.errstate(invalid="ignore"):
+        inner = ((uv > 2) & (uv < np.array(shape[::-1]) - 2)).all(axis=1)
+    uv, y_m, own = uv[inner], points.xyz_cam[inner, 1], swept.at(inner)
+    slant = np.linalg.norm(points.xyz_cam[inner], axis=1) / y_m
+    between, square = depth_between(passes["depth"], uv), around(uv, shape, 2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        clear = between.bend * between.depth_m * slant < MAX_BEND_M
+        share = between.depth_m / y_m - 1
+    is_other = np.zeros(len(y_m), dtype=bool)
+    for name, values in own.ids.items():
+        ids = passes[name][square]
+        clear &= (ids == ids[0]).all(axis=0)
+        is_other |= ids[0] != values
+    same = clear & (np.abs(share) < ONE_SURFACE)
+    paved = same & np.isin(own.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT])
+    off_m = (np.abs(between.depth_m - y_m) * slant)[paved]
+    yield Measure("lidar_depth_m", y_m[paved], off_m)
+    for name, wrong, words in (
+        ("range", off_m[y_m[paved] < PROOF_M] > MAX_RANGE_M, f"points within {MAX_RANGE_M} m of the depth pass"),
+        ("before", (share > ONE_SURFACE)[clear], "points on what the depth pass shows"),
+        ("ids", is_other[same], "the ids of the passes"),
+    ):
+        reason = f"lidar: expected {words}, got {{wrong}} of {{n}} points elsewhere"
+        yield from counted(f"lidar.{name}", wrong, reason, BEAMS, BEAMS_SHARE)
+
+
+# -- parts: how far points are from where the world has them
+
+
+def _height(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """Over the road and over its ramp, which may have few pixels."""
+    firm = seen.firm
+    on_ramp = firm.places.raised() > 0
+    yield Part("the road", firm.above_m[~on_ramp])
+    yield Part("the ramp", firm.above_m[on_ramp])
+
+
+def _scale(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    firm = seen.firm.at(seen.firm.range_m < PROOF_M)
+    yield Part("the road", -firm.above_m / firm.below_eye_m)
+
+
+def _near_mesh(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """Along the pixels' rays from the very mesh that is rendered."""
+    at = np.flatnonzero((seen.firm.range_m > 0) & (seen.firm.range_m < NEAR_ROAD_M))
+    near = seen.firm.at(at[:: 1 + len(at) // MAX_NEAR])
+    z, surfaces = near.points_world[:, 2], evidence.world.site.surfaces
+    above_m = z - mesh_height(surfaces.pavement, near.points_world[:, :2], z + SAME_M)
+    slant = near.up_world[:, 2] * near.range_m / near.below_eye_m
+    yield Part("the near road", (-above_m * slant)[np.abs(above_m) < SAME_M])
+
+
+def _turn(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """Normals, which are smoothed where an exit leaves the road; a ramp has others."""
+    firm = seen.firm
+    level = firm.at(~firm.places.on_slope())
+    assert level.pixels is not None, "beams have no normals"
+    found = evidence.passes["normal"][tuple(level.pixels.T)] @ evidence.camera.world_from_cam[:3, :3].T
+    yield Part("the road", np.linalg.norm(found - level.up_world, axis=1))
+
+
+def _edges(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    yield Part("pavement", np.maximum(seen.firm.places.outside(), 0))
+
+
+def _plan(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    firm = seen.firm
+    expected = firm.places.surface(MAX_ASIDE_M)
+    for name in PAVEMENT:
+        at = expected == SEMANTIC_IDS[name]
+        yield Part(name, np.where(firm.ids["semantic"] == expected, 0, np.inf)[at])
+
+
+def _hills(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    ground, xy = evidence.world.ground, seen.points_world[:, :2]
+    raised_m = EMBANKMENT_SLOPE * max([road.ramp.height_m for road in ground.network.roads if road.ramp], default=0.0)
+    open_ = ground.clearance(xy) > VERGES * VERGE_M * ground.cell_scale(xy) + raised_m
+    slope = gradient_at(evidence.scene.terrain, xy[open_])
+    above_m = seen.points_world[open_, 2] - terrain_height(ground, xy[open_])
+    yield Part("terrain", above_m / np.sqrt(1 + (slope**2).sum(axis=1)))
+
+
+def _through(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """Below a deck, and over a tunnel, the ground goes on."""
+    ground, xy = evidence.world.ground, seen.points_world[:, :2]
+    may_be = ground.is_grass(xy, INSIDE_M) | ground.is_stacked(xy)
+    yield Part("terrain", np.where(may_be, 0, np.maximum(-ground.clearance(xy), 0)))
+
+
+def _body(kind: str, evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    own, boxes = seen.number(kind), evidence.bodies[kind]
+    boxes = boxes if kind == "structure" else grown(boxes)
+    apart_m = np.where(inside(boxes, seen.points_world, own), 0, np.inf)
+    for i in np.unique(own).tolist():
+        yield Part(f"{kind} {i}" if i >= 0 else f"a {kind}", apart_m[own == i])
+
+
+def _faces(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """A pole's is not a sign's."""
+    boxes, own = evidence.bodies["structure"], seen.number("structure")
+    surface = np.concatenate([np.zeros(0, int), *(body.surface for body in evidence.world.site.structures)])
+    for number, name in enumerate(SURFACES):
+        at = (seen.ids["semantic"] == SEMANTIC_IDS[name]) & (own >= 0)
+        found = inside(boxes.at(surface == number), seen.points_world[at], own[at])
+        yield Part(name, np.where(found, 0, np.inf))
+
+
+def _paint(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """Outside the paint of their line, or of any line without instance ids; lines beyond the labels are unnamed."""
+    paint = evidence.paint
+    on = seen.on_road
+    labelled = [lane.id for lane in evidence.labels.lanes if lane.kind == "delimiter"]
+    own, has_ids = on.number("delimiter"), "instance" in on.ids
+    beyond_m = np.full(len(on), np.inf)
+    for i, id_ in enumerate([*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]):
+        at = own == i if has_ids else np.ones(len(on), dtype=bool)
+        beyond_m[at] = np.minimum(beyond_m[at], paint.beyond_m(id_, on.places.at(at)))
+    beyond_m = np.maximum(beyond_m, 0)
+    for i, id_ in enumerate(labelled if has_ids else []):
+        yield Part("the line", beyond_m[own == i], id_)
+    yield Part("a line", beyond_m[(own < 0) | (own >= len(labelled))])
+
+
+def _strays(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """Outside the symbol's own paint, or that of any without instance ids; a scene may have none."""
+    on = seen.on_road
+    own, beyond_m = on.number("symbol"), np.maximum(beyond_symbols(evidence.world, on.places), 0)
+    for i in np.unique(own).tolist():
+        of_own = beyond_m[i] if i < len(beyond_m) and i >= 0 else beyond_m.min(axis=0, initial=np.inf)
+        known = i < len(beyond_m)
+        yield Part(f"symbol {i}" if i >= 0 else "symbols", np.where(known, of_own, np.inf)[own == i])
+
+
+def _gaps(evidence: Evidence, seen: Seen) -> Iterator[Part]:
+    """Ground inside a symbol that does not show it."""
+    on = seen.on_road
+    margin_m = np.where(on.ids["semantic"] == SEMANTIC_IDS["marking"], LINE_M, MARGIN_M)
+    is_symbol = on.ids["semantic"] == SEMANTIC_IDS["symbol"]
+    for i, beyond_m in enumerate(beyond_symbols(evidence.world, on.places)):
+        shown = on.number("symbol") == i if "instance" in on.ids else is_symbol
+        yield Part(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
+
+
+def _of_body(kind: str, classes: tuple[str, ...]) -> Row:
+    return Row(
+        "ids",
+        f"ids.{kind}",
+        classes,
+        partial(_body, kind),
+        "{what} of {whose} within its body",
+        most=0,
+        share=0.05,
+        kind=kind,
+        of_beams=SINGLE,
+    )
+
+
+ROWS = (
+    Row(
+        "pavement", "pavement.height", PAVEMENT, _height, f"{{whose}} within {MAX_GAP_M} m of the scene's",
+        most=MAX_GAP_M, share=0.02, layer="depth", within_m=RANGE_M, n=15_000, of_beams=BEAMS,
+    ),
+    Row(
+        "pavement", "pavement.scale", PAVEMENT, _scale, "{whose}'s distances as the scene's",
+        most=MAX_SCALE, in_median=True, layer="depth", within_m=RANGE_M, least_n=100, n=15_000,
+    ),
+    Row(
+        "pavement", "pavement.near", PAVEMENT, _near_mesh, f"{{whose}} within {MAX_NEAR_M} m of the scene's mesh",
+        most=MAX_NEAR_M, in_median=True, layer="depth", within_m=RANGE_M, least_n=100, n=15_000,
+    ),
+    Row(
+        "pavement", "pavement.edges", PAVEMENT, _edges, "{whose} within its edges",
+        most=MAX_ASIDE_M, layer="semantic", within_m=RANGE_M, n=15_000, of_beams=SINGLE,
+    ),
+    Row(
+        "pavement", "pavement.plan", PAVEMENT, _plan, "{whose} by the plan",
+        most=0, layer="semantic", within_m=RANGE_M, n=15_000, of_beams=SINGLE,
+    ),
+    Row(
+        "pavement", "pavement.normal", PAVEMENT, _turn, "{whose}'s in the camera frame",
+        most=MAX_TURN, in_median=True, layer="normal", within_m=RANGE_M, least_n=100, n=15_000,
+        needs=frozenset({"depth", "semantic", "normal"}),
+    ),
+    Row(
+        "terrain", "terrain.hills", ("terrain",), _hills, "{whose} within 0.005 m of the scene's",
+        most=MAX_HILLS_M, in_median=True, layer="depth", within_m=HILLS_M, least_n=20, n=2_000,
+    ),
+    Row(
+        "terrain", "terrain.through", ("terrain",), _through, "pavement on the road and not {whose}",
+        most=INSIDE_M, layer="passes", within_m=THROUGH_RANGE_M, n=15_000,
+    ),
+    Row(
+        "ids", "ids.paint", ("marking",), _paint, "paint where {whose} is painted",
+        most=MAX_BEYOND_M, share=0.02, kind="delimiter", within_m=PROOF_M,
+    ),
+    *(_of_body(kind, classes_of(kind)) for kind in BODIES),
+    Row(
+        "ids", "ids.faces", SURFACES, _faces, "{whose} on faces of {whose}",
+        most=0, share=0.05, layer="semantic", needs=_IDS_TOO,
+    ),
+    Row(
+        "symbols", "symbols.strays", ("symbol",), _strays, "{what} of {whose} within its paint",
+        most=MARGIN_M, share=0.05, within_m=PROOF_M, needs=_IDS_TOO - {"instance"},
+    ),
+    Row(
+        "symbols", "symbols.gaps", (*PAVEMENT, "marking", "symbol"), _gaps, "{what} of {whose} in all of its paint",
+        most=0, share=0.05, within_m=PROOF_M,
+    ),
+)  # fmt: skip
