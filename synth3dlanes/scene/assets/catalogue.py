@@ -97,7 +97,7 @@ class Sky:
 
 CARS = (
     CarModel("hatchback", 4.05, 1.76, 1.47, 2.55, 1.52, 0.31),
-    CarModel("sedan", 4.75, 1.83, 1.45, 2.80, 1.58, 0.35),
+    CarModel("sedan", 4.75, 1.83, 1.45, 2.80, 1.58, 0.33),
     CarModel("suv", 4.65, 1.88, 1.70, 2.70, 1.60, 0.36),
     CarModel("pickup", 5.35, 1.92, 1.80, 3.25, 1.64, 0.38),
     CarModel("van", 5.50, 2.00, 2.35, 3.40, 1.72, 0.35, category="van"),
