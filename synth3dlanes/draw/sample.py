@@ -13,6 +13,7 @@ from synth3dlanes.draw.makers import Maker
 from synth3dlanes.draw.mountain import mountain_roads
 from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.paper import paper_roads
+from synth3dlanes.draw.things import draw_things
 from synth3dlanes.draw.town.draw import town_roads
 from synth3dlanes.draw.trees import draw_trees
 from synth3dlanes.params.groups import NO_JUNCTION
@@ -92,8 +93,8 @@ def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
 
 
 def draw_world(scenes: Scenes, index: int) -> World:
-    """Draw and resolve scene `index`: the roads and the host, what stands beside them, what drives on them, trees, and
-    paint. With `like`, every draw is near that of a given scene."""
+    """Draw and resolve scene `index`: roads and host, what stands beside them, what drives on them, trees, paint,
+    and people. With `like`, every draw is near that of a given scene."""
     of = _draws(scenes, index)
     roads = _maker(scenes, of)(of, scenes.shots, scenes.assets)
     scene = _bare(scenes, of, roads.fields)
@@ -102,7 +103,8 @@ def draw_world(scenes: Scenes, index: int) -> World:
     scene = scene.model_copy(update={"roadside": roads.stand(scene, ground)})
     scene = scene.model_copy(update={"cars": roads.drive(scene, ground)})
     trees = roads.grow(scene, ground, draw_trees(scene, ground, of, roads.has_to_fit))
-    return world_on(surfaces, scene.model_copy(update={"trees": trees, "symbols": roads.paint(scene, ground)}))
+    scene = scene.model_copy(update={"trees": trees, "symbols": roads.paint(scene, ground)})
+    return world_on(surfaces, scene.model_copy(update={"things": draw_things(scene, ground, of)}))
 
 
 def _draws(scenes: Scenes, index: int) -> DrawsOf:

@@ -21,7 +21,7 @@ from synth3dlanes.params.distributions import (
     parse_integers,
     reals,
 )
-from synth3dlanes.scene.assets.catalogue import AssetKind, Assets
+from synth3dlanes.scene.assets.catalogue import THINGS, AssetKind, Assets
 from synth3dlanes.scene.settings import JPEG_QUALITY
 
 Fraction = Annotated[Real, reals(0, 1)]
@@ -58,7 +58,7 @@ REPLACED = {
 # Groups that were added later; parameters without them have their defaults, or the values of the reference.
 OPTIONAL: tuple[str, ...] = (
     *("symbols", "weather", "host", "vegetation", "roadside", "motion", "town", "mountain"),
-    *(*KINDS, *DAYTIMES, "structures", "town_streets"),
+    *(*KINDS, *DAYTIMES, "structures", "town_streets", "people", "riders"),
 )
 # Groups whose values stand in the reference alone.
 IN_REFERENCE = (*KINDS, *DAYTIMES, "structures", "town_streets")
@@ -483,3 +483,27 @@ class TownStreetParams(Group):
     speed_m_s: Annotated[Real, reals(3, 20)]
     turn: Annotated[Named, names("left", "straight", "right")]
     arrival_s: Annotated[Real, reals(1, 600)]
+
+
+class PeopleParams(Group):
+    """People on the walkways of towns and maps near the host, and at crosswalks. Of `model`, people with umbrellas
+    (7 and 8) take the place of others where it rains."""
+
+    per_100_m: Annotated[Real, reals(0, 60)] = added(0.0)
+    crossing: Annotated[Integer, integers(0, 8)] = added(0)
+    standing: Fraction = added(0.2)
+    model: Annotated[Integer, integers(1, len(THINGS["pedestrian"]))] = Choice(
+        (1, 2, 3, 4, 5, 6), (5.0, 5.0, 2.0, 2.0, 2.0, 2.0)
+    )
+    scale: Annotated[Real, reals(0.5, 1.5)] = Uniform(0.95, 1.05)
+    speed_m_s: Annotated[Real, reals(0.3, 4)] = Uniform(0.9, 1.7)
+    umbrella: Fraction = added(0.6)
+
+
+class RidersParams(Group):
+    """Cyclists beside the kerbs of towns and maps, and motorcyclists on lanes. Those without room are left out."""
+
+    cyclists: Annotated[Integer, integers(0, 40)] = added(0)
+    motorcyclists: Annotated[Integer, integers(0, 20)] = added(0)
+    cyclist_m_s: Annotated[Real, reals(1, 15)] = Uniform(3.5, 7.0)
+    motorcyclist_m_s: Annotated[Real, reals(1, 60)] = Uniform(8.0, 14.0)

@@ -32,7 +32,9 @@ from synth3dlanes.params.groups import (
     MotionParams,
     MountainParams,
     NightParams,
+    PeopleParams,
     RainParams,
+    RidersParams,
     RoadParams,
     RoadsideParams,
     SensorParams,
@@ -109,6 +111,8 @@ class Params(Group):
     town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
     town_streets: TownStreetParams = _as_in_reference("town_streets")
     mountain: MountainParams = Field(default=MountainParams(), exclude_if=lambda group: group == MountainParams())
+    people: PeopleParams = Field(default=PeopleParams(), exclude_if=lambda group: group == PeopleParams())
+    riders: RidersParams = Field(default=RidersParams(), exclude_if=lambda group: group == RidersParams())
     kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
 
     @model_validator(mode="before")

@@ -1,0 +1,133 @@
+"""Cyclists beside kerbs and motorcyclists on lanes near the host, with gaps to vehicles. They ride along their lane at
+their speed, and on maps stop before a junction. World frame, metres and seconds."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from synth3dlanes.draw.bodies import Bodies, Motion, track_times, way_poses
+from synth3dlanes.draw.clothes import dressed
+from synth3dlanes.draw.draws import Draw, DrawsOf
+from synth3dlanes.params.distributions import extent
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.roads import NetworkLane
+from synth3dlanes.scene.scene import Scene, Thing
+from synth3dlanes.scene.things import ThingKind
+from synth3dlanes.system.arrays import Scalars
+
+# On maps riders are this near to a place of the host; draws of a place for each.
+NEAR_M, TRIES = 60.0, 12
+# Room before and behind riders, and beside them; of a cyclist from the middle to the edge of the lane.
+ROOM_M: dict[str, tuple[float, float]] = {"cyclist": (0.8, 0.2), "motorcyclist": (2.5, 0.2)}
+KERB_M, PARKED_M, LEAST_LANE_M = 0.30, 0.55, 2.5
+# Motorcyclists keep this far from the middle of their lane at most.
+MIDDLE_M = 0.4
+# Riders stop so far before the end of a street, where crosswalks and lines are, with this deceleration.
+LINE_M, DECELERATION = 7.5, 1.5
+
+
+class RiderPlace(NamedTuple):
+    """A way and a place on it, as the host drives; the offset to the rider's right; how far the way leads."""
+
+    way: LaneCurve
+    start_m: float
+    offset_m: float
+    room_m: float
+
+
+def draw_riders(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
+    """The cyclists and motorcyclists of a scene; on the paper's road there are no cyclists."""
+    own, looks = of("riders"), of("riders", "riders_looks")
+    numbers: list[tuple[ThingKind, int]] = [("cyclist", own("cyclists")), ("motorcyclist", own("motorcyclists"))]
+    for kind, number in numbers:
+        for _ in range(number):
+            thing = _rider(scene, bodies, kind, own, looks, of)
+            if thing is not None:
+                yield thing
+
+
+def _rider(scene: Scene, bodies: Bodies, kind: ThingKind, own: Draw, looks: Draw, of: DrawsOf) -> Thing | None:
+    """A rider at the first free place of some; None without any."""
+    models = scene.assets.thing_models(kind)
+    number = 1 + int(looks.rng.random() * len(models))
+    model, colors = models[number - 1], dressed(models[number - 1], looks.rng)
+    speed_m_s, phase = own(f"{kind}_m_s"), round(float(looks.rng.random()), 4)
+    times_s = track_times(scene.shot)
+    for place in _places(scene, bodies, kind, own.rng, of):
+        gone_m = ridden(times_s, speed_m_s, place.room_m)
+        if gone_m is None:
+            continue
+        xy, heading = way_poses(bodies.network, place.way, place.start_m, gone_m, place.offset_m)
+        speeds = np.gradient(gone_m, times_s) if len(times_s) > 1 else np.full(1, speed_m_s)
+        motion = Motion(times_s, xy, np.arctan2(-heading[:, 0], heading[:, 1]), speeds)
+        if bodies.join(motion, model, 1.0, ROOM_M[kind]):
+            return motion.thing(phase, kind=kind, model=number, colors=colors)
+    return None
+
+
+def ridden(times_s: Scalars, speed_m_s: float, room_m: float) -> Scalars | None:
+    """How far somebody has ridden at times, who slows down to stop within `room_m`; None where there is no room."""
+    braking_m = speed_m_s**2 / (2 * DECELERATION)
+    if room_m < braking_m:
+        return None
+    brakes_s = (room_m - braking_m) / speed_m_s
+    braking_s = np.clip(times_s - brakes_s, 0.0, speed_m_s / DECELERATION)
+    return np.asarray(
+        np.minimum(times_s, brakes_s) * speed_m_s + braking_s * (speed_m_s - DECELERATION * braking_s / 2)
+    )
+
+
+def _places(
+    scene: Scene, bodies: Bodies, kind: ThingKind, rng: np.random.Generator, of: DrawsOf
+) -> Iterator[RiderPlace]:
+    """Places on lanes: on a map near the host, on the paper's road at the stations of its cars."""
+    network = bodies.network
+    if isinstance(network, MapNetwork):
+        lanes = [at for at in map_lanes(network, bodies, kind == "cyclist")]
+        for lane, at, aside in rng.random((TRIES if lanes else 0, 3)).tolist():
+            chosen, offset_m = lanes[int(lane * len(lanes))]
+            way = network.way_through(_onward(network, chosen))
+            own_m = way.pieces[0].end_m
+            start_m = at * own_m
+            by_m = offset_m if kind == "cyclist" else MIDDLE_M * (2 * aside - 1)
+            yield RiderPlace(way, start_m, by_m, way.end_m - LINE_M - start_m)
+    elif kind == "motorcyclist":
+        low, high = extent(of.params.cars.s_m)
+        for _ in range(TRIES):
+            s_m, choice, aside = low + (high - low) * rng.random(), rng.random(), rng.random()
+            here = network.lanes_at(s_m * network.onwards)
+            lane = here[int(choice * len(here))]
+            yield RiderPlace(network.path(lane.id), s_m, MIDDLE_M * (2 * aside - 1), np.inf)
+
+
+def map_lanes(network: MapNetwork, bodies: Bodies, beside_kerb: bool) -> Iterator[tuple[NetworkLane, float]]:
+    """The lanes near the host outside junctions, and the offset to the right of their middle that a cyclist keeps; with
+    `beside_kerb` those that are the outermost of their direction."""
+    for lane in network.lanes.values():
+        if lane.junction is not None or lane.width_m < LEAST_LANE_M:
+            continue
+        road = network.road(lane.road)
+        s = np.linspace(lane.start_m, lane.end_m, 2 + int((lane.end_m - lane.start_m) / 5))
+        away_m = np.linalg.norm(road.xy(s, lane.middle(s))[:, None] - bodies.host_places, axis=2)
+        if away_m.min() > NEAR_M:
+            continue
+        (section,) = road.stretch_of(lane).sections
+        kinds = {at.number: at.kind for at in section.lanes}
+        number = int(lane.id.rsplit(".", 1)[1])
+        outside = kinds.get(number + (1 if number > 0 else -1), "none")
+        if not beside_kerb or outside != "driving":
+            room_m = PARKED_M if outside in ("parking", "none") else KERB_M
+            yield lane, lane.width_m / 2 - room_m
+
+
+def _onward(network: MapNetwork, lane: NetworkLane) -> list[NetworkLane]:
+    """A lane and those that follow it up to a junction."""
+    lanes = [lane]
+    while len(lanes) < 12:
+        after = [at for at in network.successors(lanes[-1].id) if at.junction is None and at not in lanes]
+        if len(after) != 1:
+            break
+        lanes.append(after[0])
+    return lanes

@@ -1,0 +1,227 @@
+"""People and riders: they touch nothing, stand on what is built, cross when they may, and change nothing else."""
+
+import numpy as np
+import pytest
+import shapely
+
+from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
+from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import Shots
+from synth3dlanes.scene.assets.catalogue import THINGS
+from synth3dlanes.scene.scene import Scene, to_json
+from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.world.world import World
+from tests.thorough import first
+from tests.town_checks import bodies
+
+MANY = ("people.per_100_m=20", "people.crossing=4", "riders.cyclists=8", "riders.motorcyclists=3")
+NONE = ("people.per_100_m=0", "people.crossing=0", "riders.cyclists=0", "riders.motorcyclists=0")
+WALKWAYS = ("town.walkway_m=2.6", "town.crosswalks=true", "town.host_place=before", "town.host_m=25")
+CLIP = Shots(frames=25, fps=5.0)
+
+
+def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
+    """A town full of people."""
+    params = load_params("town", (*MANY, *WALKWAYS, *overrides))
+    return draw_world(Scenes(params, 5, shots=shots) if shots else Scenes(params, 5), index)
+
+
+def rectangle(pose: Matrix4, width_m: float, length_m: float) -> shapely.Polygon:
+    """A body from above."""
+    corners = np.array([[x * width_m / 2, y * length_m / 2, 0, 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return shapely.Polygon((corners @ pose.T)[:, :2])
+
+
+def thing_bodies(world: World) -> list[shapely.Polygon]:
+    """The boxes of all things from above, by the poses that are rendered."""
+    found = []
+    for thing, pose in zip(world.scene.things, world.view.world_from_things, strict=True):
+        model = THINGS[thing.kind][thing.model - 1]
+        found.append(rectangle(pose, model.width_m * thing.scale, model.length_m * thing.scale))
+    return found
+
+
+def standing(scene: Scene) -> list[shapely.Geometry]:
+    """Walls, poles and trunks from above."""
+    found: list[shapely.Geometry] = []
+    for at in scene.roadside.buildings:
+        c, s = np.cos(at.yaw_rad), np.sin(at.yaw_rad)
+        pose = np.array([[c, -s, 0, at.x_m], [s, c, 0, at.y_m], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+        found.append(rectangle(pose, at.width_m, at.length_m))
+    found += [shapely.Point(at.x_m, at.y_m).buffer(0.1) for at in scene.roadside.free_elements if at.has_pole]
+    return [*found, *(shapely.Point(tree.x_m, tree.y_m).buffer(0.15) for tree in scene.trees)]
+
+
+def overlaps(world: World) -> list[tuple[int, int]]:
+    """Things that touch a body, by their numbers in one list: things, vehicles with the host, what stands."""
+    things = thing_bodies(world)
+    everything = [*things, *bodies(world), *standing(world.scene)]
+    pairs = shapely.STRtree(everything).query(things, predicate="intersects").T.tolist()
+    return [(i, j) for i, j in pairs if i != j]
+
+
+CLIPS = (
+    (0, ("town.junction=crossing", "town.control=signals")),
+    (1, ("town.junction=t", "town.traffic=1", "town.parked=0.9")),
+    (2, ("town.junction=roundabout",)),
+    (3, ("town.junction=crossing", "town.n_lanes=2", "town.parking=true", "town.street_trees=0.7")),
+)
+
+
+@pytest.mark.parametrize(("index", "own"), first(1, CLIPS))
+def test_nobody_is_in_a_body_at_any_instant_of_a_clip(index: int, own: tuple[str, ...]) -> None:
+    world = town(index, *own, shots=CLIP)
+    kinds = [thing.kind for thing in world.scene.things]
+    assert kinds.count("pedestrian") > 15
+    step = 8 if index == 0 else 1
+    for frame in range(0, CLIP.frames, step):
+        assert overlaps(world_in_shot(world, CLIP, CLIP.place(frame))) == []
+
+
+def test_planted_people_in_bodies_are_found() -> None:
+    """Somebody in the host, one in another, one in a building."""
+    world = town(0)
+    scene, (x_m, y_m) = world.scene, world.view.world_from_host[:2, 3]
+    building, somebody = scene.roadside.buildings[0], scene.things[-1]
+    for place in ((x_m, y_m), (somebody.x_m + 0.2, somebody.y_m), (building.x_m, building.y_m)):
+        planted = scene.things[0].model_copy(update=dict(zip(("x_m", "y_m"), map(float, place), strict=True)))
+        changed = scene.model_copy(update={"things": (planted, *scene.things[1:])})
+        assert overlaps(World(changed, world.site)) != []
+
+
+def mesh_height(world: World, xy_world: np.ndarray) -> float:
+    """The highest height of the built pavement at a place, from its triangles."""
+    found = [-np.inf]
+    for mesh in world.site.surfaces.pavement:
+        quads = mesh.vertices_world[mesh.faces]
+        near = (np.abs(quads[:, :, :2].mean(axis=1) - xy_world) < 15).all(axis=1)
+        for quad in quads[near]:
+            for a, b, c in ((quad[0], quad[1], quad[2]), (quad[0], quad[2], quad[3])):
+                edges = np.stack([b - a, c - a], axis=1)
+                if abs(np.linalg.det(edges[:2])) > 1e-9:
+                    share = np.linalg.solve(edges[:2], xy_world - a[:2])
+                    if (share >= -1e-6).all() and share.sum() <= 1 + 1e-6:
+                        found.append(float(a[2] + edges[2] @ share))
+    return max(found)
+
+
+def test_feet_are_on_the_mesh_of_walkways_or_crosswalks() -> None:
+    world = town(1, "town.junction=crossing", "town.control=priority")
+    scene = world.scene
+    assert scene.map is not None
+    raised = world.ground.walkways(world.view.world_from_host[:2, 3], 90.0)
+    crosswalks = shapely.union_all([shapely.Polygon(at.outline).buffer(1.0) for at in scene.map.paint if at.outline])
+    people = [
+        pose[:3, 3]
+        for thing, pose in zip(scene.things, world.view.world_from_things, strict=True)
+        if thing.kind == "pedestrian"
+    ]
+    raised = raised.buffer(0.02)  # strips beside each other
+    on_walkway = [bool(raised.contains(shapely.Point(foot[:2]))) for foot in people]
+    assert sum(on_walkway) > 20
+    for foot, is_raised in zip(people, on_walkway, strict=True):
+        assert is_raised or crosswalks.contains(shapely.Point(foot[:2]))
+    for foot in people[::4]:
+        assert foot[2] == pytest.approx(mesh_height(world, foot[:2]), abs=0.02)
+
+
+def test_who_crosses_has_red_lights_for_traffic_and_no_vehicle_near() -> None:
+    """People on the pavement of traffic; on towns' crosswalks before signals, where many others wait."""
+    crossed = 0
+    for index in range(6):
+        own = "town.junction=crossing", "town.control=signals", "town.traffic=0.6", "people.per_100_m=0"
+        world = town(index, *own, "riders.cyclists=0", "town.host_m=10", "town.n_lanes=1", "town.fronts=0")
+        scene, lanes = world.scene, world.network.lanes
+        assert scene.map is not None
+        areas = [shapely.Polygon(at.outline) for at in scene.map.paint if at.kind == "crosswalk"]
+        governed = {name for signal in scene.roadside.signals for name in signal.lanes}
+        found = {name: world.network.lane_lines(lanes[name], np.zeros(2), 200.0) for name in governed}
+        lines = {name: shapely.LineString(at[0][:, :2]) for name, at in found.items() if at is not None}
+        for body in thing_bodies(world):
+            for area in (area for area in areas if area.buffer(-0.5).contains(body.centroid)):
+                over = {name for name, line in lines.items() if line.intersects(area)}
+                lights = [at.state_at(0.0) for at in scene.roadside.signals if over & {*at.lanes}]
+                assert lights
+                assert {*lights} == {"red"}
+                assert min(body.distance(vehicle) for vehicle in bodies(world)) > 0.5
+                crossed += 1
+    assert crossed > 4
+
+
+def test_people_change_nothing_else_and_are_the_same_each_time() -> None:
+    full, empty = town(3).scene, town(3, *NONE).scene
+    assert full.things
+    assert full.model_copy(update={"things": ()}) == empty
+    assert "things" not in to_json(empty)
+    assert to_json(full) == to_json(town(3).scene)
+
+
+@pytest.mark.parametrize("preset", ["appendix_i", "diverse"])
+def test_presets_without_people_draw_none(preset: str) -> None:
+    assert sample_scene(Scenes(load_params(preset), 3), 0).things == ()
+
+
+def test_umbrellas_are_for_rain() -> None:
+    held = {}
+    for kind in ("rain", "clear"):
+        scene = town(2, f"weather.kind={kind}", "people.umbrella=1").scene
+        models = [THINGS["pedestrian"][at.model - 1] for at in scene.things if at.kind == "pedestrian"]
+        held[kind] = [("umbrella" in model.paints) for model in models]
+    assert all(held["rain"])
+    assert not any(held["clear"])
+    assert min(map(len, held.values())) > 10
+
+
+def test_people_walk_ahead_at_their_speed() -> None:
+    """Not sideways or backwards, and each as fast in all frames."""
+    world = town(0, "people.standing=0.3", "people.speed_m_s=[1.2, 1.3]", shots=CLIP)
+    views = [world_in_shot(world, CLIP, CLIP.place(frame)).view for frame in (5, 6)]
+    stood = walked = 0
+    for thing, before, after in zip(world.scene.things, *(view.world_from_things for view in views), strict=True):
+        if thing.kind == "pedestrian":
+            step = (after - before)[:2, 3] * CLIP.fps
+            if not thing.track:
+                assert not step.any()
+                stood += 1
+                continue
+            walked += 1
+            assert np.linalg.norm(step) == pytest.approx(1.25, abs=0.12)
+            assert step @ before[:2, 1] > 0.9 * np.linalg.norm(step)
+    assert stood > 3
+    assert walked > 10
+
+
+def test_cyclists_keep_right_of_cars_and_motorcyclists_in_lanes() -> None:
+    """By the lanes of the map: a cyclist is right of the middle of its lane, and rides as its traffic does."""
+    found = {"cyclist": 0, "motorcyclist": 0}
+    for index in range(3):
+        world = town(index, "people.per_100_m=0", "town.junction=t", "town.n_lanes=1", "town.traffic=0.1")
+        network = world.network
+        for thing, pose in zip(world.scene.things, world.view.world_from_things, strict=True):
+            if thing.kind == "pedestrian":
+                continue
+            lanes = [network.lane_lines(lane, pose[:2, 3], 30.0) for lane in network.lanes.values()]
+            middles = [at[0][:, :2] for at in lanes if at is not None]
+            middle = min(middles, key=lambda line: shapely.LineString(line).distance(shapely.Point(pose[:2, 3])))
+            i = int(np.linalg.norm(middle[:-1] - pose[:2, 3], axis=1).argmin())
+            ahead = (middle[i + 1] - middle[i]) / np.linalg.norm(middle[i + 1] - middle[i])
+            assert ahead @ pose[:2, 1] > 0.98
+            right_m = float((pose[:2, 3] - middle[i]) @ [ahead[1], -ahead[0]])
+            assert (0.6 < right_m < 1.9) if thing.kind == "cyclist" else abs(right_m) < 0.5
+            found[thing.kind] += 1
+    assert min(found.values()) > 1
+
+
+def test_motorcyclists_of_streets_touch_nothing() -> None:
+    shots = Shots(frames=9, fps=4.0)
+    params = load_params("streets", ("riders.motorcyclists=6", "cars.n=12", "trees.n=0"))
+    ridden = 0
+    for index in range(2):
+        world = draw_world(Scenes(params, 8, shots=shots), index)
+        ridden += len(world.scene.things)
+        for frame in range(0, shots.frames, 2):
+            now = world_in_shot(world, shots, shots.place(frame))
+            things = thing_bodies(now)
+            pairs = shapely.STRtree([*things, *bodies(now)]).query(things, predicate="intersects").T.tolist()
+            assert [(i, j) for i, j in pairs if i != j] == []
+    assert ridden > 3
