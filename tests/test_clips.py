@@ -17,7 +17,7 @@ from synth3dlanes.params.shots import ShotNumbers, Shots, clips
 from synth3dlanes.scene import scene as scene_format
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import ground_truth, label
-from synth3dlanes.validate.structure import check_shape
+from synth3dlanes.validate.labels import check_shape
 from synth3dlanes.world.world import World, resolve
 from tests.scenes import changed
 
@@ -104,7 +104,7 @@ def clip_labels(index: int, shots: Shots) -> list[Labels]:
 
 def unknown(labels: Labels) -> list[str]:
     """The neighbours that `validate` does not accept."""
-    reasons = [finding.reason for finding in check_shape(changed(), labels)]
+    reasons = [finding.reason for finding in check_shape(labels, changed())]
     return [reason for reason in reasons if "expected the id of a line" in reason]
 
 

@@ -6,13 +6,14 @@ from typing import NamedTuple
 
 from synth3dlanes.validate.alignment import check_alignment
 from synth3dlanes.validate.appearance import check_appearance
+from synth3dlanes.validate.boxes import check_boxes
 from synth3dlanes.validate.cars import check_cars
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
 from synth3dlanes.validate.height import check_height
 from synth3dlanes.validate.integrity import check_row
+from synth3dlanes.validate.labels import check_form, check_host, check_labels, check_objects
 from synth3dlanes.validate.moving import instant
-from synth3dlanes.validate.object_boxes import check_boxes
 from synth3dlanes.validate.passes import check_bonnet, check_kinds, check_normals, check_sky
 from synth3dlanes.validate.picture import check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
@@ -20,41 +21,38 @@ from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.seen import check_lidar, check_seen
 from synth3dlanes.validate.signed import signed_values
 from synth3dlanes.validate.standing import check_roadside, check_standing
-from synth3dlanes.validate.structure import check_host, check_labels, check_objects
 from synth3dlanes.validate.traffic_elements import check_elements
 from synth3dlanes.validate.weather import check_weather
 
 
 class Check(NamedTuple):
     """A check: its name, what it does with evidence, what it finds, and which parts of the evidence it cannot do
-    without: passes by their names, `image`, `lidar`, `row` of the index, `origin` in dataset.json, and `aim`: points
-    that are in the image where their masks say so."""
+    without: passes by their names, `scene`, `image`, `lidar`, `row` of the index, `origin` in dataset.json, and `aim`:
+    points that are in the image where their masks say so."""
 
     name: str
     of: Callable[[Evidence], Iterable[Result]]
     finds: str
-    needs: frozenset[str] = frozenset()
+    needs: frozenset[str] = frozenset({"scene"})
 
 
 def _row(evidence: Evidence) -> Iterator[Finding]:
     assert evidence.entry is not None
-    return check_row(evidence.entry, evidence.scene, evidence.labels)
+    scene = None if evidence.known_world is None else evidence.scene
+    return check_row(evidence.entry, scene, evidence.labels, evidence.numbers)
 
 
 def _needs(words: str) -> frozenset[str]:
-    return frozenset(words.split())
+    return frozenset({"scene", *words.split()})
 
 
-# Parts that the evidence of every whole sample of a data set has.
+# Parts that the evidence of every whole sample of a data set of scenes has.
 ALWAYS = _needs("row image aim origin")
 
 CHECKS = (
-    Check("index", _row, "index columns that do not match their sample", _needs("row")),
-    Check(
-        "labels",
-        check_labels,
-        "points, masks, camera or graph that do not match the scene; lanes that turn back, unknown lines",
-    ),
+    Check("index", _row, "index columns that do not match their sample", frozenset({"row"})),
+    Check("form", check_form, "lanes that turn back or jump, masks that do not fit the camera", frozenset()),
+    Check("labels", check_labels, "labels that are not those of the scene"),
     Check(
         "host",
         check_host,
@@ -148,12 +146,12 @@ CHECKS = (
     Check(
         "boxes",
         check_boxes,
-        "objects that are not those of the scene, or whose boxes do not fit their pixels or points",
+        "objects whose boxes do not fit their pixels or points",
     ),
     Check(
         "elements",
         check_elements,
-        "signals and signs that are not those of the scene, not where their pixels are, without a label, in another "
+        "signals and signs that are not where their pixels are, without a label, in another "
         "state than their lights show, over another lane than they govern, or seen by another share than their pixels "
         "show",
     ),

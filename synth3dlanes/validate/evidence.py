@@ -117,16 +117,24 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A sample's labels, image, passes and sweep, the world of its scene, its place in the index, and what
-    follows from its weather and time of day (`Origin.follows`); what may be missing is None or empty."""
+    """The world of a sample's scene, its labels, image, passes and sweep, its place in the index, and what follows from
+    its weather and time of day (`Origin.follows`); what may be missing is None or empty. A sample of a real drive has
+    no scene, and `numbers` of its own (`numbers_of_lifted`)."""
 
-    world: World
+    known_world: World | None
     labels: Labels
     image: RgbImage | None = None
     passes: Passes = field(default_factory=dict)
     sweep: Sweep | None = None
     entry: Entry | None = None
     follows: Mapping[str, Distribution] | None = None
+    numbers: tuple[int, int, int] | None = None
+
+    @property
+    def world(self) -> World:
+        """The world of the sample's scene, of evidence that has one."""
+        assert self.known_world is not None
+        return self.known_world
 
     @property
     def scene(self) -> Scene:
@@ -142,11 +150,12 @@ class Evidence:
     def has(self) -> frozenset[str]:
         """What is there to be checked, in the words of `Check.needs`."""
         parts = {
+            "scene": self.known_world is not None,
             "image": self.image is not None,
             "row": self.entry is not None,
             "lidar": self.sweep is not None,
             "origin": self.follows is not None,
-            "aim": all((self.inside_px(lane)[lane.in_image] > -BORDER_PX).all() for lane in self.labels.lanes),
+            "aim": all((inside_px(self.camera, lane)[lane.in_image] > -BORDER_PX).all() for lane in self.labels.lanes),
         }
         return frozenset(self.passes) | {name for name, is_there in parts.items() if is_there}
 
@@ -226,10 +235,6 @@ class Evidence:
     def points_world(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points3:
         """The same in the world frame."""
         return transform(self.camera.world_from_cam, self.points_cam(rows, columns))
-
-    def inside_px(self, lane: Lane) -> Float[np.ndarray, " n"]:
-        """As the function `inside_px`, in the sample's camera."""
-        return inside_px(self.camera, lane)
 
 
 def inside_px(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, " n"]:

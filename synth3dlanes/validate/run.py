@@ -36,11 +36,11 @@ from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of
-from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_row, check_shard, read_sample
+from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
+from synth3dlanes.validate.labels import check_shape
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
-from synth3dlanes.validate.structure import check_measured, check_shape
 from synth3dlanes.world import height_map
 from synth3dlanes.world.camera import rays_of_pixels
 from synth3dlanes.world.world import resolve
@@ -195,14 +195,14 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     if labels is None or image is None or passes is None or (scene is None and SCENE in description.names):
         return SampleCheck(entry.name, digest, redrawn, results)
     camera = labels.camera if scene is None else scene.camera
-    misshapen = [*_sizes({"image": image}, camera)]
-    if scene is None:
-        numbers = numbers_of_lifted(pictures_per_scene(description.model_dump()), entry.index)
-        results += [*misshapen, *check_measured(labels), *check_row(entry, None, labels, numbers)]
-    else:
-        misshapen += [*_passes(scene, description, passes), *check_shape(scene, labels)]
-        follows = None if origin is None else origin.follows(scene.weather, entry.split)
-        results += misshapen or _examine(Evidence(resolve(scene), labels, image, passes, sweep, entry, follows))
+    misshapen = [*_sizes({"image": image}, camera), *check_shape(labels, scene)]
+    misshapen += [] if scene is None else _passes(scene, description, passes)
+    results += misshapen
+    if not misshapen:
+        world = None if scene is None else resolve(scene)
+        follows = None if scene is None or origin is None else origin.follows(scene.weather, entry.split)
+        numbers = None if scene else numbers_of_lifted(pictures_per_scene(description.model_dump()), entry.index)
+        results += _examine(Evidence(world, labels, image, passes, sweep, entry, follows, numbers))
     if findings_of(results):
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
     return SampleCheck(entry.name, digest, redrawn, results)
@@ -211,7 +211,8 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
 def _examine(evidence: Evidence) -> list[Result]:
     """The results of every check. A scene without valid geometry, or a check that fails with an error, is a finding."""
     try:
-        evidence.truth, evidence.paint  # noqa: B018 - computed here, so that no check is blamed for them
+        if "scene" in evidence.has:
+            evidence.truth, evidence.paint  # noqa: B018 - computed here, so that no check is blamed for them
     except NO_GEOMETRY as error:
         found = f"{type(error).__name__} {error}"
         return [Finding("", f"{SCENE}: expected a world whose lanes can be computed, got {found}")]

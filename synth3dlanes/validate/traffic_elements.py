@@ -1,4 +1,4 @@
-"""Check traffic elements: against the scene, and against what depth, ids and colours show.
+"""Check traffic elements against what depth, ids and colours show.
 
 Pixels of an element must be in its box and reach its sides; no pixels of a sign or signal may be without a label; the
 lights of a signal must shine where its state says; and a signal over a lane must hang over the lane that it governs.
@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.labels.element_labels import ElementLabel, element_document
+from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.scene.settings import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2
-from synth3dlanes.validate.documents import some
+from synth3dlanes.validate.boxes import MIN_SEEN, SideLimit, against_box, by_pixels, check_seen_box
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Bounded, Finding, Result
-from synth3dlanes.validate.labelled_boxes import MIN_SEEN, SideLimit, against_box, by_pixels, check_seen_box, otherwise
+from synth3dlanes.validate.findings import Finding, Result, judged
 
 # Share of the pixels that may be outside a box; how far before a side they may end, and which part of the distance
 # between two pixels.
@@ -29,8 +28,6 @@ MAX_SHARE_OFF, EDGE_PIXELS, MAX_ASKED, AHEAD_M = 0.02, 2, 1_000, 0.2
 MIN_PIXELS = 60
 # Pixels of an element without a label are a fault if there are more than MAX_UNLABELLED within FARTHEST_M.
 MAX_UNLABELLED, FARTHEST_M = 4, 190.0
-# What follows from the scene.
-TOLD = ("category", "kind", "state", "lanes", "size_m", "center_cam", "rotation_wxyz", "box_px", "unclipped_box_px")
 # How far a signal may hang beside the middle of its lane, seen from above; points of a lane are a metre apart.
 BESIDE_LANE_M = 0.6
 # Heads of which fewer rows are seen are not judged by their colours; how much brighter a dark light may be than a lit
@@ -42,9 +39,9 @@ HUES = {"red_cross": 1, "green_arrow": -1}
 
 
 def check_elements(evidence: Evidence) -> Iterator[Result]:
-    """Findings about traffic elements that are not those of the scene, or not where and what pixels show."""
-    items, truth = evidence.labels.traffic_elements, evidence.truth.traffic_elements
-    if items is None or truth is None:
+    """Findings about traffic elements that are not where and what pixels show."""
+    items = evidence.labels.traffic_elements
+    if items is None:
         return
     yield from _unlabelled(evidence, items)
     segments = {segment.id for segment in evidence.labels.graph.segments}
@@ -55,14 +52,6 @@ def check_elements(evidence: Evidence) -> Iterator[Result]:
             yield Finding("", f"traffic_elements.{item.id}.lanes: expected segments of the graph, got {unknown[0]}")
         yield from over_its_lane(evidence, item)
         yield from shining(evidence, item)
-    if [item.id for item in items] != [item.id for item in truth]:
-        ids = ", ".join(str(item.id) for item in truth[:5])
-        yield Finding("", f"traffic_elements: expected the {len(truth)} of the scene ({ids} ...), got other ids")
-        return
-    for item, true in zip(items, truth, strict=True):
-        wrong = list(otherwise(element_document(item), element_document(true), TOLD))
-        if wrong:
-            yield Finding("", f"traffic_elements.{item.id}: {some(wrong)}")
 
 
 def _unlabelled(evidence: Evidence, items: tuple[ElementLabel, ...]) -> Iterator[Finding]:
@@ -114,11 +103,9 @@ def _share(evidence: Evidence, item: ElementLabel, label: str) -> Iterator[Resul
         return
     share = float(shows.sum() / n)
     off = abs(item.visible_fraction - share)
-    seen = Bounded("elements.seen_share", off, most=MAX_SHARE_OFF + EDGE_PIXELS / n)
-    yield seen
-    if seen.is_beyond:
-        got = f"expected {share:.2f} by the {n} pixels of its body, got {item.visible_fraction:.2f}"
-        yield Finding("", f"{label}.visible_fraction: {got}")
+    got = f"expected {share:.2f} by the {n} pixels of its body, got {item.visible_fraction:.2f}"
+    reason = f"{label}.visible_fraction: {got}"
+    yield from judged("elements.seen_share", off, reason, most=MAX_SHARE_OFF + EDGE_PIXELS / n)
 
 
 def in_outlines(quads_img: Float[np.ndarray, "f 4 2"], uv: Points2) -> Bool[np.ndarray, " n"]:
@@ -159,13 +146,9 @@ def over_its_lane(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
     if not points[:, 1].min() <= y <= points[:, 1].max():
         return
     off_m = float(np.hypot(points[:, 0] - x, points[:, 1] - y).min())
-    yield Bounded("elements.beside_lane", off_m, most=BESIDE_LANE_M)
-    if off_m > BESIDE_LANE_M:
-        yield Finding(
-            "",
-            f"traffic_elements.{item.id}.lanes: expected the lane below it, got {item.lanes[0]}, which is "
-            f"{off_m:.2f} m beside it",
-        )
+    got = f"got {item.lanes[0]}, which is {off_m:.2f} m beside it"
+    reason = f"traffic_elements.{item.id}.lanes: expected the lane below it, {got}"
+    yield from judged("elements.beside_lane", off_m, reason, most=BESIDE_LANE_M)
 
 
 def shining(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
@@ -184,23 +167,14 @@ def shining(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
         lit = LIT[item.state]
         dark = [level for number, level in enumerate(lights) if number not in lit]
         off = max(dark, default=0.0) - min((lights[number] for number in lit), default=np.inf)
-        yield Bounded("elements.dark_light", off, most=BRIGHTER)
-        if off > BRIGHTER:
-            levels = ", ".join(f"{level:.0f}" for level in lights)
-            yield Finding(
-                "",
-                f"traffic_elements.{item.id}.state: expected {item.state} lights, got levels of {levels} from the top",
-            )
+        levels = ", ".join(f"{level:.0f}" for level in lights)
+        reason = f"traffic_elements.{item.id}.state: expected {item.state} lights, got levels of {levels} from the top"
+        yield from judged("elements.dark_light", off, reason, most=BRIGHTER)
     elif item.state in HUES:
         chosen = pixels[pixels.max(axis=2) >= np.percentile(pixels.max(axis=2), 90)]
         hue = HUES[item.state] * float((chosen[:, 0] - chosen[:, 1]).mean())
-        yield Bounded("elements.hue", hue, least=-LEAST_HUE)
-        if hue < -LEAST_HUE:
-            yield Finding(
-                "",
-                f"traffic_elements.{item.id}.state: expected the colour of {item.state}, got {-hue:.0f} levels of the "
-                "other",
-            )
+        got = f"expected the colour of {item.state}, got {-hue:.0f} levels of the other"
+        yield from judged("elements.hue", hue, f"traffic_elements.{item.id}.state: {got}", least=-LEAST_HUE)
 
 
 def _brightest(part: Float[np.ndarray, "h w 3"], own: Bool[np.ndarray, "h w"]) -> float:

@@ -14,13 +14,17 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import split_dataset
 from synth3dlanes.formats.export import Export
 from synth3dlanes.labels import labels as labels_format
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.recorded.lift.precision import NO_ERROR
 from synth3dlanes.recorded.lift.write import LiftReport, lift_to
 from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.labels import check_shape
 from synth3dlanes.validate.run import validate
-from synth3dlanes.validate.structure import check_measured
 from tests.drives.road import road, write_described
 from tests.lift import hill
+from tests.validate.examining import findings
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +148,11 @@ def test_its_samples_have_no_scene_and_no_command_tells_of_one(made: tuple[Path,
 def test_faults_of_measured_labels_are_found(made: tuple[Path, LiftReport]) -> None:
     labels = Reader(f"{made[0]}/train").labels(0)
     lane = labels.lanes[0]
-    assert not list(check_measured(labels))
+
+    def told(labels: Labels) -> list[Finding]:
+        return [*check_shape(labels, None), *findings(Evidence(None, labels), "form")]
+
+    assert not told(labels)
     turned = labels.camera.world_from_cam @ np.diag([-1.0, 1, 1, 1])
     faults = {
         "std_m: expected how certain": replace(lane, std_m=None),
@@ -152,10 +160,10 @@ def test_faults_of_measured_labels_are_found(made: tuple[Path, LiftReport]) -> N
         "expected points that advance": replace(lane, xyz_cam=lane.xyz_cam[np.r_[1, 0, 2 : len(lane.xyz_cam)]]),
     }
     for words, wrong in faults.items():
-        found = list(check_measured(replace(labels, lanes=(wrong, *labels.lanes[1:]))))
+        found = told(replace(labels, lanes=(wrong, *labels.lanes[1:])))
         assert any(words in finding.reason for finding in found), words
     mirrored = replace(labels, camera=replace(labels.camera, world_from_cam=turned))
-    assert any("world_from_cam: expected a rotation" in finding.reason for finding in check_measured(mirrored))
+    assert any("world_from_cam: expected a rotation" in finding.reason for finding in told(mirrored))
 
 
 def test_how_certain_points_are_lasts(made: tuple[Path, LiftReport]) -> None:

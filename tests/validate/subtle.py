@@ -236,7 +236,7 @@ SUBTLE = [
 
 OF_STREETS = [
     Fault("object_visible moved by a point", of_json(LABELS, a_point_on), "object_visible: expected what the passes"),
-    Fault("directions removed", of_json(LABELS, undirected), "direction: expected oncoming"),
+    Fault("directions removed", of_json(LABELS, undirected), 'direction: expected "oncoming"'),
     Fault("poles and signs swapped", of_pass("semantic", partial(swapped, "pole", "sign")), "on faces of (pole|sign)"),
     Fault(
         "barriers and kerbs swapped",

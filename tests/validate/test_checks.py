@@ -7,7 +7,7 @@ from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT
 from tests.validate.examining import examine, seen
 
-PARTS = {"row", "origin", "image", "aim", "lidar", "depth", "normal", "semantic", "instance", "height"}
+PARTS = {"scene", "row", "origin", "image", "aim", "lidar", "depth", "normal", "semantic", "instance", "height"}
 
 
 def test_checks_have_names_of_their_own_and_need_what_evidence_may_have() -> None:
@@ -17,7 +17,7 @@ def test_checks_have_names_of_their_own_and_need_what_evidence_may_have() -> Non
 
 def test_evidence_without_pixels_is_checked_as_far_as_it_goes() -> None:
     evidence = Evidence(resolve(FLAT), seen(ground_truth(FLAT)))
-    assert evidence.has == {"aim"}
+    assert evidence.has == {"scene", "aim"}
     asked = {check.name for check in CHECKS if check.needs <= evidence.has}
     assert asked >= {"labels", "host", "objects", "roadside", "standing", "points"}
     assert not asked & {"index", "frame", "lidar", "pavement", "alignment"}

@@ -89,14 +89,16 @@ def test_a_stop_line_elsewhere_than_the_map_has_it_is_found(made):
     values = SCENES["before"].model_dump()
     paint = values["map"]["paint"]
     values["map"]["paint"] = tuple(dict(item, s_m=item["s_m"] + 0.7) if item["lane"] else item for item in paint)
-    assert {"labels", "symbols"} <= set(found_by(replace(made["before"], world=resolve(Scene.model_validate(values)))))
+    assert {"labels", "symbols"} <= set(
+        found_by(replace(made["before"], known_world=resolve(Scene.model_validate(values))))
+    )
 
 
 def test_an_arm_that_is_turned_or_wider_is_found(made):
     values = SCENES["before"].model_dump()
     north = next(road for road in values["map"]["roads"] if road["id"] == "north")
     north["plan"][0]["heading_rad"] += 0.02
-    found = set(found_by(replace(made["before"], world=resolve(Scene.model_validate(values)))))
+    found = set(found_by(replace(made["before"], known_world=resolve(Scene.model_validate(values)))))
     assert "labels" in found
 
 

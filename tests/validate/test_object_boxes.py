@@ -13,10 +13,9 @@ from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.host import Lidar
 from synth3dlanes.scene.scene import Car
 from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.validate.boxes import SeenPart, judge, views_of
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.labelled_boxes import SeenPart
-from synth3dlanes.validate.object_boxes import judge, views_of
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, reasons
@@ -117,21 +116,21 @@ def test_swapped_ids_are_found_by_the_scene_and_by_pixels(sample):
         ]
         return [*moved, *items[2:]]
 
-    found = reasons(with_objects(sample, swap), "boxes")
+    found = reasons(with_objects(sample, swap), "boxes", "labels")
     for name in ("objects.1: expected its pixels in its box", "objects.2: expected its points in its box"):
         assert name in found
     assert "objects.1: category: expected" in found
-    assert "objects.1: size_m" in reasons(with_objects(sample, swap_boxes), "boxes")
+    assert "objects.1: size_m" in reasons(with_objects(sample, swap_boxes), "labels")
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda items: items[:-1], "expected the 6 cars of the scene"),
+        (lambda items: items[:-1], "objects: expected 6 as in the scene"),
         (lambda items: [replace(items[0], category="truck"), *items[1:]], 'objects.1: category: expected "car"'),
         (lambda items: [move(0, 0.001, 0)(items[0]), *items[1:]], "objects.1: center_cam"),
         (lambda items: [replace(items[0], box_px=items[0].box_px + 0.5), *items[1:]], "objects.1: box_px"),
-        (lambda items: [replace(items[0], truncation=0.1), *items[1:]], "objects.1: truncation: expected 0.000"),
+        (lambda items: [replace(items[0], truncation=0.1), *items[1:]], "objects.1: truncation: expected 0"),
         (lambda items: [replace(items[0], velocity_cam=np.zeros(3)), *items[1:]], "objects.1: velocity_cam"),
         (lambda items: [replace(items[0], lidar_points=7), *items[1:]], "objects.1.lidar_points: expected"),
         (
@@ -141,7 +140,7 @@ def test_swapped_ids_are_found_by_the_scene_and_by_pixels(sample):
     ],
 )
 def test_other_numbers_than_those_of_scene_ids_and_sweep_are_found(sample, change, words):
-    assert words in reasons(with_objects(sample, change), "boxes")
+    assert words in reasons(with_objects(sample, change), "boxes", "labels")
 
 
 def test_what_is_seen_of_a_hidden_car_is_what_is_left_of_it(sample):

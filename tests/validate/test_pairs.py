@@ -53,7 +53,7 @@ def test_the_picture_has_each_stripe_on_its_side_and_a_swap_is_found(pair: Pair,
     picture = made.image, made.passes
     assert findings(Evidence(resolve(scene), made.labels, *picture), *CHECKS) == []
     swapped = relabelled(made.labels, OTHER[pair])
-    assert f"pair: expected {pair} by its scene, got {OTHER[pair]}" in reasons(
+    assert f'pair: expected "{pair}", got "{OTHER[pair]}"' in reasons(
         Evidence(resolve(scene), swapped, *picture), "labels"
     )
     other = Evidence(resolve(repainted(scene, OTHER[pair])), swapped, *picture)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from synth3dlanes.labels.labels import Lane
 from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.validate.labels import order
 from synth3dlanes.validate.standing import mesh_height
-from synth3dlanes.validate.structure import _order
 from synth3dlanes.world.meshes import Mesh
 from tests.map_scenes import FOUR_WAY, map_scene
 
@@ -31,7 +31,7 @@ def found(xyz_cam: np.ndarray) -> str:
     n = len(xyz_cam)
     masks = {name: np.ones(n, bool) for name in ("in_image", "terrain_visible", "object_visible")}
     lane: Lane = replace(LANE, xyz_cam=xyz_cam, **masks)
-    return " ".join(finding.reason for finding in _order(LABELS.camera, lane))
+    return " ".join(finding.reason for finding in order(LABELS.camera, lane))
 
 
 @given(radius_m=st.floats(3, 500), aside_m=st.floats(-7, 30), grade=st.floats(-0.3, 0.3))

@@ -11,9 +11,10 @@ from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import findings_of
-from synth3dlanes.validate.traffic_elements import check_elements, judge, over_its_lane, shining
+from synth3dlanes.validate.traffic_elements import judge, over_its_lane, shining
 from synth3dlanes.world.world import resolve
 from tests.signals import signals_scene
+from tests.validate.examining import findings
 
 pytestmark = pytest.mark.render
 
@@ -42,7 +43,7 @@ def test_a_right_sample_has_no_findings(sample):
     items = sample.labels.traffic_elements
     assert len(items) == 9
     assert [item.visible_fraction for item in items if item.kind != "information"] == pytest.approx([1] * 8, abs=0.01)
-    assert findings_of(check_elements(sample)) == []
+    assert findings(sample, "elements", "labels") == []
 
 
 def move(*by_m: float) -> Callable[[ElementLabel], ElementLabel]:
@@ -103,7 +104,7 @@ def test_elements_that_are_not_those_of_the_scene_are_found(sample):
 
     def reasons(changed: ElementLabel) -> str:
         found = with_elements(sample, [*items[:stop], changed, *items[stop + 1 :]])
-        return " ".join(finding.reason for finding in findings_of(check_elements(found)))
+        return " ".join(finding.reason for finding in findings(found, "elements", "labels"))
 
     assert "kind: expected" in reasons(replace(items[stop], kind="give_way"))
     assert "category: expected" in reasons(replace(items[stop], category="traffic_light"))
@@ -115,6 +116,6 @@ def test_elements_that_are_not_those_of_the_scene_are_found(sample):
 
 def test_a_dropped_element_is_found_by_its_pixels_and_by_the_scene(sample):
     items = list(sample.labels.traffic_elements)
-    found = findings_of(check_elements(with_elements(sample, items[1:])))
+    found = findings(with_elements(sample, items[1:]), "elements", "labels")
     assert any(f"expected one with id {items[0].id}" in finding.reason for finding in found)
-    assert any("of the scene" in finding.reason for finding in found)
+    assert any("as in the scene" in finding.reason for finding in found)

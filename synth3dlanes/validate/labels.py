@@ -1,23 +1,25 @@
-"""Check labels for consistency, and against their scene and its recomputed ground truth. No pixels.
+"""Check labels by themselves, against the recomputed labels of their scene, and what they say of the host and of what
+is hidden. No pixels.
 
 A point can only be hidden by an object if its line of sight meets a box of the object, and it must be hidden if the
 line goes through the core of a car. The host's place is computed from the labels' points and is independent of
 `geometry.camera`, which places the camera.
 """
 
+import json
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import invert, road_from_cam, transform, turned
-from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, SymbolLabel
-from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, to_json
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.bodies import cores, meet, outlines
-from synth3dlanes.validate.documents import shown
+from synth3dlanes.validate.documents import Tolerance, differences, some
 from synth3dlanes.validate.evidence import BORDER_PX, Evidence, inside_px
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
@@ -25,6 +27,21 @@ from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
 MATRIX = 1e-8
+# Numbers that are rounded in files, and rectangles of projected boxes, which add to that.
+ROUNDED = Tolerance(
+    {
+        **dict.fromkeys(("xyz_cam", "size_m", "center_cam"), 2e-4),
+        **dict.fromkeys(("box_px", "unclipped_box_px"), 0.2),
+        **dict.fromkeys(("img_from_cam", "road_from_cam", "world_from_cam", "cam_from_lidar"), MATRIX),
+        **{"rotation_wxyz": 2e-6, "velocity_cam": 2e-3, "truncation": 0.005},
+    },
+    share=1e-6,
+)
+# What needs a rendered scene, and has checks of its own.
+RENDERED = ("object_visible", "car_visible_fraction", "visible_fraction", "seen_box_px", "lidar_points")
+# Keys of paint that older labels do not have, and groups that they do not have at all.
+PAINT = ("color", "double", "pair")
+GROUPS = ("lanes", "symbols", "objects", "traffic_elements")
 # Error of the host's offset from the middle of its lane.
 LAW_M = 0.001
 # Points of measured lines are a metre apart wherever the host is: distance of a chord's middle from a sharp bend.
@@ -40,9 +57,10 @@ MAX_WRONG = 1
 MAX_TWIGS = 2
 
 
-def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
-    """Check what all other checks rely on: points, masks of a rendered scene, known references."""
-    if not labels.lanes:
+def check_shape(labels: Labels, scene: Scene | None) -> Iterator[Finding]:
+    """Findings about what all other checks rely on: unique ids, points, known references; of a rendered scene masks and
+    shares, of a real drive how certain points are."""
+    if not labels.lanes and scene is not None:
         yield Finding("", "expected lanes, got none")
     for id_, count in Counter(lane.id for lane in labels.lanes).items():
         if count > 1:
@@ -51,26 +69,25 @@ def check_shape(scene: Scene, labels: Labels) -> Iterator[Finding]:
         n = len(lane.xyz_cam)
         if n < 2:
             yield Finding(lane.id, f"expected two points or more, got {n}")
-        if lane.object_visible is None:
+        if scene is not None and lane.object_visible is None:
             yield Finding(lane.id, f"expected {n} values in object_visible, got none")
+        if scene is None and (lane.std_m is None or not (lane.std_m > 0).all()):
+            yield Finding(lane.id, "std_m: expected how certain each point is, above 0, got none or 0")
+    yield from _references(labels)
+    if scene is None:
+        return
     for i, symbol in enumerate(labels.symbols):
         if symbol.object_visible is None:
             yield Finding("", f"symbols.{i}: expected {len(symbol.xyz_cam)} values in object_visible, got none")
-    yield from _references(labels)
     shares = labels.car_visible_fraction
     if shares is None or len(shares) != len(scene.cars):
-        reason = f"car_visible_fraction: expected {len(scene.cars)} of them, got {shown(shares)}"
-        yield Finding("", reason)
+        got = None if shares is None else len(shares)
+        yield Finding("", f"car_visible_fraction: expected {len(scene.cars)} of them, got {got}")
 
 
-def check_measured(labels: Labels) -> Iterator[Finding]:
-    """Check labels that were lifted from a real drive, without a world: ids, order, projection,
-    rotations, and that every point says how certain it is."""
-    for id_, count in Counter(lane.id for lane in labels.lanes).items():
-        if count > 1:
-            yield Finding(id_, f"expected unique ids of lanes, got {count} lanes with this one")
-    yield from _references(labels)
-    camera = labels.camera
+def check_form(evidence: Evidence) -> Iterator[Finding]:
+    """Findings about the camera's poses, and about every lane's order and projection."""
+    labels, camera = evidence.labels, evidence.labels.camera
     for name in ("world_from_cam", "road_from_cam"):
         turn = getattr(camera, name)[:3, :3]
         if not np.allclose(turn @ turn.T, np.eye(3), atol=MATRIX) or np.linalg.det(turn) < 0:
@@ -79,31 +96,54 @@ def check_measured(labels: Labels) -> Iterator[Finding]:
     if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
         yield Finding("", "camera.road_from_cam: expected its height and angles, got another transform")
     for lane in labels.lanes:
-        if len(lane.xyz_cam) < 2:
-            yield Finding(lane.id, f"expected two points or more, got {len(lane.xyz_cam)}")
-            continue
-        yield from _order(camera, lane)
-        yield from _masked(lane, inside_px(camera, lane))
-        if lane.std_m is None or not (lane.std_m > 0).all():
-            yield Finding(lane.id, "std_m: expected how certain each point is, above 0, got none or 0")
+        yield from order(camera, lane)
+        inside = inside_px(camera, lane)
+        wrong = np.where(lane.in_image, ~(inside > -BORDER_PX), inside > BORDER_PX)
+        if wrong.any():
+            yield Finding(lane.id, f"in_image: expected the mask of our projection, got another at {_at(wrong)}")
 
 
 def check_labels(evidence: Evidence) -> Iterator[Finding]:
-    """Check camera, and every lane's order, projection and labels, against the scene."""
-    labels, truth = evidence.labels, evidence.truth
-    yield from _camera(evidence.scene, labels)
-    for lane in labels.lanes:
-        yield from _order(labels.camera, lane)
-        yield from _masked(lane, evidence.inside_px(lane))
-    yield from _against_ground_truth(truth, labels)
-    yield from _symbols(truth, labels)
+    """Findings where labels are not those that are computed anew of their scene: by lane and symbol, by object, and
+    others."""
+    expected, found = (_document(labels) for labels in (evidence.truth, evidence.labels))
+    for group in GROUPS:
+        true, own = (document.pop(group, None) for document in (expected, found))
+        if own is None and true is not None and group in ("objects", "traffic_elements"):
+            continue
+        if group == "lanes" and not any(lane["color"] for lane in own):
+            true, own = (
+                [{key: lane[key] for key in lane if key not in PAINT} for lane in part] for part in (true, own)
+            )
+        names = [[str(item.get("id", item.get("kind"))) for item in part or ()] for part in (true, own)]
+        if names[0] != names[1]:
+            yield Finding("", f"{group}: expected {len(names[0])} as in the scene, {_first_apart(*names)}")
+            continue
+        for i, pair in enumerate(zip(true or (), own or (), strict=True)):
+            lines = list(differences(*pair, tolerance=ROUNDED))
+            if lines:
+                lane = {"lanes": names[0][i], "symbols": f"symbol {i}"}.get(group, "")
+                yield Finding(lane, some(lines) if lane else f"{group}.{names[0][i]}: {some(lines)}")
+    lines = list(differences(expected, found, tolerance=ROUNDED))
+    if lines:
+        yield Finding("", some(lines))
 
 
-def _masked(lane: Lane, inside_px: Float[np.ndarray, " n"]) -> Iterator[Finding]:
-    """A finding if points are not in the image where the mask says so."""
-    wrong = np.where(lane.in_image, ~(inside_px > -BORDER_PX), inside_px > BORDER_PX)
-    if wrong.any():
-        yield Finding(lane.id, f"in_image: expected the mask of our projection, got another at {_at(wrong)}")
+def _document(labels: Labels) -> dict[str, Any]:
+    """The JSON form of labels without what needs a rendered scene."""
+    document: dict[str, Any] = json.loads(to_json(labels))
+    for part in (document, *(item for group in GROUPS for item in document[group] or ())):
+        for key in RENDERED:
+            part.pop(key, None)
+    return document
+
+
+def _first_apart(expected: list[str], found: list[str]) -> str:
+    """The first of names that differ, in words."""
+    ends = [*zip(expected, found, strict=False), *((name, "none") for name in expected[len(found) :])]
+    ends += [("none", name) for name in found[len(expected) :]]
+    wanted, got = next((wanted, got) for wanted, got in ends if wanted != got)
+    return f"with {wanted}, got {len(found)} with {got}"
 
 
 def check_host(evidence: Evidence) -> Iterator[Finding]:
@@ -175,7 +215,7 @@ def _references(labels: Labels) -> Iterator[Finding]:
         yield Finding("", f"graph: expected ids of segments and centre lines, got {', '.join(unknown)}")
 
 
-def _order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
+def order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
     """Findings unless points go on in the host's driving direction, without a step of zero length, back or far aside.
     Lines of maps fold where a road turns more sharply than they are beside its reference line."""
     steps = np.diff(lane.xyz_cam, axis=0)
@@ -194,85 +234,6 @@ def _order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
     # On a map a line may turn back.
     if first > last and lane.connector is None:
         yield Finding(lane.id, f"expected points in driving order, got {first:.1f} m first and {last:.1f} m last")
-
-
-def _camera(scene: Scene, labels: Labels) -> Iterator[Finding]:
-    camera, asked = labels.camera, scene.camera
-    for name in ("width_px", "height_px", "height_m", "pitch_rad", "roll_rad", "yaw_rad", "name", "lens"):
-        if getattr(camera, name) != getattr(asked, name):
-            yield Finding(
-                "", f"camera.{name}: expected {getattr(asked, name)} as in the scene, got {getattr(camera, name)}"
-            )
-    rotation = camera.world_from_cam[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=MATRIX) or np.linalg.det(rotation) < 0:
-        yield Finding("", "camera.world_from_cam: expected a rotation, got another matrix")
-    pose = road_from_cam(asked.height_m, asked.pitch_rad, asked.roll_rad, asked.yaw_rad)
-    if not np.allclose(camera.road_from_cam, pose, atol=MATRIX):
-        yield Finding("", "camera.road_from_cam: expected the scene's height and angles, got another transform")
-    place = _host_of(scene, camera)[:3, 3]
-    gap_m = abs(place[2] - float(height_at(scene.terrain, place[None, :2])[0]))
-    if scene.map is not None and any(road.heights for road in scene.map.roads):
-        gap_m = 0.0  # roads leave the terrain; the poses of the truth say where they are
-    if gap_m > POINT_M:
-        yield Finding("", f"camera: expected the host on the road, got it {gap_m:.4f} m off")
-
-
-def _against_ground_truth(expected: Labels, labels: Labels) -> Iterator[Finding]:
-    """Compare all labels with the scene's recomputed ground truth, except those that need a rendered scene."""
-    for name in ("img_from_cam", "road_from_cam", "world_from_cam"):
-        if not np.allclose(getattr(labels.camera, name), getattr(expected.camera, name), atol=MATRIX):
-            yield Finding("", f"camera.{name}: expected the scene's ground truth, got another")
-    lidars = [lidar and {**vars(lidar), "cam_from_lidar": None} for lidar in (labels.lidar, expected.lidar)]
-    if lidars[0] != lidars[1] or not (
-        labels.lidar is None
-        or expected.lidar is None
-        or np.allclose(labels.lidar.cam_from_lidar, expected.lidar.cam_from_lidar, atol=MATRIX)
-    ):
-        yield Finding("", "lidar: expected the scene's, got another")
-    if labels.time_s != expected.time_s:
-        yield Finding("", f"time_s: expected {expected.time_s}, got {labels.time_s}")
-    if labels.graph != expected.graph or labels.horizon != expected.horizon:
-        yield Finding("", "graph, horizon: expected the scene's ground truth, got another")
-    ids = [lane.id for lane in labels.lanes]
-    if ids != [lane.id for lane in expected.lanes]:
-        yield Finding("", f"expected lanes {[lane.id for lane in expected.lanes]}, got {ids}")
-        return
-    # Older labels do not have the paint of their lines.
-    paint = ("color", "double", "pair") if any(lane.color for lane in labels.lanes) else ()
-    for lane, true in zip(labels.lanes, expected.lanes, strict=True):
-        for name in ("kind", "road", "direction", "marking", "left", "right", "connector", "junction", *paint):
-            if getattr(lane, name) != getattr(true, name):
-                yield Finding(
-                    lane.id, f"{name}: expected {getattr(true, name)} by its scene, got {getattr(lane, name)}"
-                )
-        if lane.xyz_cam.shape != true.xyz_cam.shape:
-            yield Finding(lane.id, f"expected {len(true.xyz_cam)} points by its scene, got {len(lane.xyz_cam)}")
-            continue
-        yield from _points(lane.id, true, lane)
-
-
-def _symbols(expected: Labels, labels: Labels) -> Iterator[Finding]:
-    """Compare the symbols with those of the scene."""
-    kinds, asked = ([symbol.kind for symbol in of.symbols] for of in (labels, expected))
-    if kinds != asked or any(
-        symbol.xyz_cam.shape != true.xyz_cam.shape
-        for symbol, true in zip(labels.symbols, expected.symbols, strict=True)
-    ):
-        yield Finding("", f"symbols: expected {shown(asked)} with their outlines by the scene, got {shown(kinds)}")
-        return
-    for i, (symbol, true) in enumerate(zip(labels.symbols, expected.symbols, strict=True)):
-        yield from _points(f"symbol {i}", true, symbol)
-
-
-def _points(id_: str, true: Lane | SymbolLabel, got: Lane | SymbolLabel) -> Iterator[Finding]:
-    """Compare points and masks with those of the scene."""
-    off_m = np.linalg.norm(got.xyz_cam - true.xyz_cam, axis=1)
-    if not off_m.max() <= POINT_M:
-        yield Finding(id_, f"expected points where its scene has them, got them up to {off_m.max():.4f} m off")
-    for name in ("in_image", "terrain_visible"):
-        wrong = getattr(got, name) != getattr(true, name)
-        if wrong.any():
-            yield Finding(id_, f"{name}: expected the mask of its scene, got another at {_at(wrong)}")
 
 
 def _at(wrong: np.ndarray) -> str:

@@ -1,29 +1,27 @@
-"""Check the boxes of objects: against the scene, and against what depth, ids and the sweep show.
+"""Check the boxes of labels against what depth, ids and the sweep show: those of objects here, of traffic elements in
+`traffic_elements`.
 
-Points of an object must be in its box, and reach the sides that are seen.
+Points of what is labelled must be in its box, and reach the sides that are seen. A box that is too small, turned or
+moved is found by points outside it, one that is too large by the gap before a side.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.labels.object_labels import ObjectLabel, object_document
-from synth3dlanes.validate.documents import some
+from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.object_labels import ObjectLabel, rectangle_around
+from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Result
-from synth3dlanes.validate.labelled_boxes import (
-    MIN_SEEN,
-    PLACES,
-    SeenPart,
-    SideLimit,
-    against_box,
-    by_pixels,
-    check_seen_box,
-    otherwise,
-)
+from synth3dlanes.validate.findings import PROOF_M, Finding, Result, counted, judged
 
+# How far outside a box points may be, and how many of them farther.
+ROOM_M, MAX_SINGLE = 0.02, 2
+# Sides are judged only of what is seen as a whole.
+MIN_SEEN = 0.99
 # Share of an object's points that may be outside its box: built-in models reach at most 2 cm beyond theirs.
 MAX_OUTSIDE = 0.002
 # How far before a side of a box its points may end, and which part of what lies between two pixels, or between two
@@ -38,41 +36,77 @@ BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
 SET_BACK, AXLE_M, CLEARANCE_M = 0.25, 1.1, 0.15
 # The most that mirrors reach beyond a body.
 MIRROR_M = 0.07
-MAX_TRUNCATION_OFF = 0.005
+
+
+class SeenPart(NamedTuple):
+    """Points of what is labelled in its frame, the eye in it, and how far points are from each other at most."""
+
+    source: str
+    points: Float[np.ndarray, "n 3"]
+    eye: Float[np.ndarray, "3"]
+    apart_m: float
+
+
+class SideLimit(NamedTuple):
+    """A side of a box: its axis, its sign on that, its name, and how far before it points may end."""
+
+    axis: int
+    sign: int
+    name: str
+    most_m: float
 
 
 def check_boxes(evidence: Evidence) -> Iterator[Result]:
-    """Findings about objects that are not those of the scene, or not where pixels and points show them."""
-    items, truth = evidence.labels.objects, evidence.truth.objects
-    if items is None or truth is None:
-        return
-    if [item.id for item in items] != [item.id for item in truth]:
-        yield Finding("", f"objects: expected the {len(truth)} cars of the scene in its order, got other ids")
-        return
-    for item, true in zip(items, truth, strict=True):
-        wrong = list(_otherwise(item, true))
-        if wrong:
-            yield Finding("", f"objects.{item.id}: {some(wrong)}")
-        yield from _counts(evidence, item)
+    """Findings about objects that are not where pixels and points show them."""
+    for item in evidence.labels.objects or ():
+        label = f"objects.{item.id}"
+        if "instance" in evidence.has:
+            yield from check_seen_box(evidence, item, label)
+        n = None if evidence.returns is None else int((evidence.returns.instance == item.id).sum())
+        if item.lidar_points != n:
+            expected, got = ("none" if count is None else count for count in (n, item.lidar_points))
+            yield Finding("", f"{label}.lidar_points: expected {expected} by the sweep, got {got}")
         for seen in views_of(evidence, item):
             yield from judge(item, seen)
 
 
-def _otherwise(item: ObjectLabel, true: ObjectLabel) -> Iterator[str]:
-    """How an object differs from the scene's, by more than rounding."""
-    yield from otherwise(object_document(item), object_document(true), ("category", *PLACES))
-    if abs(item.truncation - true.truncation) > MAX_TRUNCATION_OFF:
-        yield f"truncation: expected {true.truncation:.3f}, got {item.truncation:.3f}"
+def check_seen_box(evidence: Evidence, item: ObjectLabel | ElementLabel, label: str) -> Iterator[Finding]:
+    """A finding if the rectangle of the pixels with the id of what is labelled is another one."""
+    there = rectangle_around(*np.nonzero(evidence.passes["instance"] == item.id))
+    expected, got = (None if box is None else box.tolist() for box in (there, item.seen_box_px))
+    if expected != got:
+        yield Finding("", f"{label}.seen_box_px: expected {expected} by its pixels, got {got}")
 
 
-def _counts(evidence: Evidence, item: ObjectLabel) -> Iterator[Finding]:
-    """Compare the rectangle of an object's pixels and the number of its points with those that are there."""
-    if "instance" in evidence.has:
-        yield from check_seen_box(evidence, item, f"objects.{item.id}")
-    n = None if evidence.returns is None else int((evidence.returns.instance == item.id).sum())
-    if item.lidar_points != n:
-        expected, got = ("none" if count is None else count for count in (n, item.lidar_points))
-        yield Finding("", f"objects.{item.id}.lidar_points: expected {expected} by the sweep, got {got}")
+def by_pixels(evidence: Evidence, id_: int, cam_from_box: Matrix4, least: int) -> SeenPart | None:
+    """What pixels show of what is labelled, if it is near the camera and has at least the least number of pixels."""
+    if not {"depth", "instance"} <= evidence.has or np.linalg.norm(cam_from_box[:3, 3]) > PROOF_M:
+        return None
+    at = evidence.passes["instance"] == id_
+    rows, columns = np.nonzero(at & evidence.has_points)
+    if len(rows) < least:
+        return None
+    points_cam, box_from_cam = evidence.points_cam(rows, columns), invert(cam_from_box)
+    apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
+    return SeenPart("pixels", transform(box_from_cam, points_cam), box_from_cam[:3, 3], apart_m)
+
+
+def against_box(
+    label: str, bound: str, half: Float[np.ndarray, "3"], seen: SeenPart, share: float, sides: Iterable[SideLimit]
+) -> Iterator[Result]:
+    """Findings if more than a share of the points is outside a box; else where they end before one of these sides."""
+    beyond_m = np.abs(seen.points) - half
+    outside = (beyond_m > ROOM_M).any(axis=1)
+    reason = (
+        f"{label}: expected its {seen.source} in its box, got {{wrong}} of {{n}} up to {beyond_m.max():.2f} m outside"
+    )
+    yield from counted(f"{bound}.outside_{seen.source}", outside, reason, MAX_SINGLE, share)
+    if outside.sum() > max(MAX_SINGLE, share * len(outside)):
+        return
+    for axis, sign, side, most_m in sides:
+        gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
+        reason = f"expected its {seen.source} to reach the {side} side of its box, got them {gap_m:.2f} m before it"
+        yield from judged(f"{bound}.gap_{seen.source}_{side}", gap_m, f"{label}: {reason}", most=most_m)
 
 
 def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
