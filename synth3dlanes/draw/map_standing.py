@@ -17,8 +17,8 @@ from synth3dlanes.scene.scene import Scene, Tree
 from synth3dlanes.scene.traffic_elements import MAX_FREE, Phase, SignalState, TrafficSign, TrafficSignal
 from synth3dlanes.world.ground import Ground
 
-# Poles keep this far from the pavement of traffic. One that a file has on it stands beside it, so far at most, and
-# holds an arm over it.
+# Distance of poles from the pavement of traffic. A pole that a file has on the pavement is moved beside it and gets an
+# arm of at most this length; steps in which room is looked for.
 OFF_M, ARM_M, STEP_M, GRAZES_M = 0.3, 14.0, 0.25, 1.0
 # Heads and boards at one place are over each other, up to this height.
 NEAR_M, ABOVE_M, HIGHEST_M = 0.6, 0.06, 9.0

@@ -36,7 +36,7 @@ from synth3dlanes.system.streams import stream
 from synth3dlanes.world import placement
 from synth3dlanes.world.ground import Ground
 
-# Draws of a place for each car; lanes of the host's roads are so many times as likely as others.
+# Draws of a place for each car, and how many times as likely lanes of the host's roads are as others.
 TRIES, LIKELIER = 60, 3.0
 # The most acceleration to the side (m/s^2), and the length over which a bend is measured.
 SIDEWAYS, BEND_M = 3.0, 4.0

@@ -81,7 +81,7 @@ class Format:
     """A format. `title` says in a line what it is, `readme` is part of the README of an export.
 
     - `write` gives the files of a frame; None where the format has no place for it.
-    - `read` gives the lists of an export, each with at most so many frames. Raises FormatError.
+    - `read` gives the lists of an export, each with at most `most_frames`. Raises FormatError.
     - `verify` says how far a frame that was read is from the sample that it was made from; `tolerances` are how far it
       may be, by unit (m, px), because of the format's own grid.
     - `score` gives the benchmark's rates of predictions (a file or folder) for an export, if there is a benchmark.

@@ -389,8 +389,8 @@ RULE = Rule("m", 0.05, name="lane", slack=0.3)
 CROSSWALK_M, DEGREES_M = 0.02, 0.001
 """How far crosswalks may be from those of the labels, and degrees from local coordinates."""
 MOST, AHEAD_M, SURE_M = 0.6, 5.0, 80.0
-"""Paint is compared where the labels reach this share of a bound. They have all that is at least so far ahead of the
-camera and at most so far away."""
+"""Paint is compared where the labels reach this share of a bound; they reach all places between these distances: the
+first ahead of the camera, the second from it."""
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:

@@ -27,7 +27,7 @@ from synth3dlanes.world.world import World
 Tags = Mapping[str, str]
 # Roads without ends are written between these stations.
 REACH_M = 250.0
-# Points of bounds are so far apart before those are left out without which a line stays within LINE_M.
+# Distance between the points of bounds before thinning, and the most that thinning moves a line.
 STEP_M, LINE_M = 0.5, 0.002
 LEAST_WIDTH_M = 0.1
 # Lines this near to each other are one. Paint is that of a line at most PAINT_M from a lane's edge, or of a line of

@@ -90,7 +90,8 @@ LIMIT_PX = 0.02
 GAP_M = 1e-3
 # What is this near to the area's border may be out of it.
 BORDER_M = 2.0
-# Rectangles are rounded. What must be in an export: so much of it seen, of so many pixels, at less than 84 degrees.
+# Error of rounded rectangles. A traffic element must be in an export if at least this share of it is seen, if its
+# rectangle has sides of at least this length, and if its face is seen at less than 84 degrees (this cosine).
 BOX_PX, CLEAR, CLEAR_PX, CLEAR_COS = 0.2, 0.3, 4.0, 0.1
 
 README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A otherwise.

@@ -142,7 +142,7 @@ def read_text(path: Path) -> str:
 
 
 def first_lines(path: Path, most: int) -> list[str]:
-    """At most so many lines of a list, without their ends."""
+    """The first lines of a list, at most `most`, without their ends."""
     lines: list[str] = []
     with _opened(path) as file:
         while len(lines) < most and (line := file.readline(MOST_TEXT)):
@@ -154,7 +154,7 @@ def first_lines(path: Path, most: int) -> list[str]:
 
 
 def listed_files(path: Path, most: int) -> list[str]:
-    """At most so many lines of a list of files; raise FormatError where one is none below the export's folder."""
+    """The first files of a list, at most `most`; raise FormatError for one that is not below the export's folder."""
     return [file_below(line, f"{path}:{number}") for number, line in enumerate(first_lines(path, most), start=1)]
 
 
@@ -167,7 +167,7 @@ def file_below(text: str, where: str) -> str:
 
 
 def numbers(text: str, where: str, columns: int = 2) -> Float[np.ndarray, "n c"]:
-    """A line of numbers as rows of so many; raise FormatError where they are others."""
+    """A line of numbers as rows of `columns`; raise FormatError where they do not fill rows or are no numbers."""
     try:
         found = np.array(text.split(), dtype=float)
     except ValueError:

@@ -85,7 +85,7 @@ class Quads:
         self.add(corners.reshape(-1, 4, 3), color, surface)
 
     def body(self) -> Body:
-        """The body of all quads so far."""
+        """The body of all quads that were added."""
         return Body(
             self.kind,
             np.concatenate([*self.corners, np.zeros((0, 4, 3))]),

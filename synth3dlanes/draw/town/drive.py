@@ -13,11 +13,12 @@ from synth3dlanes.draw.town.rules import Conflict, JunctionRules, LightGroup
 STEP_S = 0.2
 # Of following (the intelligent driver model): acceleration, comfortable deceleration, time gap, standing gap.
 ACCELERATION, DECELERATION, HEADWAY_S, GAP_M, HARDEST = 1.8, 2.2, 1.2, 2.2, 7.0
-# Sideways acceleration in bends; cars look so far ahead.
+# Sideways acceleration in bends (m/s^2), and how far ahead a driver looks for bends.
 SIDEWAYS, LOOK_M = 2.6, 70.0
-# Bodies stop so far before a line or a zone that is not free; zones must be free for so long before and behind a car.
+# Distance at which a car stops before a line, and before an occupied zone of a junction; the time for which a zone must
+# be free before a car enters it and after it has left.
 BEFORE_LINE_M, BEFORE_ZONE_M, APART_S = 0.6, 1.0, 1.0
-# A car that has stood for so long goes before others that stand.
+# After this time at standstill a car goes before others that stand; below this speed (m/s) it stands.
 PATIENCE_S, STANDING = 3.0, 0.3
 # A car that stands farther before the line waits for those in front of it.
 NEXT_M = 6.0
@@ -294,7 +295,7 @@ def _following(speed: float, limit: float, gap_m: float, leader: float) -> float
 
 
 def _time(way_m: float, driver: Driver) -> float:
-    """Seconds until a car has driven so far, if it speeds up to a town's speed of turning; less than 0 if it has."""
+    """Seconds until a car has driven a distance, if it speeds up to a town's speed of turning; less than 0 if it has."""
     if way_m <= 0:
         return -1.0
     speed, top = driver.speed, max(driver.speed, min(driver.wish, 7.0))

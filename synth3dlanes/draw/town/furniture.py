@@ -24,16 +24,17 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.placement import overlaps_any
 
 Rng = np.random.Generator
-# Poles stand so far behind the front of a kerb, or beside a pavement without one.
+# Distance of poles behind the front of a kerb, and beside a pavement without a kerb.
 BEHIND_KERB_M, BESIDE_M = 0.5, 0.8
 # Heights of the lower edges of heads beside and over lanes, and of signs.
 HEAD_M, OVERHEAD_M, SIGN_M = 2.3, 5.2, 2.1
 # From the junction to the signs of the priority road and of speed.
 PRIORITY_M, SPEED_M = 16.0, 62.0
-# Buildings begin so far from where an arm does (before it: at the corner); steps where there is no room.
+# Place of the first building along an arm (negative: at the corner, before the arm begins), and the step to the next
+# place where there is no room.
 FIRST_M, STEP_M = -12.0, 4.0
 KINDS: tuple[BuildingKind, ...] = ("block", "house", "hall")
-# Walls keep off pavements so far that eaves do.
+# Distance of walls from pavements, which leaves room for eaves.
 ROOM_M, RIM_M, MOST_BUILDINGS = 1.2, 1.5, 110
 TREE_BEHIND_M = 1.2
 

@@ -24,7 +24,7 @@ from synth3dlanes.scene.road_map import (
 Turn = Literal["left", "straight", "right"]
 # A way that turns by more than this is a turn; between arms farther apart than that the kerb has no corner.
 TURN_FROM_RAD, STRAIGHT_SIDE_RAD = np.radians(35.0), np.radians(150.0)
-# Arms begin this far behind their corners, and at least so far from the middle.
+# Distance of the beginning of an arm behind its corners, and its least distance from the junction's middle.
 SETBACK_M, LEAST_SETBACK_M = 0.5, 5.0
 OUTLINE_STEP_M = 0.5
 # A kerb's arc begins at most this far from where the kerbs would meet: acute corners have smaller radii.

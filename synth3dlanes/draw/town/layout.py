@@ -157,8 +157,8 @@ class _Growth:
         return found
 
     def _place(self, at: PlanPose, planned: Sequence[Planned], came: Street | None) -> "_Placed":
-        """Reserve a junction's place in the list, and the setbacks of its arms. `at` is its middle, or, with a street
-        that came there, the end of that one."""
+        """Reserve a junction's place in the list, and the setbacks of its arms. `at` is its middle, or the end of
+        the street that came there, if one did."""
         crosses = [arm.profile.cross(arm.pocket, near=True) for arm in planned]
         angles = [arm.angle for arm in planned]
         ring = None
@@ -166,7 +166,7 @@ class _Growth:
             n_lanes = 2 if self.town.junction == "roundabout_2" else 1
             ring = ring_for(angles, crosses, n_lanes, max(self.town.island_m, LEAST_ISLAND_M))
         backs = ring_setbacks(ring, crosses) if ring else setbacks(angles, crosses, self.town.corner_m)
-        # A junction at the end of a street is turned so that its first arm is that one.
+        # The first arm of a junction at the end of a street is that street.
         middle = at if came is None else at.moved(backs[0], 0.0, np.pi - angles[0])
         poses = [middle.moved(0.0, 0.0, angle).moved(back) for angle, back in zip(angles, backs, strict=True)]
         placed = _Placed(len(self.junctions), middle, poses, ring, [came] + [None] * (len(planned) - 1))
@@ -213,7 +213,7 @@ class _Growth:
         self.junctions[child.number] = self._built(child, beyond, control)
 
     def _beyond(self, came: Planned, kind: JunctionKind, first: Sequence[Planned] | None) -> list[Planned]:
-        """The arms of a junction at the end of a street, from that one on; of the second part of a staggered one with
+        """The arms of a junction at the end of a street, that street first; of the second part of a staggered one with
         the side street on the other side than at the first."""
         if first is not None:
             # The main street leaves the first part at 90 degrees.
@@ -231,7 +231,7 @@ class _Growth:
 
 @dataclass
 class _Placed:
-    """A junction that is being built: its number, middle, the poses of its arms, its ring, and its streets so far."""
+    """A junction that is being built: its number, middle, the poses of its arms, its ring, and the streets that have been laid."""
 
     number: int
     middle: PlanPose

@@ -32,7 +32,7 @@ def line_m(has_crosswalk: bool) -> float:
 
 
 def station(arm: Arm, back_m: float) -> float:
-    """The station of an arm's street so far from the junction."""
+    """The station of an arm's street at a distance from the junction."""
     return round(back_m if arm.at_start else arm.street.length_m - back_m, 6)
 
 

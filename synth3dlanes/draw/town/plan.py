@@ -27,7 +27,7 @@ class PlanPose(NamedTuple):
     heading: float
 
     def moved(self, ahead_m: float, left_m: float = 0.0, turn_rad: float = 0.0) -> "PlanPose":
-        """The pose so far ahead and to the left, turned counter-clockwise."""
+        """The pose at a distance ahead and to the left of this one, turned counter-clockwise."""
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         x, y = self.x + ahead_m * cos - left_m * sin, self.y + ahead_m * sin + left_m * cos
         return PlanPose(float(x), float(y), self.heading + turn_rad)

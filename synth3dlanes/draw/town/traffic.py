@@ -19,13 +19,13 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 
 Rng = np.random.Generator
-# Before its place the host drives so far, for so long at most.
+# Distance before its place at which the host starts, and the most time that it takes to get there.
 RUN_UP_M, PATIENCE_S = 80.0, 150.0
 # Least free length between cars at the start, and the most cars.
 FREE_M, MOST = 7.0, 60
 # Bodies are apart by this in every direction.
 APART_M = 0.12
-# Routes end after so many junctions.
+# The most junctions on a route.
 MOST_JUNCTIONS = 4
 
 

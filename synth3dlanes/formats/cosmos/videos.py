@@ -63,13 +63,13 @@ FACES = ((4, 5, 6, 7), (0, 4, 7, 3), (1, 5, 6, 2), (3, 2, 6, 7), (0, 1, 5, 4), (
 """Faces of a box by its corners: rear, left, right, lower side, upper side, front."""
 SHADES = (0.0, 0.5, 0.5, 0.5, 0.5, 1.0)
 STATE_COLORS: dict[str, Rgb] = {"red": (240, 50, 50), "yellow": (255, 200, 0), "green": (130, 240, 132)}
-# How much of a frame may be off by more than so many of 255 grey levels.
+# The share of a frame's pixels that may be off by more than these grey levels (of 255).
 SHARE_OFF = 0.2
 GREYS = {"rgb": 24, "depth": 8, "seg": 64}
-# What is moved by so many pixels must fit worse.
+# A frame that is moved by this must fit worse; the least number of edge pixels to judge by.
 MOVED_PX, LEAST_EDGES = 4, 200
-# The share of the points of painted lines, up to so far ahead, that must be brighter than that in the lane map, the
-# least number of points to judge by, and how much brighter the map may be beside them.
+# The share of the points of painted lines that must be brighter than this in the lane map, the least number of points
+# to judge by, how far ahead they are looked at, and how much brighter the map may be beside them.
 LEAST_LIT, DARK, LINE_POINTS, CHECKED_M, MORE_LIGHT = 0.9, 60, 8, 60.0, 1.05
 Pixels = Float[np.ndarray, "_ 2"]
 

@@ -19,7 +19,7 @@ from synth3dlanes.system.arrays import Matrix4
 
 FRONT_CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
 REAR_M = 1.4
-"""The rear axle is so far behind our host's middle, as in the rig nuscenes."""
+"""Distance of the rear axle behind our host's middle, as in the rig nuscenes."""
 HOST_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -REAR_M], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 EGO_FROM_LIDAR = np.array([[0.0, 1.0, 0.0, 0.94], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.84], [0.0, 0.0, 0.0, 1.0]])
 """The place of the original's lidar, which an empty sweep has too: tools measure from there."""

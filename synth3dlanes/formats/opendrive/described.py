@@ -10,7 +10,8 @@ from synth3dlanes.roads.maps.profiles import knots
 from synth3dlanes.scene.road_map import LaneName, MapMark, MapRoad, MapShape, RoadMap
 from synth3dlanes.system.arrays import Numbers, Points2, Scalars
 
-# A road gets lateral shapes where its surface is farther than this from the banked plane, at so many places across.
+# A road gets lateral shapes where its surface is farther than this from the banked plane; the number of places across
+# the road at which it is measured.
 SHAPE_M, SHAPE_PLACES = 0.005, 9
 
 

@@ -34,9 +34,10 @@ SIGNS: dict[SignKind, tuple[str, str]] = {
     "ahead_only": ("209", "30"),
 }
 SPEED = "274"
-# Roads are asked for places this far apart, and so many of those that come nearest for the place itself.
+# Distance between the places of roads that are looked at first, and how many of the nearest ones are then measured
+# exactly.
 STEP_M, NEAREST = 2.0, 6
-# What is so far ahead of a place is not beside it.
+# What is farther ahead of a place than this is not beside it.
 BESIDE_M = 0.005
 
 

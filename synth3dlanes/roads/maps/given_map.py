@@ -58,7 +58,7 @@ MAX_MAP_ROADS = 100_000
 MOST_TOLD = 5
 # Ways are followed no farther than this.
 FAR_ENOUGH_M = 600.0
-# Lanes that follow each other are at most so far apart.
+# The greatest gap between lanes that follow each other.
 LINK_GAP_M = 5.0
 # Shorter bridges and tunnels are left out.
 LEAST_SPAN_M = 1.0
@@ -180,7 +180,7 @@ class GivenMap:
         return np.concatenate([*lines]), np.repeat(np.arange(len(lines)), [len(line) for line in lines])
 
     def roads_near(self, xy: tuple[float, float], reach_m: float) -> list[MapRoad]:
-        """The roads of which a place of the outline is at most so far away."""
+        """The roads whose outline comes within a distance of a place."""
         places_of_all, numbers = self._outlines
         near = np.unique(numbers[np.hypot(*(places_of_all - xy).T) <= reach_m])
         roads = list(self.roads.values())

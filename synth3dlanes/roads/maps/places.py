@@ -12,12 +12,12 @@ from synth3dlanes.scene.road_map import LaneName
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import shown, unknown_key
 
-# The route goes on so far ahead of the host and behind it, where the map does.
+# Length of the route ahead of the host and behind it, where the map reaches that far.
 AHEAD_M, BEHIND_M = 450.0, 150.0
-# A place is drawn where the way goes on at least so far, if there is one, in a lane at least so wide.
+# Places are drawn where at least this length of the way is left, if there are any, in lanes of at least this width.
 ONWARD_M, WIDE_M = 250.0, 2.0
 TRIES, MAX_ROUTE = 200, 1000
-# A host has at least so much of its way ahead.
+# The least length of the way ahead of a host.
 LEAST_AHEAD_M = 10.0
 DECIMALS = 3
 
