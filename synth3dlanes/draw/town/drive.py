@@ -295,7 +295,7 @@ def _following(speed: float, limit: float, gap_m: float, leader: float) -> float
 
 
 def _time(way_m: float, driver: Driver) -> float:
-    """Seconds until a car has driven a distance, if it speeds up to a town's speed of turning; less than 0 if it has."""
+    """Seconds until a car has driven a distance, if it speeds up to the speed of turning; less than 0 if it has."""
     if way_m <= 0:
         return -1.0
     speed, top = driver.speed, max(driver.speed, min(driver.wish, 7.0))

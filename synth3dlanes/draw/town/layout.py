@@ -231,7 +231,7 @@ class _Growth:
 
 @dataclass
 class _Placed:
-    """A junction that is being built: its number, middle, the poses of its arms, its ring, and the streets that have been laid."""
+    """A junction that is being built: its number, middle, the poses of its arms, its ring, and the streets laid."""
 
     number: int
     middle: PlanPose
