@@ -14,6 +14,7 @@ from jaxtyping import Float
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.object_labels import ObjectLabel, rectangle_around
+from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, counted, judged
@@ -136,7 +137,8 @@ def _step_rad(elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3
 def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
     """Findings where points of an object are outside its box, or end before a side that is seen."""
     half, is_whole = item.size_m / 2, item.truncation == 0 and (item.visible_fraction or 0.0) >= MIN_SEEN
-    sides = _sides(half, seen) if is_whole else ()
+    # The box of a person is around all steps, and the ends of a bicycle are thin.
+    sides = _sides(half, seen) if is_whole and thing_of(item.id)[0] == "car" else ()
     yield from against_box(f"objects.{item.id}", "boxes", half, seen, MAX_OUTSIDE, sides)
 
 
