@@ -5,7 +5,8 @@ reads `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade > 0.1
 """
 
 import json
-from typing import Any
+from collections import Counter
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +18,7 @@ from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA, ARROW_TYPES, RECIPE,
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.scene.host import Camera
 from synth3dlanes.scene.scene import Air, Light, Markings, PaperRoad, Scene, Sensor, Surface
+from synth3dlanes.scene.things import ThingKind
 
 PREFIXES = {"markings": "marking_", "camera": "camera_", "weather": "weather_", "host": "host_"}
 PARTS: dict[str, type[BaseModel]] = {
@@ -88,6 +90,8 @@ def numbers_of(scene: Scene | None, labels: Labels) -> dict[str, Any]:
         row |= {prefix + name: value for name, value in (vars(part) if part else {}).items() if name != "lens"}
     row |= {"n_symbols": len(labels.symbols)} | {f"n_{name}": len(getattr(scene.roadside, name)) for name in ROADSIDE}
     row |= {"n_traffic_elements": len(labels.traffic_elements or ())}
+    counts = Counter(thing.kind for thing in scene.things)
+    row |= {f"n_{kind}s": counts[kind] for kind in get_args(ThingKind)}
     return row | _topology(scene, labels) | _summary(labels)
 
 

@@ -3,12 +3,14 @@ content."""
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import get_args
 
 import numpy as np
 import pyarrow as pa
 
 from synth3dlanes.dataset.format import BLOCK, COLUMN_OF_MEMBER, key_of
 from synth3dlanes.scene.settings import MAX_SHARD_SIZE
+from synth3dlanes.scene.things import ThingKind
 from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_parquet
 from synth3dlanes.system.errors import FormatError
 
@@ -20,6 +22,7 @@ SHOT_COLUMNS = ("scene", "frame", "camera")
 ADDED: dict[str, int | float | bool | str] = {
     "n_oncoming": 0,
     "n_traffic_elements": 0,
+    **{f"n_{kind}s": 0 for kind in get_args(ThingKind)},
     "median_m": 0.0,
     "divider_dashed": False,
     "marking_dots": False,

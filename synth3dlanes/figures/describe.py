@@ -74,6 +74,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
         **({} if (scene.weather, scene.host) == (Weather(), Host()) else {"weather": _weather(scene)}),
         "objects": {
             "cars": _counted([scene.assets.car_models[car.model - 1].name for car in scene.cars]),
+            **({"people, riders, works": _counted([thing.kind for thing in scene.things])} if scene.things else {}),
             "trees": _counted([scene.assets.tree_models[tree.model - 1].name for tree in scene.trees]),
             "roadside": _counted([item.kind for name, items in scene.roadside if name != "signals" for item in items]),
             **({"traffic elements": _elements(labels.traffic_elements)} if labels.traffic_elements else {}),

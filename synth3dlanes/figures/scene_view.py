@@ -1,5 +1,5 @@
-"""Outlines of a scene's roads, ground, cars, trees and structures, in the road frame at the host; of a sample without a
-scene there are none."""
+"""Outlines of a scene's roads, ground, objects, trees and structures, in the road frame at the host; of a sample without
+a scene there are none."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +11,10 @@ from jaxtyping import Float
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels
-from synth3dlanes.scene.scene import Car, Scene
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.things import KIND_OF_CATEGORY
 from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import World, resolve
 
@@ -23,7 +25,7 @@ WIDEST_RAD = 1.3
 
 
 @dataclass(frozen=True)
-class CarOutline:
+class ObjectOutline:
     """The four corners on the ground, front right first, clockwise from above; height of the body."""
 
     corners_road: Float[np.ndarray, "4 3"]
@@ -114,11 +116,9 @@ class SceneView:
         return transform(self.road_from_world, built_world)
 
     @cached_property
-    def cars(self) -> list[CarOutline]:
-        if self.world is None:
-            return []
-        scene, poses = self.world.scene, self.world.view.world_from_cars
-        return [self._car(scene, car, pose) for car, pose in zip(scene.cars, poses, strict=True)]
+    def objects(self) -> list[ObjectOutline]:
+        """Cars, people, riders and road works."""
+        return [] if self.world is None else [self._outline(item) for item in self.world.view.objects]
 
     @cached_property
     def trees(self) -> list[TreeOutline]:
@@ -140,13 +140,14 @@ class SceneView:
         """What stands beside or over the road."""
         return () if self.world is None else self.world.site.structures
 
-    def _car(self, scene: Scene, car: Car, world_from_car: Matrix4) -> CarOutline:
-        model = scene.assets.car_models[car.model - 1]
-        half_m = car.scale * np.array([model.width_m, model.length_m, 0.0]) / 2
-        corners_car = half_m * [(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)]
-        corners_road = transform(self.road_from_world @ world_from_car, corners_car)
-        red, green, blue = (round(255 * channel) for channel in car.color)
-        return CarOutline(corners_road, model.height_m * car.scale, (red, green, blue))
+    def _outline(self, item: PlacedObject) -> ObjectOutline:
+        corners_object = item.size_m * [(1, 1, 0), (1, -1, 0), (-1, -1, 0), (-1, 1, 0)] / 2
+        corners_road = transform(self.road_from_world @ item.world_from_object, corners_object)
+        color = KIND_OF_CATEGORY[item.category].color
+        if item.colors:
+            red, green, blue = (round(255 * channel) for channel in item.colors[0])
+            color = red, green, blue
+        return ObjectOutline(corners_road, float(item.size_m[2]), color)
 
 
 def frustum(camera: CameraLabel, corners_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:

@@ -57,11 +57,11 @@ def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[Came
         *(() if view.world is None else _surfaces(view, view.world)),
         *(_merge(f"{colors.KIND_WORDS[kind]}s", _lanes(view, kind)) for kind in colors.KINDS),
         _merge(
-            "cars",
+            "objects",
             [
-                _prism(car.corners_road, car.height_m, car.color)
-                for car in view.cars
-                if _is_near(view, car.corners_road)
+                _prism(item.corners_road, item.height_m, item.color)
+                for item in view.objects
+                if _is_near(view, item.corners_road)
             ],
         ),
         _merge("trees", [part for tree in view.trees if _is_near(view, tree.foot_road[None]) for part in _tree(tree)]),

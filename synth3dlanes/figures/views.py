@@ -55,8 +55,8 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
 
 
 def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> None:
-    """View from above, driving direction to the right: roads, lanes, cars, trees, the camera's field of view and those
-    of the rig's other cameras, and the lidar's points in the colours of their semantic ids."""
+    """View from above, driving direction to the right: roads, lanes, objects, trees, the camera's field of view and
+    those of the rig's other cameras, and the lidar's points in the colours of their semantic ids."""
     for left, right in view.roads.values():
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     for camera in (*others, view.labels.camera):
@@ -69,9 +69,9 @@ def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Se
         axes.add_patch(patch)
     for lane, points_road in zip(view.labels.lanes, view.lanes_road, strict=True):
         _plot(axes, lane, points_road[:, [1, 0]])
-    for car in view.cars:
-        face = colors.hexadecimal(car.color)
-        axes.add_patch(Polygon(car.corners_road[:, [1, 0]], facecolor=face, edgecolor=colors.INK, zorder=5))
+    for item in view.objects:
+        face = colors.hexadecimal(item.color)
+        axes.add_patch(Polygon(item.corners_road[:, [1, 0]], facecolor=face, edgecolor=colors.INK, zorder=5))
     if sweep is not None:
         points = sweep.points()
         x, y, _ = transform(view.labels.camera.road_from_cam, points.xyz_cam).T
@@ -109,7 +109,7 @@ def draw_side(axes: Axes, view: SceneView) -> None:
 
 
 def draw_3d(axes: Axes3D, view: SceneView) -> None:
-    """3D view of terrain, roads, lanes, cars and camera; heights are exaggerated so that hills are visible."""
+    """3D view of terrain, roads, lanes, objects and camera; heights are exaggerated so that hills are visible."""
     grid = view.ground_grid(_HALF_WIDTH_3D_M, 4.0)
     if grid is not None:
         look = {"color": colors.GROUND, "edgecolor": "#8fa883", "linewidth": 0.2, "alpha": 0.55}
@@ -121,9 +121,9 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
     for lane, points_road in zip(view.labels.lanes, view.lanes_road, strict=True):
         points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
         _plot(axes, lane, points_road)
-    for car in view.cars:
-        if all(_in_space(view, corner) for corner in car.corners_road):
-            sides, face = _box(car.corners_road, car.height_m), colors.hexadecimal(car.color)
+    for item in view.objects:
+        if all(_in_space(view, corner) for corner in item.corners_road):
+            sides, face = _box(item.corners_road, item.height_m), colors.hexadecimal(item.color)
             axes.add_collection3d(
                 art3d.Poly3DCollection(sides, facecolor=face, edgecolor=colors.INK, linewidth=0.4, zorder=5)
             )

@@ -58,7 +58,7 @@ def test_the_summary_names_what_a_reader_looks_for_on_80_columns(exit_scene):
 def test_cars_stand_at_their_size_where_the_scene_puts_them(flat_scene):
     """The host is at y = -50 in lane 2 of 3: the sedan is 30 m ahead and one lane to the left."""
     scene = flat_scene
-    car = SceneView(scene, ground_truth(scene)).cars[0]
+    car = SceneView(scene, ground_truth(scene)).objects[0]
     assert np.allclose(car.corners_road.mean(axis=0), [-3.5, 30.0, 0.0], atol=1e-6)
     assert np.allclose(np.ptp(car.corners_road, axis=0), [1.83, 4.75, 0.0], atol=1e-6)
 

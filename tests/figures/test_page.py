@@ -132,7 +132,7 @@ def test_every_car_and_tree_of_the_space_stands_on_ground_that_is_shown():
             assert np.abs(np.nanmax(heights, axis=0) - feet[:, 2]).max(initial=0) < 0.6, (
                 f"{name} of scene {index} float"
             )
-        n_far += len(scene.cars) - len(groups["cars"][0]) // 8
+        n_far += len(scene.cars) - len(groups["objects"][0]) // 8
     assert n_near > 100
     assert n_far > 10, "cars out of the area that is shown are left out"
 
