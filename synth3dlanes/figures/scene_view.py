@@ -1,5 +1,5 @@
-"""Outlines of a scene's roads, ground, objects, trees and structures, in the road frame at the host; of a sample without
-a scene there are none."""
+"""Outlines of a scene's roads, ground, objects, trees and structures, in the road frame at the host; of a sample
+without a scene there are none."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
