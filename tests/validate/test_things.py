@@ -16,7 +16,7 @@ from synth3dlanes.world.world import resolve
 from tests.scenes import changed, things_ahead
 from tests.validate.examining import findings, reasons
 
-pytestmark = pytest.mark.render
+pytestmark = [pytest.mark.render, pytest.mark.thorough]
 SETTINGS = RenderSettings(samples=1, passes=("depth", "normal", "semantic", "instance"))
 
 
@@ -43,7 +43,8 @@ def moved(sample, number, **fields):
     items = zip(label(world, world.view).objects, sample.labels.objects, strict=True)
     seen = ("seen_box_px", "visible_fraction", "lidar_points")
     objects = tuple(replace(new, **{name: getattr(old, name) for name in seen}) for new, old in items)
-    return replace(sample, world=world, labels=replace(sample.labels, objects=objects))
+    labels = replace(sample.labels, objects=objects)
+    return Evidence(world, labels, sample.image, sample.passes, sample.sweep)
 
 
 def test_what_is_as_the_scene_says_has_no_findings(sample):
