@@ -22,6 +22,7 @@ from synth3dlanes.system.errors import FormatError, OutageError
 from synth3dlanes.system.files import Folder, encoded
 from synth3dlanes.system.words import counted
 from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, RunningMean, judge
+from synth3dlanes.validate.boxes import between
 from synth3dlanes.validate.findings import (
     BAND_NAMES,
     BANDS_M,
@@ -36,7 +37,6 @@ from synth3dlanes.validate.findings import (
     Result,
     Signed,
 )
-from synth3dlanes.validate.moving import between
 
 MEASURES = {
     "paint_px": "pixels from delimiter points to their paint (semantic pass)",

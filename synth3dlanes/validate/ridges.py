@@ -22,7 +22,7 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.validate.bodies import may_show_cars, meet
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result
+from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result, judged
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.places import places
 from synth3dlanes.world.world import World
@@ -135,9 +135,8 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
     asked = [line for line in contrasts if paint.is_dry or line.verdict != "unclear"]
     n, in_place = sum(line.n for line in asked), sum(line.n for line in asked if line.verdict == "in place")
     if n >= MIN_IMAGE_PROFILES:
-        yield Bounded("ridges.in_place", in_place / n, MIN_SHARE)
-        if in_place < MIN_SHARE * n:
-            yield Finding("", f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles")
+        reason = f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles"
+        yield from judged("ridges.in_place", in_place / n, reason, MIN_SHARE)
         yield from check_move(lines, evidence.luma.shape[1])
     clear = [line for line in contrasts if line.verdict != "unclear" and line.ridge >= CONTRAST]
     y_m, ridges_m = np.array([[line.y_m, abs(line.ridge_m)] for line in clear]).reshape(-1, 2).T

@@ -34,7 +34,7 @@ def measures(evidence: Evidence, *names: str) -> dict[str, np.ndarray]:
 
 def signed(evidence: Evidence) -> dict[str, float]:
     """The signed values by name."""
-    return {found.name: found.value for found in examine(evidence, "bias") if isinstance(found, Signed)}
+    return {found.name: found.value for found in examine(evidence, "bias", "points") if isinstance(found, Signed)}
 
 
 def seen(labels: Labels) -> Labels:

@@ -5,8 +5,8 @@ import pytest
 
 from synth3dlanes.scene.change import change_scene
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.validate.appearance import BRIGHTER, _may_glare, brighter
 from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.picture import BRIGHTER, _may_glare, brighter
 from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT
 

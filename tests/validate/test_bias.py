@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from synth3dlanes.geometry.frames import project, transform
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import SEMANTIC_IDS
@@ -19,7 +18,7 @@ from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.pixels import luma
 from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.world.world import resolve
-from tests.scenes import changed, flat_road_places, hill
+from tests.scenes import changed, flat_road_places
 from tests.validate.examining import seen
 from tests.validate.examining import signed as signed_of
 
@@ -147,89 +146,8 @@ def test_dark_paint_and_a_shadow_across_leave_lines_of_the_image_in_place():
         assert all(abs(line.mean_m) < 4e-3 for line in lines)
 
 
-# -- surfaces
-
-HILLY = changed(
-    terrain={"gaussians": (hill(10, 70, 9, 40), hill(-60, -10, -6, 40))},
-    road={"topology": 2, "exit_angle_rad": 0.08, "exit_offset_m": 9.0, "ramp_slope": 8, "shoulder_factor": 0.2},
-    camera={
-        "y_m": -20,
-        "lane": 3,
-        "height_px": 120,
-        "width_px": 160,
-        "fx_px": 140,
-        "fy_px": 140,
-        "cx_px": 60,
-        "cy_px": 60,
-    },
-)
-
-
-def depth_of(scene: Scene, seen_as: Scene = HILLY) -> np.ndarray:
-    """The depth of a scene's ground in the pixels at the lanes of another scene's labels, by search along the rays."""
-    labels, own, ground = ground_truth(seen_as), ground_truth(scene).camera, resolve(scene).ground
-    points_cam = np.concatenate([lane.xyz_cam[lane.visible] for lane in labels.lanes])
-    shape = (labels.camera.height_px, labels.camera.width_px)
-    column, row = np.unique(np.floor(project(labels.camera.img_from_cam, points_cam)).astype(int), axis=0).T
-    rays_cam = np.column_stack([column + 0.5, row + 0.5, np.ones(len(row))]) @ np.linalg.inv(own.img_from_cam).T
-
-    def is_under(way_m: np.ndarray) -> np.ndarray:
-        points = transform(own.world_from_cam, rays_cam * way_m[:, None])
-        return ground.height(points[:, :2]) > points[:, 2]
-
-    high_m = np.full(len(row), 130.0)
-    for way_m in np.geomspace(130.0, 2.0, 60):
-        high_m = np.where(is_under(np.full(len(row), way_m)), way_m, high_m)
-    low_m = high_m / 1.08
-    for _ in range(20):
-        middle_m = (low_m + high_m) / 2
-        under = is_under(middle_m)
-        low_m, high_m = np.where(under, low_m, middle_m), np.where(under, middle_m, high_m)
-    depth_m = np.full(shape, np.inf, np.float32)
-    depth_m[np.minimum(row, shape[0] - 1), np.minimum(column, shape[1] - 1)] = high_m
-    return depth_m
-
-
-IMAGE = np.full((120, 160, 3), 90, np.uint8)
-
-
-def test_depth_of_the_scene_itself_is_at_its_labels_height():
-    values = signed(HILLY, IMAGE, {"depth": depth_of(HILLY)})
-    assert set(values) == {"surface_above_m", "focal_length", "depth_scale", "relief", "ramp"}
-    assert max(map(abs, values.values())) < 2e-4
-    assert words(values) == {}
-
-
-def higher_hills(factor: float) -> Scene:
-    gaussians = (g.model_copy(update={"magnitude_m": factor * g.magnitude_m}) for g in HILLY.terrain.gaussians)
-    return changed(HILLY, terrain={"gaussians": tuple(gaussians)})
-
-
-@pytest.mark.parametrize(
-    ("world", "factor", "share", "said"),
-    [
-        (HILLY, 1.005, {"depth_scale": 0.005}, "% more"),
-        (HILLY, 0.995, {"depth_scale": -0.005}, "% less"),
-        (changed(HILLY, camera={"fx_px": 141.4, "fy_px": 141.4}), 1.0, {"focal_length": 0.01}, "% more"),
-        (changed(HILLY, camera={"fx_px": 138.6, "fy_px": 138.6}), 1.0, {"focal_length": -0.01}, "% less"),
-        (higher_hills(1.02), 1.0, {"relief": 0.02}, "% higher ones"),
-        (higher_hills(0.98), 1.0, {"relief": -0.02}, "% lower ones"),
-        (changed(HILLY, road={"ramp_height_m": 4.4}), 1.0, {"ramp": 0.1}, "% a higher one"),
-        (changed(HILLY, road={"ramp_height_m": 3.6}), 1.0, {"ramp": -0.1}, "% a lower one"),
-    ],
-)
-def test_depth_of_another_world_is_told_by_its_cause_and_its_sign(world, factor, share, said):
-    values = signed(HILLY, IMAGE, {"depth": depth_of(world) * np.float32(factor)})
-    ((name, value),) = share.items()
-    assert values[name] == pytest.approx(value, rel=0.2)
-    others = {other: abs(values[other]) for other in {"focal_length", "depth_scale", "relief"} - {name}}
-    assert max(others.values()) < 0.3 * abs(value)
-    assert f"{said} on average" in words(values)[name]
-
-
 @pytest.mark.parametrize(("factor", "side"), [(1.005, "below"), (0.995, "above")])
 def test_depth_too_far_or_too_near_leaves_the_road_below_or_above(factor, side):
-    """On a flat road nothing tells it from a lens of another focal length."""
     x_m, y_m = flat_road_places(LEVEL)
     semantic = np.full(x_m.shape, SEMANTIC_IDS["road"], np.uint8)
     depth_m = np.where(np.isnan(y_m), np.inf, y_m).astype(np.float32) * np.float32(factor)
@@ -270,7 +188,10 @@ def test_a_mean_must_be_both_large_and_sure(rng):
 def test_chance_alone_is_no_fault(rng):
     """Values as scattered as the least mean that matters, and much more: 3,000 clean data sets of each size."""
     for n, scatter in ((4, 10), (12, 30), (60, 30)):
-        failed = sum(verdict(rng.normal(0, scatter * TESTS["relief"].least, n), "relief") != "" for _ in range(3000))
+        failed = sum(
+            verdict(rng.normal(0, scatter * TESTS["image_right_m"].least, n), "image_right_m") != ""
+            for _ in range(3000)
+        )
         assert failed <= 3
 
 
@@ -278,7 +199,7 @@ def test_means_are_told_in_the_text_and_in_json():
     report = ValidationReport()
     for i in range(8):
         report.sample(f"train:{i:08d}", "", [Signed("paint_outward_m", 0.018 + 0.001 * (i % 3))])
-    report.sample("train:00000008", "", [Signed("relief", 0.0)])
+    report.sample("train:00000008", "", [Signed("image_right_m", 0.0)])
     report.judge()
     document = json.loads(json.dumps(report.document(), allow_nan=False))
     found = document["means"]["paint_outward_m"]
@@ -286,7 +207,7 @@ def test_means_are_told_in_the_text_and_in_json():
     assert found["mean"] == pytest.approx(0.018875)
     assert found["t"] == pytest.approx(found["mean"] / found["standard_error"])
     assert document["failed"] == ["data set"]
-    assert document["means"]["relief"]["fails"] is False
+    assert document["means"]["image_right_m"]["fails"] is False
     console = Console(width=200, record=True)
     console.print(report.text())
     text = console.export_text()
@@ -303,7 +224,7 @@ def test_the_text_has_no_rows_that_say_nothing():
             Measure("terrain_visible", np.array([5.0, 30.0, 60.0]), np.zeros(3)),
             Measure("image_ridge_m", np.array([5.0, 15.0]), np.array([8.88e-16, 0.5])),
             Measure("clipped_share", np.zeros(1), np.array([0.25])),
-            Signed("relief", 0.1),
+            Signed("image_right_m", 0.1),
         ],
     )
     report.sample("train:00000001", "", [Measure("image_ridge_m", np.array([5.0]), np.array([8.88e-16]))])
@@ -315,4 +236,4 @@ def test_the_text_has_no_rows_that_say_nothing():
     assert [row[0] for row in rows if "m" in row and row[0] in ("0-10", "10-20", "20-40", "40-80")] == ["0-10", "10-20"]
     assert not any("e-" in word for row in rows for word in row)
     assert ["worst", "within", "40", "m:", "train:00000000", "0.5"] in rows
-    assert "relief" not in {row[0] for row in rows if row}, "one sample is no mean"
+    assert "image_right_m" not in {row[0] for row in rows if row}, "one sample is no mean"
