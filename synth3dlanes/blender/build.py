@@ -198,7 +198,7 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
     for seam, material in ((world.tar(view), materials.tar), (world.ghost_lines(view), materials.ghost)):
         if seam is not None:
             _add_object("paint", new_mesh(seam, [material]), 0)
-    strips = world.paint(view)
+    strips = world.paint(view, all_round=False)
     colors = {line.id: paint_color(line, world.scene.markings) for line in world.site.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if name in strips and len(strips[name].faces):

@@ -63,10 +63,18 @@ def road_points(roads: Sequence[MapRoad], terrain: Terrain) -> Points3:
 
 def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:
     """Those of places that have no other far below them close by."""
-    pairs = scipy.spatial.cKDTree(xyz[:, :2]).query_pairs(BESIDE_M, output_type="ndarray")
-    apart = xyz[pairs[:, 0]] - xyz[pairs[:, 1]]
-    most, dz = ABOVE_M + np.hypot(*apart[:, :2].T), apart[:, 2]
-    above = np.concatenate([pairs[dz > most, 0], pairs[dz < -most, 1]])
+    # Of most places nothing in the cells of a grid around them is far below.
+    cells = (
+        np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / BESIDE_M).astype(int) if len(xyz) else np.zeros((0, 2), int)
+    )
+    lowest = np.full(cells.max(axis=0, initial=0) + 1, np.inf)
+    np.minimum.at(lowest, tuple(cells.T), xyz[:, 2])
+    around = scipy.ndimage.minimum_filter(lowest, size=3, mode="nearest")[tuple(cells.T)]
+    high = np.flatnonzero(xyz[:, 2] - around > ABOVE_M)
+    near = scipy.spatial.cKDTree(xyz[:, :2]).query_ball_point(xyz[high, :2], BESIDE_M) if high.size else []
+    which, below = np.repeat(high, [len(at) for at in near]), np.array([i for at in near for i in at], dtype=int)
+    apart = xyz[which] - xyz[below]
+    above = which[apart[:, 2] > ABOVE_M + np.hypot(*apart[:, :2].T)]
     return np.delete(xyz, above, axis=0)
 
 

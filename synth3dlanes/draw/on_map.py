@@ -198,11 +198,11 @@ def _near(scene: Scene, network: MapNetwork, reach_m: float) -> tuple[list[Netwo
     """Lanes of traffic near the host, and the sums of their chances."""
     foot = network.host_points(scene.camera, np.zeros(1))[0, :2]
     own = {lane.road for lane in network.way.lanes}
+    lanes = [lane for lane in network.lanes.values() if lane.width_m > NARROW_M and lane.end_m - lane.start_m > 1.0]
+    stations = [np.linspace(lane.start_m, lane.end_m, 2 + int((lane.end_m - lane.start_m) / 10)) for lane in lanes]
     found, chances = [], []
-    for lane in network.lanes.values():
-        s = np.linspace(lane.start_m, lane.end_m, 2 + int((lane.end_m - lane.start_m) / 10))
-        away = np.hypot(*(network.road(lane.road).xy(s, lane.middle(s)) - foot).T)
-        if (away < reach_m).any() and lane.width_m > NARROW_M and lane.end_m - lane.start_m > 1.0:
+    for lane, xy in zip(lanes, network.xy_in_lanes(lanes, stations), strict=True):
+        if (np.hypot(*(xy - foot).T) < reach_m).any():
             found.append(lane)
             chances.append((lane.end_m - lane.start_m) * (LIKELIER if lane.road in own else 1.0))
     return found, np.cumsum(chances)

@@ -10,6 +10,7 @@ its parent, and ignores the signals that stop a run.
 import ctypes
 import errno
 import fcntl
+import gc
 import os
 import pickle
 import re
@@ -42,6 +43,8 @@ MEMORY = {
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1:glibc.malloc.mmap_threshold=4294967296"
     ":glibc.malloc.trim_threshold=4294967296"
 }
+# Objects between two collections of garbage, each of which may look through the whole map that a worker keeps.
+OBJECTS_BETWEEN = 20_000
 # Folders that Blender adds to sys.path when it is loaded. With them, a worker would import only a part of bpy.
 BLENDERS_PATH = re.compile(r"/bpy/\d+\.\d+/scripts")
 
@@ -330,6 +333,7 @@ def _main() -> None:
     if os.environ.get(PARENT, str(os.getppid())) != str(os.getppid()):
         os._exit(1)
     sys.excepthook = _crash
+    gc.set_threshold(OBJECTS_BETWEEN)
     _work(Connection(descriptor))
     os._exit(0)
 

@@ -2,7 +2,7 @@
 own. World frame, metres; t grows to the right of growing s."""
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +15,8 @@ from synth3dlanes.system.arrays import AnyScalars, Numbers
 # Height of raised lanes over the pavement, the width of the seam at their edges that is not raised, and their kinds.
 KERB_M, SEAM_M = 0.12, 0.005
 RAISED: frozenset[MapLaneKind] = frozenset({"walkway", "kerb"})
+# The number of widths of lanes that a process keeps as arrays.
+WIDTHS_KEPT = 2**13
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,12 @@ class Profile:
         return np.asarray(a + x * (b + x * (c + x * d)))
 
 
+@lru_cache(maxsize=WIDTHS_KEPT)
+def _width(cubics: tuple[Polynomial, ...]) -> Profile:
+    """The profile of a width: all scenes on a map have the same ones."""
+    return Profile(cubics)
+
+
 @dataclass(frozen=True, eq=False)
 class Shapes:
     """Heights over a banked plane at stations, by cubics of t to the left; even between stations."""
@@ -54,31 +62,31 @@ class Shapes:
     given: tuple[MapShape, ...]
 
     @cached_property
-    def _rows(self) -> tuple[Float[np.ndarray, " k"], list[tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 4"]]]]:
-        """The stations, and of each the starts in t of its cubics and their coefficients."""
+    def _rows(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k n"], Float[np.ndarray, "4 k n"]]:
+        """The stations, and of each the starts in t of its cubics, infinite beyond the last one, and their
+        coefficients."""
         by_station: dict[float, list[MapShape]] = {}
         for shape in sorted(self.given, key=lambda at: (at.s_m, at.t_m)):
             by_station.setdefault(shape.s_m, []).append(shape)
-        rows = [
-            (np.array([at.t_m for at in row]), np.array([[at.a, at.b, at.c, at.d] for at in row], float))
-            for row in by_station.values()
-        ]
-        return np.array(list(by_station)), rows
+        most = max(map(len, by_station.values()))
+        starts, table = np.full((len(by_station), most), np.inf), np.zeros((4, len(by_station), most))
+        for i, row in enumerate(by_station.values()):
+            starts[i, : len(row)] = [at.t_m for at in row]
+            table[:, i, : len(row)] = np.array([[at.a, at.b, at.c, at.d] for at in row], float).T
+        return np.array(list(by_station)), starts, table
 
     def __call__(self, s: AnyScalars, t_left: AnyScalars) -> AnyScalars:
         """Heights at places."""
-        stations, rows = self._rows
+        stations, starts, table = self._rows
         s, t_left = np.broadcast_arrays(s, t_left)
         after = np.clip(np.searchsorted(stations, s, side="right"), 1, max(len(stations) - 1, 1))
         before = after - 1
         after = np.minimum(after, len(stations) - 1)
-        found = np.zeros((2, *s.shape))
-        for k, which in enumerate((before, after)):
-            for i in np.unique(which):
-                here, (starts, table) = which == i, rows[i]
-                row = np.clip(np.searchsorted(starts, t_left[here], side="right") - 1, 0, None)
-                x, (a, b, c, d) = t_left[here] - starts[row], np.moveaxis(table[row], -1, 0)
-                found[k][here] = a + x * (b + x * (c + x * d))
+        found = []
+        for at in (before, after):
+            row = np.clip((starts[at] <= t_left[..., None]).sum(axis=-1) - 1, 0, None)
+            x, (a, b, c, d) = t_left - starts[at, row], table[:, at, row]
+            found.append(a + x * (b + x * (c + x * d)))
         length = np.maximum(stations[after] - stations[before], 1e-9)
         share = np.clip((s - stations[before]) / length, 0, 1)
         return np.asarray(found[0] + share * (found[1] - found[0]))
@@ -116,7 +124,7 @@ class CrossSection:
     @cached_property
     def widths(self) -> list[Profile]:
         """The widths of its lanes."""
-        return [Profile(lane.widths) for lane in self.lanes]
+        return [_width(lane.widths) for lane in self.lanes]
 
     @cached_property
     def n_left(self) -> int:

@@ -29,10 +29,21 @@ class LinePaint(NamedTuple):
     is_dotted: bool = False
 
 
+class TableLine(NamedTuple):
+    """A line along a road of one section from a station to another: the number of that in a table of roads, and those
+    of the edges that it is in the middle of."""
+
+    road: int
+    edges: tuple[int, int]
+    first_m: float
+    last_m: float
+
+
 @dataclass(frozen=True, eq=False)
 class Piece:
     """A line along a road from one station of its curve to another. They are the road's own or, with `knots`, lengths:
-    some of these, and the road's stations there, which fall where `along` is -1."""
+    some of these, and the road's stations there, which fall where `along` is -1. Of maps it has its line in the
+    network's table, and the places of its knots."""
 
     road: Road
     offset: Offset
@@ -40,6 +51,8 @@ class Piece:
     end_m: float
     knots: tuple[AnyScalars, AnyScalars] | None = None
     along: float = 1.0
+    on_table: TableLine | None = None
+    knots_world: Float[np.ndarray, "k 2"] | None = None
 
     def on(self, s: AnyScalars) -> AnyScalars:
         """Stations of the road."""
@@ -181,12 +194,15 @@ def joined(parts: Iterable[tuple[Road, Offset, float]]) -> tuple[Piece, ...]:
 
 
 class Course(NamedTuple):
-    """A line along a road from one of its stations to another: some stations, and the lengths from above to these."""
+    """A line along a road from one of its stations to another: some stations, the places there, the lengths from above
+    to these, and the line in the network's table, if it is there."""
 
     road: Road
     offset: Offset
     stations: Float[np.ndarray, " k"]
+    xy_world: Float[np.ndarray, "k 2"]
     lengths_m: Float[np.ndarray, " k"]
+    on_table: TableLine | None = None
 
     @classmethod
     def of(cls, road: Road, offset: Offset, first: float, last: float) -> "Course":
@@ -195,14 +211,22 @@ class Course(NamedTuple):
         return cls.through(road, offset, stations, road.xy(stations, offset(stations)))
 
     @classmethod
-    def through(cls, road: Road, offset: Offset, stations: AnyScalars, xy_world: Float[np.ndarray, "k 2"]) -> "Course":
+    def through(
+        cls,
+        road: Road,
+        offset: Offset,
+        stations: AnyScalars,
+        xy_world: Float[np.ndarray, "k 2"],
+        on_table: TableLine | None = None,
+    ) -> "Course":
         """The course with these places at stations."""
         steps_m = np.hypot(*np.diff(xy_world, axis=0).T)
-        return cls(road, offset, stations, np.concatenate([[0.0], np.cumsum(steps_m)]))
+        return cls(road, offset, stations, xy_world, np.concatenate([[0.0], np.cumsum(steps_m)]), on_table)
 
     def turned(self) -> "Course":
         """The other way."""
-        return self._replace(stations=self.stations[::-1], lengths_m=(self.lengths_m[-1] - self.lengths_m)[::-1])
+        lengths_m = (self.lengths_m[-1] - self.lengths_m)[::-1]
+        return self._replace(stations=self.stations[::-1], xy_world=self.xy_world[::-1], lengths_m=lengths_m)
 
 
 def n_knots(first: float, last: float) -> int:
@@ -213,9 +237,9 @@ def n_knots(first: float, last: float) -> int:
 def measured(courses: Iterable[Course]) -> tuple[Piece, ...]:
     """The pieces of a curve along courses one after the other, whose stations are lengths from above."""
     pieces, length_m = [], 0.0
-    for road, offset, stations, lengths_m in courses:
+    for road, offset, stations, xy_world, lengths_m, on_table in courses:
         knots = length_m + lengths_m, stations
         along = 1.0 if stations[-1] > stations[0] else -1.0
-        pieces.append(Piece(road, offset, length_m, float(knots[0][-1]), knots, along))
+        pieces.append(Piece(road, offset, length_m, float(knots[0][-1]), knots, along, on_table, xy_world))
         length_m = float(knots[0][-1])
     return tuple(pieces)

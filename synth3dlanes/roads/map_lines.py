@@ -3,7 +3,7 @@ World frame, metres; stations are lengths, of a cubic its parameter."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import scipy
@@ -14,9 +14,9 @@ from synth3dlanes.roads.reference_line import GUESS_STEP_M, LineFrames, Referenc
 from synth3dlanes.scene.road_map import PlanPiece
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Polyline2
 
-# Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns.
-NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
-NODES = NODES + 0.5
+# Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns; few are enough for
+# one that turns by at most FEW_RAD, as most do between their beginning and a place.
+MANY, FEW, FEW_RAD = 40, 10, 1.5
 # An arc of less curvature (1/m) is a parabola here, to a tenth of a millimetre in a kilometre.
 STRAIGHT = 1e-9
 # Steps in which lengths along a cubic are measured.
@@ -77,6 +77,13 @@ class Spiral(FiniteLine):
         return LineFrames(self.start_world + way, normals, np.ones(s.shape), np.full(s.shape, -k))
 
 
+@cache
+def _nodes(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Nodes and weights of Gauss's rule on [0, 1]."""
+    nodes, weights = np.polynomial.legendre.leggauss(n)  # type: ignore[no-untyped-call]
+    return nodes / 2 + 0.5, weights / 2
+
+
 def spiral_frames(numbers: Float[np.ndarray, "*n 5"], s: AnyScalars) -> LineFrames:
     """Spirals, each by its `numbers`, at one station each."""
     x, y, first_rad, curvature, bends = (numbers[..., i] for i in range(5))
@@ -91,9 +98,12 @@ def spiral_frames(numbers: Float[np.ndarray, "*n 5"], s: AnyScalars) -> LineFram
         along = paired(-first[at][:, 1], first[at][:, 0])
         way[at] = s[at][:, None] * along - (curvature[at] * s[at] ** 2 / 2)[:, None] * first[at]
     if bent.any():
-        nodes = s[bent][:, None] * NODES
-        u = first_rad[bent][:, None] + nodes * (curvature[bent][:, None] + bends[bent][:, None] * nodes / 2)
-        way[bent] = s[bent][:, None] * (WEIGHTS[:, None] * paired(np.cos(u), np.sin(u))).sum(axis=-2)
+        turn_rad = np.abs(s) * (np.abs(curvature) + np.abs(bends * s))
+        for n, at in ((FEW, bent & (turn_rad <= FEW_RAD)), (MANY, bent & (turn_rad > FEW_RAD))):
+            nodes, weights = _nodes(n)
+            along = s[at][:, None] * nodes
+            u = first_rad[at][:, None] + along * (curvature[at][:, None] + bends[at][:, None] * along / 2)
+            way[at] = s[at][:, None] * paired(np.cos(u) @ weights, np.sin(u) @ weights)
     return LineFrames(paired(x, y) + way, normals, np.ones(s.shape), -(curvature + bends * s))
 
 

@@ -3,7 +3,7 @@ the rules are in docs/network.md."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
-from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
+from synth3dlanes.roads.lane_curves import KNOT_M, Course, LaneCurve, TableLine, measured
 from synth3dlanes.roads.maps.cubics import SAME_M
 from synth3dlanes.roads.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
-from synth3dlanes.roads.road_table import OnRoads, RoadTable
+from synth3dlanes.roads.road_table import Indices, OnRoads, Ragged, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.host import Camera
 from synth3dlanes.scene.scene import Car
@@ -50,6 +50,30 @@ class _Samples(NamedTuple):
     xy_world: Float[np.ndarray, "n 2"]
     starts: Int[np.ndarray, " _"]
 
+    @classmethod
+    def of(cls, parts: Sequence[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ 2"]]]) -> "_Samples":
+        """The points of each line."""
+        starts = np.cumsum([0, *(len(s) for s, _ in parts)])
+        lengths, points = zip((np.zeros(0), np.zeros((0, 2))), *parts, strict=True)
+        return cls(np.concatenate(lengths), np.concatenate(points), starts)
+
+
+class _OnPieces(NamedTuple):
+    """The pieces of all lines: which each line has and where they begin, their ends, their lines in the table, the
+    sign of their stations, and their knots one piece after the other: lengths, that begin later for each, places on
+    the road, and those from above."""
+
+    of_line: Ragged
+    start_m: Scalars
+    end_m: Scalars
+    lines: list[TableLine]
+    along: Scalars
+    first_m: Scalars
+    knots_m: Scalars
+    knots_on: Scalars
+    knots_world: Float[np.ndarray, "k 2"]
+    first_knot: Int[np.ndarray, " _"]
+
 
 class _Index(NamedTuple):
     """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
@@ -65,12 +89,14 @@ class _Index(NamedTuple):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MapNetwork(Network):
     """Roads with stations of their own. `given_paths` are its centre lines: on through links where there is only one
-    way, up to a junction, and every connector through one; `courses` are those of lanes. `way` is the host's."""
+    way, up to a junction, and every connector through one; `courses` are those of lanes, `stretches` the roads of one
+    section that all lines are on. `way` is the host's."""
 
     roads: tuple[Road, ...]
     given_paths: tuple[LaneCurve, ...]
     junctions: tuple[Junction, ...]
     courses: Mapping[str, Course]
+    stretches: RoadTable
     way: LaneCurve
 
     @property
@@ -196,45 +222,117 @@ class MapNetwork(Network):
     # -- labels
 
     @cached_property
-    def _samples(self) -> "_Samples":
-        """Points of all lines STEP_M apart, and their ends."""
-        parts = []
-        for curve in self.curves:
-            s = np.append(np.arange(0.0, curve.end_m - APART_M, STEP_M), curve.end_m)
-            parts.append((s, curve.xy_world(s)))
-        starts = np.cumsum([0, *(len(s) for s, _ in parts)])
-        nothing = np.zeros(0), np.zeros((0, 2))
-        lengths, points = zip(nothing, *parts, strict=True)
-        return _Samples(np.concatenate(lengths), np.concatenate(points), starts)
+    def _pieces(self) -> _OnPieces:
+        pieces = [piece for curve in self.curves for piece in curve.pieces]
+        knots = [piece.knots for piece in pieces if piece.knots is not None]
+        start_m, end_m = (np.array([getattr(piece, end) for piece in pieces]) for end in ("start_m", "end_m"))
+        counts = [len(lengths_m) for lengths_m, _ in knots]
+        # A metre apart, so that no length is of two pieces.
+        first_m = np.cumsum([0.0, *(end_m - start_m + 1.0)[:-1]])
+        return _OnPieces(
+            Ragged.of([piece.start_m for piece in curve.pieces] for curve in self.curves),
+            start_m,
+            end_m,
+            [piece.on_table for piece in pieces if piece.on_table is not None],
+            np.array([piece.along for piece in pieces]),
+            first_m,
+            np.concatenate([lengths_m for lengths_m, _ in knots]) + np.repeat(first_m - start_m, counts),
+            np.concatenate([stations for _, stations in knots]),
+            np.concatenate([piece.knots_world for piece in pieces if piece.knots_world is not None]),
+            np.cumsum([0, *counts]),
+        )
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """The number of each line among `curves`, by its id."""
+        return {curve.id: i for i, curve in enumerate(self.curves)}
+
+    def _on(self, number: Indices, s: Scalars) -> tuple[Indices, Scalars]:
+        """The pieces of lines, by the number of each, that are at lengths along them, and the stations of their roads
+        there."""
+        of = self._pieces
+        piece = of.of_line.at(number, s)
+        along_m = np.clip(s, of.start_m[piece], of.end_m[piece]) - of.start_m[piece]
+        return piece, np.interp(of.first_m[piece] + along_m, of.knots_m, of.knots_on)
+
+    def xy_on(self, number: Indices, s: Scalars) -> Points2:
+        """World (x, y) of lines, by the number of each, at lengths along them."""
+        piece, on = self._on(number, s)
+        road, t = self.stretches.on_lines(self._pieces.lines, piece, on)
+        return self.stretches.xy(road, on, t)
+
+    def points_on(self, number: Indices, s: Scalars, right_m: Scalars | float = 0.0) -> Points3:
+        """Points on the road surface along lines, by the number of each, at lengths along them; `right_m` to the right
+        of each line."""
+        piece, on = self._on(number, s)
+        return self.stretches.points(self._pieces.lines, piece, on, right_m * self._pieces.along[piece])
+
+    def which_come(self, is_there: Callable[[Points2], Bool[np.ndarray, " k"]]) -> Bool[np.ndarray, " l"]:
+        """Which lines have a place, of some at most KNOT_M apart, that is there."""
+        of = self._pieces
+        first = of.first_knot[of.of_line.first[:-1]]
+        return np.asarray(np.logical_or.reduceat(is_there(of.knots_world), first))
+
+    @cached_property
+    def _known_samples(self) -> dict[int, tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ 2"]]]:
+        """Points STEP_M apart of lines, and their ends, by the numbers of those that were asked for."""
+        return {}
+
+    def _samples(self, numbers: Sequence[int]) -> _Samples:
+        """Points STEP_M apart of some lines, and their ends."""
+        known = self._known_samples
+        lengths = {
+            i: np.append(np.arange(0.0, self.curves[i].end_m - APART_M, STEP_M), self.curves[i].end_m)
+            for i in numbers
+            if i not in known
+        }
+        if lengths:
+            counts = [len(s) for s in lengths.values()]
+            xy = self.xy_on(np.repeat(list(lengths), counts), np.concatenate(list(lengths.values())))
+            places = np.split(xy, np.cumsum(counts)[:-1])
+            known |= {i: (lengths[i], at) for i, at in zip(lengths, places, strict=True)}
+        return _Samples.of([known[i] for i in numbers])
 
     def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The lengths of the points of every line that are within the greatest of these lengths of the host, and not
         farther behind it than the least, with those between them, in the line's order."""
-        (near,), found = self._near(camera, np.array([camera.y_m]), lengths_m), {}
-        for curve, (first, end) in zip(self.curves, pairwise(self._samples.starts), strict=True):
+        ((near, numbers, samples),), found = self._near(camera, np.array([camera.y_m]), lengths_m), {}
+        for number, (first, end) in zip(numbers, pairwise(samples.starts), strict=True):
             inside = np.flatnonzero(near[first:end])
             if inside.size:
-                found[curve] = self._samples.s[first + inside[0] : first + inside[-1] + 1]
+                found[self.curves[number]] = samples.s[first + inside[0] : first + inside[-1] + 1]
         return found
+
+    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
+        """Points on the road surface at lengths along lines, one line after the other."""
+        counts = [len(s) for s in stations.values()]
+        if not counts:
+            return []
+        number = np.repeat([self.numbers[curve.id] for curve in stations], counts)
+        return np.split(self.points_on(number, np.concatenate(list(stations.values()))), np.cumsum(counts)[:-1])
 
     def known(self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
         """The ids of the lines that are in range of the host at any of some lengths of its way."""
-        seen, starts = np.zeros(len(self.curves), dtype=bool), self._samples.starts[:-1]
-        for near in self._near(camera, places_m, lengths_m):
-            seen |= np.add.reduceat(near.astype(int), starts) > 1
-        return {curve.id for curve, is_seen in zip(self.curves, seen, strict=True) if is_seen}
+        found = set[str]()
+        for near, numbers, samples in self._near(camera, places_m, lengths_m):
+            if numbers:
+                is_seen = np.add.reduceat(near.astype(int), samples.starts[:-1]) > 1
+                found |= {self.curves[number].id for number, is_one in zip(numbers, is_seen, strict=True) if is_one}
+        return found
 
     def _near(
         self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]
-    ) -> Iterator[Bool[np.ndarray, " _"]]:
-        """For each length of the host's way: which samples are in range."""
-        xy = self._samples.xy_world
-        steps = np.array([-TANGENT_M, TANGENT_M])
+    ) -> Iterator[tuple[Bool[np.ndarray, " _"], list[int], _Samples]]:
+        """For each length of the host's way: which samples of lines are in range, the numbers of these lines, and the
+        samples."""
+        steps, reach_m = np.array([-TANGENT_M, TANGENT_M]), float(lengths_m[-1])
         feet = self.host_points(camera, places_m - camera.y_m)[:, :2]
         for foot, y_m in zip(feet, places_m.tolist(), strict=True):
             behind, ahead = self.host_points(camera, y_m - camera.y_m + steps)[:, :2]
-            forward, to = (ahead - behind) / np.linalg.norm(ahead - behind), xy - foot
-            yield (to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= lengths_m[-1])
+            numbers = np.flatnonzero(self.which_come(partial(_is_within, foot, reach_m + KNOT_M))).tolist()
+            samples = self._samples(numbers)
+            forward, to = (ahead - behind) / np.linalg.norm(ahead - behind), samples.xy_world - foot
+            yield (to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= reach_m), numbers, samples
 
     def known_at(self, n_frames: int) -> int:
         """The number of instants of a clip that have between them all lines of any frame: all."""
@@ -273,6 +371,17 @@ class MapNetwork(Network):
         return segment.left, segment.right
 
     # -- places
+
+    def xy_in_lanes(
+        self, lanes: Sequence[NetworkLane], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> list[Float[np.ndarray, "_ 2"]]:
+        """World (x, y) of the middle of each of some lanes at stations of its road."""
+        if not lanes:
+            return []
+        lines = [line for lane in lanes if (line := self.courses[lane.id].on_table) is not None]
+        counts, s = [len(own) for own in stations], np.concatenate(stations)
+        road, t = self.stretches.on_lines(lines, np.repeat(np.arange(len(lines)), counts), s)
+        return np.split(self.stretches.xy(road, s, t), np.cumsum(counts)[:-1])
 
     def lane_lines(
         self, lane: NetworkLane, xy_world: Float[np.ndarray, "2"], reach_m: float
@@ -374,6 +483,13 @@ class MapNetwork(Network):
     def around(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> "MapNetwork":
         """Itself: it has been read around its host."""
         return self
+
+
+def _is_within(
+    foot: Float[np.ndarray, "2"], reach_m: float, xy_world: Float[np.ndarray, "n 2"]
+) -> Bool[np.ndarray, " n"]:
+    """Which places are at most so far from a point."""
+    return np.asarray(np.hypot(*(xy_world - foot).T) <= reach_m)
 
 
 def _is_near(points: Float[np.ndarray, "n _"], xy_world: Float[np.ndarray, "2"], reach_m: float) -> bool:

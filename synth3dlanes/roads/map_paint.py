@@ -10,9 +10,9 @@ import numpy as np
 import scipy
 
 from synth3dlanes.labels.labels import Direction, Marking, Pair
-from synth3dlanes.roads.lane_curves import Course, LaneCurve, LinePaint, Neighbour, measured
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, LinePaint, Neighbour, TableLine, measured
 from synth3dlanes.roads.reference_line import Offset
-from synth3dlanes.roads.road_table import RoadTable, TableLine
+from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.road_map import JUMP_M, MapMark, MapRoad
 
@@ -60,9 +60,10 @@ def edges_of(given: MapRoad, road: Road) -> Iterator[PaintedEdge]:
     driving = {lane.id for lane in road.lanes}
     for i, (section, stretch) in enumerate(zip(given.sections, road.stretches, strict=True)):
         (own,) = stretch.sections
+        at = {lane.number: k for k, lane in enumerate(own.lanes)}
         for lane in section.lanes:
             n = lane.number
-            edge = own.n_left if n == 0 else own.lanes.index(lane) + (n < 0)
+            edge = own.n_left if n == 0 else at[n] + (n < 0)
             beside = [f"{road.id}.{i}.{number}" for number in _beside(n)]
             left, right = (name if name in driving else None for name in beside)
             marks = [*sorted(lane.marks, key=lambda mark: mark.s_m)]
@@ -117,7 +118,8 @@ def lines(
         parts = []
         while at not in seen:
             seen.add(at)
-            parts.append(_Part(edges[at], Course.through(edges[at].road, edges[at].line, *knots[at]), onwards))
+            course = Course.through(edges[at].road, edges[at].line, *knots[at], on_table[at])
+            parts.append(_Part(edges[at], course, onwards))
             if (at, onwards) not in follows:
                 break
             at, onwards = follows[at, onwards]

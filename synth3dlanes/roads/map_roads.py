@@ -8,12 +8,12 @@ import numpy as np
 
 from synth3dlanes.labels.labels import Direction
 from synth3dlanes.roads.cross_section import CrossSection
-from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, TableLine, measured
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_network import Junction, MapNetwork
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
 from synth3dlanes.roads.reference_line import Offset
-from synth3dlanes.roads.road_table import RoadTable, TableLine
+from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene.road_map import JUMP_M, MapRoad, RoadMap
 from synth3dlanes.scene.scene import Terrain
@@ -50,8 +50,10 @@ class _Reading:
         lanes = {name: replace(lane, direction=directions[name]) for name, lane in lanes.items()}
         roads = {road.id: replace(road, lanes=tuple(lanes[lane.id] for lane in road.lanes)) for road in near}
         courses = {
-            lane.id: Course.through(roads[lane.road].stretch_of(lane), lane.middle, *knots)
-            for lane, knots in zip(lanes.values(), table.knots(list(middles.values())), strict=True)
+            lane.id: Course.through(roads[lane.road].stretch_of(lane), lane.middle, *knots, middle)
+            for lane, middle, knots in zip(
+                lanes.values(), middles.values(), table.knots(list(middles.values())), strict=True
+            )
         }
         paths = [_path([lanes[name] for name in chain], courses) for chain in chains]
         path_of = {lane.id: path.id for path in paths for lane in path.lanes}
@@ -76,6 +78,7 @@ class _Reading:
             given_paths=tuple(bounded(path, beside) for path in paths),
             junctions=tuple(at for at in junctions if at.roads),
             courses=courses,
+            stretches=table,
             way=_path([lanes[name] for name in self.map.route], courses),
         )
 
@@ -153,12 +156,13 @@ def bare_road(road: MapRoad, terrain: Terrain) -> Road:
 def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[str]) -> Iterator[NetworkLane]:
     """The lanes of traffic of a section, from the left; numbers count from the left as their traffic drives. Those of
     the host's route may have any width."""
-    s = np.linspace(section.start_m, section.end_m, 5)
-    edges = section.edges(s)
+    along_m = np.linspace(0.0, section.end_m - section.start_m, 5)
+    widths_m = {
+        i: np.maximum(section.widths[i](along_m), 0.0) for i, lane in enumerate(section.lanes) if lane.kind == "driving"
+    }
     driving = [
-        i for i, lane in enumerate(section.lanes)
-        if lane.kind == "driving"
-        and ((edges[i + 1] - edges[i]).max() > LEAST_WIDTH_M or f"{road.id}.{number}.{lane.number}" in route)
+        i for i, at in widths_m.items()
+        if at.max() > LEAST_WIDTH_M or f"{road.id}.{number}.{section.lanes[i].number}" in route
     ]  # fmt: skip
     up = {i: (section.lanes[i].number < 0) ^ road.keeps_left ^ section.lanes[i].against for i in driving}
     for i in driving:
@@ -169,7 +173,7 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
             f"{road.id}.{number}.{'up' if up[i] else 'down'}",
             1 + (same if up[i] else same[::-1]).index(i),
             section.middle_line(i),
-            float((edges[i + 1] - edges[i]).mean()),
+            float(widths_m[i].mean()),
             section.start_m,
             section.end_m,
             ascends=up[i],

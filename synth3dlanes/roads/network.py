@@ -1,7 +1,7 @@
 """Roads as one kind of network: roads, their lanes and painted lines, and the links between lanes. World frame, metres;
 the rules are in docs/network.md."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
@@ -227,6 +227,10 @@ class Network:
         them, in driving order."""
         driven_m = {road.id: self.stations_along(road, camera.y_m, lengths_m) for road in self.roads}
         return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
+
+    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
+        """Points on the road surface at stations of lines, one line after the other."""
+        return [curve.points_world(s) for curve, s in stations.items()]
 
     def _points_of(self, curve: LaneCurve, driven_m: Scalars) -> Float[np.ndarray, " m"]:
         s = self.stations(driven_m)

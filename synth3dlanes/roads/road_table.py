@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.roads.cross_section import CrossSection, Profile
-from synth3dlanes.roads.lane_curves import n_knots
+from synth3dlanes.roads.lane_curves import TableLine, n_knots
 from synth3dlanes.roads.map_lines import Spiral, spiral_frames
 from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, LineFrames, dot
 from synth3dlanes.roads.roads import Road
@@ -24,16 +24,6 @@ from synth3dlanes.system.arrays import Points2, Points3, Scalars
 MOST_STEPS, FOOT_M = 12, 1e-3
 
 Indices = Int[np.ndarray, " n"]
-
-
-class TableLine(NamedTuple):
-    """A line along a road of one section from a station to another: the road's number, and those of the edges that it
-    is in the middle of."""
-
-    road: int
-    edges: tuple[int, int]
-    first_m: float
-    last_m: float
 
 
 class OnRoads(NamedTuple):
@@ -50,7 +40,7 @@ class OnRoads(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Ragged:
+class Ragged:
     """Rows of several owners one after the other, those of an owner from `first[owner]` on, each from its start on."""
 
     first: Int[np.ndarray, " m"]
@@ -58,7 +48,7 @@ class _Ragged:
     keys: np.ndarray
 
     @classmethod
-    def of(cls, starts: Iterable[Sequence[float]]) -> "_Ragged":
+    def of(cls, starts: Iterable[Sequence[float]]) -> "Ragged":
         """The rows of owners, by where each begins in ascending order."""
         rows = list(starts)
         counts = np.array([len(row) for row in rows], dtype=int)
@@ -89,7 +79,7 @@ class _Cubics:
 
     def __init__(self, profiles: Sequence[Profile]) -> None:
         tables = [profile.table for profile in profiles]
-        self._rows = _Ragged.of(starts.tolist() for starts, _ in tables)
+        self._rows = Ragged.of(starts.tolist() for starts, _ in tables)
         self._numbers = np.concatenate([np.zeros((4, 0)), *(numbers for _, numbers in tables)], axis=1)
 
     def __call__(self, profile: Indices, s: Scalars) -> Scalars:
@@ -106,13 +96,13 @@ class RoadTable:
         self.roads, self._terrain = tuple(roads), terrain
         lines = [line for road in roads for line in road.line.parts]
         self._lines = lines
-        self._pieces = _Ragged.of(road.line.starts.tolist() for road in roads)
+        self._pieces = Ragged.of(road.line.starts.tolist() for road in roads)
         self._spirals = np.array([line.numbers if isinstance(line, Spiral) else (0.0,) * 5 for line in lines])
         self._is_other = np.array([not isinstance(line, Spiral) for line in lines])
         self._is_straight = ~self._is_other & (self._spirals[:, 3:] == 0).all(axis=1)
         self.start_m, self.end_m = (np.array([getattr(road, end) for road in roads]) for end in ("start_m", "end_m"))
         self._sections = [section for road in roads for section in road.sections]
-        self._by_road = _Ragged.of([section.start_m for section in road.sections] for road in roads)
+        self._by_road = Ragged.of([section.start_m for section in road.sections] for road in roads)
         self._index_sections(self._sections)
 
     def _index_sections(self, sections: Sequence[CrossSection]) -> None:
@@ -199,12 +189,13 @@ class RoadTable:
         knot = np.arange(ends[-1]) - np.repeat(ends - counts, counts)
         s = first[which] + knot * ((last - first) / (counts - 1))[which]
         s[ends - 1] = last
-        road, t = self._on_lines(lines, which, s)
+        road, t = self.on_lines(lines, which, s)
         return list(zip(np.split(s, ends[:-1]), np.split(self.xy(road, s, t), ends[:-1]), strict=True))
 
-    def points(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> Points3:
-        """Points on the surface along lines, by the number of each, at stations."""
-        road, t = self._on_lines(lines, which, s)
+    def points(self, lines: Sequence[TableLine], which: Indices, s: Scalars, aside_m: Scalars | float = 0.0) -> Points3:
+        """Points on the surface along lines, by the number of each, at stations; `aside_m` to their right."""
+        road, t = self.on_lines(lines, which, s)
+        t = t + aside_m
         points = self.base_points(road, s, t)
         for i in np.unique(road):
             if self.roads[i].has_kerbs:
@@ -212,12 +203,14 @@ class RoadTable:
                 points[at, 2] += self.roads[i].kerb(s[at], t[at])
         return points
 
-    def _on_lines(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> tuple[Indices, Scalars]:
+    def on_lines(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> tuple[Indices, Scalars]:
         """The roads and the offsets of lines at stations."""
         road, low, high = np.array([(line.road, *line.edges) for line in lines], dtype=int).reshape(-1, 3)[which].T
         section = self.section(road, s)
         t = self.edge(section, low, s)
-        return road, np.where(low == high, t, (t + self.edge(section, high, s)) / 2)
+        between = low != high
+        t[between] = (t[between] + self.edge(section[between], high[between], s[between])) / 2
+        return road, t
 
     def edges(self, road: Indices, s: Scalars) -> tuple[Scalars, Scalars]:
         """The offsets of the left and the right edge of the pavement of each road at a station."""
@@ -232,6 +225,11 @@ class RoadTable:
         low = ~self._has_heights[section]
         z[low] = height_at(self._terrain, xy[low])
         return np.column_stack([xy, z])
+
+    def over_terrain(self, road: Indices, s: Scalars, t: Scalars, terrain_m: Scalars) -> Scalars:
+        """How high the surface of each road without raised lanes is over the terrain, whose heights are given."""
+        section = self.section(road, s)
+        return np.where(self._has_heights[section], self._height(section, s, t) - terrain_m, 0.0)
 
     def _height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
         at = np.clip(s, self._section_start_m[section], self._section_end_m[section])

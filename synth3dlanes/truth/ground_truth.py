@@ -46,7 +46,7 @@ def label(world: World, view: View) -> Labels:
         lens=lens.lens,
     )
     stations = _stations(world, lens)
-    sampled = {curve: curve.points_world(s) for curve, s in stations.items()}
+    sampled = dict(zip(stations, network.points_along(stations), strict=True))
     known = _known(world, stations)
     forms = world.symbol_shapes
     outlines = [form.points_world(form.outline) for form in forms]

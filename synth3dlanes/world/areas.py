@@ -35,8 +35,7 @@ def ring_area(ring: Points2) -> BaseGeometry:
 
 def union(areas: Iterable[BaseGeometry]) -> BaseGeometry:
     """What any of some areas covers."""
-    parts = list(areas)
-    return _overlay(lambda *some, grid_size: shapely.union_all(some, grid_size=grid_size), parts, NOTHING)
+    return _overlay(_union, list(areas), NOTHING)
 
 
 def difference(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
@@ -52,6 +51,11 @@ def intersection(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
 def outset(area: BaseGeometry, by_m: float) -> BaseGeometry:
     """An area with what is so near to it; with a negative distance, what of it is farther inside than that."""
     return valid(shapely.buffer(area, by_m, join_style="mitre"))
+
+
+def _union(*areas: BaseGeometry, grid_size: float | None) -> BaseGeometry:
+    # Of areas that do not touch each other GEOS need not look at both.
+    return shapely.union_all(areas, grid_size=grid_size) if grid_size else shapely.disjoint_subset_union_all(areas)
 
 
 def _overlay(

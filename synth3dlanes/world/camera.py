@@ -1,18 +1,55 @@
 """Pose and projection of the host's camera. World and camera frames (docs/frames.md)."""
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.frames import from_axes
 from synth3dlanes.geometry.lens import width_rad
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.host import Camera
-from synth3dlanes.system.arrays import AnyPoints3, Matrix4
+from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, Matrix4
 
 TANGENT_STEP_M = 1e-3
 BORDER_PX = 1
+# Pixels along the border of a picture that bound what it shows, and the steepest direction that such bounds hold for.
+BORDER_STEPS, STEEPEST_RAD = 33, np.radians(80)
+# What is so near to the eye counts as in its sector: light of it reaches what is seen.
+AROUND_EYE_M = 30.0
+
+
+class Sector(NamedTuple):
+    """What a camera may see of the plan: the directions within an angle of one, and what is close to the eye."""
+
+    eye_world: Float[np.ndarray, "2"]
+    ahead_world: Float[np.ndarray, "2"]
+    half_rad: float
+
+    def holds(self, xy_world: AnyPoints2) -> Bool[np.ndarray, "*n"]:
+        """Which places are in it."""
+        to = xy_world - self.eye_world
+        away_m = np.hypot(to[..., 0], to[..., 1])
+        return np.asarray((to @ self.ahead_world >= np.cos(self.half_rad) * away_m) | (away_m < AROUND_EYE_M))
+
+
+def sector(camera: Camera, world_from_cam: Matrix4) -> Sector | None:
+    """What a camera sees from above; None for one that sees on all sides, or straight up or down."""
+    edge = np.linspace(0.0, 1.0, BORDER_STEPS)
+    ends, size = np.repeat([0.0, 1.0], BORDER_STEPS), np.array([camera.width_px, camera.height_px])
+    border = np.concatenate([np.column_stack([np.tile(edge, 2), ends]), np.column_stack([ends, np.tile(edge, 2)])])
+    seen = rays(camera, border * size)
+    ahead = world_from_cam[:3, 1]
+    steepest_rad = np.arccos(np.clip(seen[:, 1].min(), -1, 1)) + np.arcsin(np.clip(abs(ahead[2]), 0, 1))
+    # Not of a number, where the lens has no picture at its border.
+    if not steepest_rad < STEEPEST_RAD:
+        return None
+    directions = (seen @ world_from_cam[:3, :3].T)[:, :2]
+    along, across = directions @ ahead[:2], directions @ np.array([-ahead[1], ahead[0]])
+    return Sector(
+        world_from_cam[:2, 3], ahead[:2] / np.hypot(*ahead[:2]), float(np.abs(np.arctan2(across, along)).max())
+    )
 
 
 def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:

@@ -136,7 +136,8 @@ class GradedGround:
         found = np.zeros(len(xy_world))
         # On pavement, where most places are, only the roads there are asked.
         paved, own_reach_m = np.full(len(xy_world), -np.inf), np.where(self._has_heights, 0.0, -np.inf)
-        places, away_m, raised_m = self._beside(self.network.places(xy_world, own_reach_m), on_ground=True)
+        found_there = self.network.places(xy_world, own_reach_m)
+        places, away_m, raised_m = self._beside(xy_world, found_there, on_ground=True)
         is_on = away_m < EDGE_M
         np.maximum.at(paved, places.point[is_on], raised_m[is_on])
         is_paved = np.isfinite(paved) & ~covered
@@ -147,7 +148,7 @@ class GradedGround:
     def _between_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], paved: Scalars) -> Scalars:
         """What `above` says of places that are not on pavement of this height (minus infinity: on none) alone."""
         bounds, found = _Bounds.of(len(xy_world)), self.network.places(xy_world, self._slopes_reach_m)
-        places, away_m, raised_m = self._beside(found, on_ground=True)
+        places, away_m, raised_m = self._beside(xy_world, found, on_ground=True)
         is_off = away_m >= EDGE_M
         bounds.beside(places.point[is_off], away_m[is_off], raised_m[is_off])
         if self.spans:
@@ -170,15 +171,17 @@ class GradedGround:
         if junction is not None:
             own, of_road = junction[places.point], self.junction_numbers([road.junction for road in self.network.roads])
             places = places.of((own < 0) | (own == of_road[places.road]))
-        places, away_m, raised_m = self._beside(places, on_ground)
+        places, away_m, raised_m = self._beside(xy_world, places, on_ground)
         weight, n = 1 / (0.05 + away_m) ** 2, len(xy_world)
         total = np.bincount(places.point, weight * raised_m, n)
         return np.asarray(total / np.maximum(np.bincount(places.point, weight, n), 1e-12))
 
-    def _beside(self, places: OnRoads, on_ground: bool) -> tuple[OnRoads, Scalars, Scalars]:
-        """Of places how far they are from the pavement of their roads, and how high that is there; of places of roads
-        that are nowhere on the ground none, if they are to be `on_ground`."""
-        table = self.network.table
+    def _beside(
+        self, xy_world: Points2, places: OnRoads, on_ground: bool
+    ) -> tuple[OnRoads, Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Of places of points how far they are from the pavement of their roads, and how high that is there; of places
+        of roads that are nowhere on the ground none, if they are to be `on_ground`."""
+        table, terrain = self.network.table, self.network.terrain
         on = np.clip(places.s, table.start_m[places.road], table.end_m[places.road])
         if on_ground and self.spans:
             for name, spans in self.spans_of.items():
@@ -187,8 +190,12 @@ class GradedGround:
             known = np.isfinite(on)
             places, on = places.of(known), on[known]
         across = np.clip(places.t, *table.edges(places.road, on))
-        base = table.base_points(places.road, on, across)
-        raised_m = base[:, 2] - height_at(self.network.terrain, base[:, :2])
+        # Most places are on the pavement themselves.
+        terrain_m = height_at(terrain, xy_world)[places.point]
+        is_off = (on != places.s) | (across != places.t)
+        off = places.road[is_off], on[is_off], across[is_off]
+        terrain_m[is_off] = height_at(terrain, table.xy(*off))
+        raised_m = table.over_terrain(places.road, on, across, terrain_m)
         return places, np.hypot(places.s - on, places.t - across), raised_m
 
     @cached_property

@@ -5,7 +5,7 @@ where the road is raised, until it passes below the terrain mesh, which is lower
 `meshes.py` builds exactly this surface; `visibility.py` tests lines of sight against it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -22,6 +22,7 @@ from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.world.areas import NOTHING, polygon_between, union
+from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.horizon import FarHills, far_dam, on_faces
 
 Spread = Float[np.ndarray, "*#n"]
@@ -98,9 +99,9 @@ class Ground:
         """How far stations of a road are from the host's way."""
         return self.away_m(s)
 
-    def shows(self, curve: LaneCurve) -> bool:
-        """Whether a line's paint is drawn at all."""
-        return True
+    def drawn(self, lines: Sequence[LaneCurve], seen: Sector | None) -> dict[LaneCurve, bool]:
+        """The lines whose paint is drawn at all, and whether what a camera sees may hold any of it."""
+        return dict.fromkeys(lines, True)
 
     @cached_property
     def rows_driven_m(self) -> Scalars:

@@ -7,6 +7,7 @@ The pavement of roads that connect others in a junction is one area. Terrain mee
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -22,9 +23,10 @@ from synth3dlanes.roads.map_network import AS_FAR, Junction, MapNetwork
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
-from synth3dlanes.scene.road_map import MapIsland
+from synth3dlanes.scene.road_map import MapIsland, MapLane
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.world.areas import (
+    NOTHING,
     Outlined,
     clipped,
     contains,
@@ -39,6 +41,7 @@ from synth3dlanes.world.areas import (
     solid,
     union,
 )
+from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.graded import GradedGround
 from synth3dlanes.world.ground import FINE_M, Ground
 from synth3dlanes.world.spans import CEILING_M, DECK_M, Span, spans
@@ -201,13 +204,23 @@ class MapGround(Ground):
         lanes, raised = list[BaseGeometry](), list[BaseGeometry]()
         for road in at.roads:
             for stretch in road.stretches:
-                for i, lane in enumerate(stretch.sections[0].lanes):
-                    if lane.kind != "none":
-                        (raised if lane.kind in RAISED else lanes).append(self._between(stretch, (i, i + 1)))
-        outline = ring_area(at.outline)
-        paved = difference(filled(union([*lanes, outline])), self.arms)
-        walkways = difference(union(raised), union([paved, self.arms]))
-        return paved, walkways
+                for is_raised, run in groupby(enumerate(stretch.sections[0].lanes), key=_is_raised):
+                    if is_raised is not None:
+                        numbers = [i for i, _ in run]
+                        (raised if is_raised else lanes).append(self._between(stretch, (numbers[0], numbers[-1] + 1)))
+        whole = filled(union([*lanes, ring_area(at.outline)]))
+        paved, walkways = difference(whole, self._arms_at(whole)), union(raised)
+        return paved, difference(walkways, union([paved, self._arms_at(walkways)])) if raised else NOTHING
+
+    def _arms_at(self, area: BaseGeometry) -> BaseGeometry:
+        """The parts of `arms` that an area may touch."""
+        parts, tree = self._arm_parts
+        return shapely.MultiPolygon([parts[i] for i in sorted(tree.query(area).tolist())])
+
+    @cached_property
+    def _arm_parts(self) -> tuple[np.ndarray, shapely.STRtree]:
+        parts = shapely.get_parts(self.arms)
+        return parts, shapely.STRtree(parts)
 
     @cached_property
     def pavement(self) -> BaseGeometry:
@@ -514,28 +527,44 @@ class MapGround(Ground):
         """Distance from the nearest pavement of traffic, negative on it."""
         return signed_distance(self._carriageways_outlined, xy_world)
 
-    def shows(self, curve: LaneCurve) -> bool:
-        """Whether a line's paint is near enough to be drawn."""
-        s = np.linspace(0.0, curve.end_m, 2 + int(curve.end_m / PAINT_STEP_M))
-        return bool((self.away_on(curve, s) < PAINT_M).any())
+    def drawn(self, lines: Sequence[LaneCurve], seen: Sector | None) -> dict[LaneCurve, bool]:
+        """The lines whose paint is near enough to be drawn, and whether what a camera sees may hold any of it."""
+        if not lines:
+            return {}
+        numbers = [self.network.numbers[line.id] for line in lines]
+        stations = [np.linspace(0.0, line.end_m, 2 + int(line.end_m / PAINT_STEP_M)) for line in lines]
+        counts = [len(s) for s in stations]
+        away_m = self.away_at(self.network.xy_on(np.repeat(numbers, counts), np.concatenate(stations)))
+        is_near = np.minimum.reduceat(away_m, np.cumsum([0, *counts])[:-1]) < PAINT_M
+        in_sight = self.network.which_come(seen.holds)[numbers] if seen else np.ones(len(lines), dtype=bool)
+        return {line: bool(own) for line, near, own in zip(lines, is_near, in_sight, strict=True) if near}
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
         """The upper edges of kerbs and islands within reach of the labels: they hide what lies close behind them."""
-        near = shapely.box(*self.way_box(CREST_REACH_M))
-        found = []
+        near, found, tops = shapely.box(*self.way_box(CREST_REACH_M)), list[Points2](), list[float]()
         for area, raised_m in self._raised:
             lines = shapely.intersection(shapely.boundary(area), near)
             for line in shapely.get_parts(shapely.line_merge(shapely.simplify(lines, CREST_SLACK_M))):
                 xy = shapely.get_coordinates(shapely.segmentize(line, CREST_STEP_M))
                 if len(xy) > 1:
-                    found.append(np.column_stack([xy, self.under(xy) + raised_m]))
-        return found
+                    found.append(xy)
+                    tops.append(raised_m)
+        if not found:
+            return []
+        counts, xy = [len(at) for at in found], np.concatenate(found)
+        crests = np.column_stack([xy, self.under(xy) + np.repeat(tops, counts)])
+        return np.split(crests, np.cumsum(counts)[:-1])
 
 
 def _around(xy_world: Float[np.ndarray, "2"], reach_m: float) -> tuple[float, float, float, float]:
     """The box about a place in which roads are near it."""
     (x0, y0), (x1, y1) = xy_world - AS_FAR * reach_m, xy_world + AS_FAR * reach_m
     return float(x0), float(y0), float(x1), float(y1)
+
+
+def _is_raised(lane: tuple[int, MapLane]) -> bool | None:
+    """Whether a lane (with its number) is raised over the pavement; None of one that is no part of the ground."""
+    return None if lane[1].kind == "none" else lane[1].kind in RAISED
 
 
 def _coarse(end_m: float) -> Scalars:

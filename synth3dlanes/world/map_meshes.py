@@ -12,29 +12,26 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.roads.cross_section import KERB_M
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapLaneKind
-from synth3dlanes.system.arrays import Scalars
-from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference, intersection, outset, union
+from synth3dlanes.world.areas import clipped, contains, difference, intersection, outset, union, valid
+from synth3dlanes.world.cells import beside, cut_cells, merged
 from synth3dlanes.world.decks import span_bodies
 from synth3dlanes.world.ground import PRESS_M
 from synth3dlanes.world.map_ground import GroundArea, MapGround
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, Surfaces, grid, with_crease
 from synth3dlanes.world.solids import Body
 
-# Faces of lanes are no wider than this; cells of junctions, near the host and far from it.
-COLUMN_M, CELL_M, FAR_CELL_M, FAR_M = 0.9, 0.75, 3.0, 150.0
+# Faces of lanes are no wider than this; cells of junctions, by how far these are from the host.
+COLUMN_M, CELLS_M, CELLS_TO_M = 0.9, (0.75, 1.5, 3.0), (60.0, 150.0)
 # What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
 SKIRT_M = 0.12
 # Distance inside the edges of the pavement from which the terrain goes down to its bed.
 UNDER_M = 0.15
-# Columns of cells are cut out a little wider; lines of the terrain's grid keep off corners of the pavement.
-ASIDE_M, HAIR_M = 0.01, 1e-5
 # Pavement farther than this from the host's way is left out.
 REACH_M = 480.0
 SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "median": MEDIAN, "walkway": SHOULDER,
@@ -73,39 +70,35 @@ class MapSurfaces(Surfaces):
         ground = self.ground
         xs, ys = ground.mesh_axes
         near = shapely.box(*ground.way_box(REACH_M - 20.0))
-        bed = intersection(outset(ground.graded_pavement, -UNDER_M), near)
+        # Where below the pavement its border lies exactly, nobody sees.
+        bed = valid(shapely.simplify(intersection(outset(ground.graded_pavement, -UNDER_M), near), UNDER_M / 5))
         over = difference(intersection(union(span.area for span in ground.tunnels), near), bed)
-        shapely.prepare(bed)
+        for area in (bed, over):
+            shapely.prepare(area)
         corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
-        xs, ys = (_beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
+        xs, ys = (beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
         xy = np.stack(np.meshgrid(xs, ys), -1)
         z, inside = ground.mesh_heights(xy), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
         z[inside] -= PRESS_M * ground.cell_scale(xy[inside])
         inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
         z[inside] = ground.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
         whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
-        rest: dict[tuple[int, int], BaseGeometry] = {}
-        cuts = [_cut(xs, ys, area) for area in (bed, over)]
-        for cut in cuts:
-            cells = list(zip(*cut.cut.tolist(), strict=True))
-            column, row = cut.cut
-            boxes = shapely.box(xs[column], ys[row], xs[column + 1], ys[row + 1])
-            for k, cell in enumerate(cells):
-                boxes[k] = rest.get(cell, boxes[k])
-            rest.update(zip(cells, _differences(boxes, cut.parts), strict=True))
-        taken = np.array([j * (len(xs) - 1) + i for i, j in rest], dtype=int)
-        vertices, faces = [whole.vertices_world], [np.delete(whole.faces, taken, axis=0)]
-        for parts, is_over in (([*rest.values(), *cuts[0].parts], False), (cuts[1].parts, True)):
-            places, quads = _merged(_triangles(parts))
+        cells = [cut_cells(xs, ys, area) for area in (bed, over)]
+        free = cells[0] if over.is_empty else cut_cells(xs, ys, union([bed, over]))
+        column, row = np.concatenate([own.cut for own in cells], axis=1)
+        vertices = [whole.vertices_world]
+        faces = [np.delete(whole.faces, np.unique(row * (len(xs) - 1) + column), axis=0)]
+        for own, is_over in ((np.concatenate([free.outside, cells[0].inside]), False), (cells[1].inside, True)):
+            places, quads = merged(own)
             # The corners of cells are those of the grid.
             at = [
                 np.clip(np.searchsorted(axis, x), 0, len(axis) - 1) for axis, x in zip((xs, ys), places.T, strict=True)
             ]
             is_corner = (xs[at[0]] == places[:, 0]) & (ys[at[1]] == places[:, 1])
-            number, own = at[1] * len(xs) + at[0], places[~is_corner]
-            number[~is_corner] = sum(map(len, vertices)) + np.arange(len(own))
-            heights = ground.beside_tunnels(own, is_over) + ground.hills.height(own)
-            vertices.append(np.column_stack([own, heights]))
+            number, new = at[1] * len(xs) + at[0], places[~is_corner]
+            number[~is_corner] = sum(map(len, vertices)) + np.arange(len(new))
+            heights = ground.beside_tunnels(new, is_over) + ground.hills.height(new)
+            vertices.append(np.column_stack([new, heights]))
             faces.append(number[quads])
         points, quads = np.concatenate(vertices), np.concatenate(faces)
         return Mesh(points, quads, points[:, :2].copy(), np.zeros(len(quads), dtype=int))
@@ -198,15 +191,21 @@ def _area_faces(ground: MapGround, area: GroundArea) -> _AreaFaces:
     wide = area.polygon
     if not area.raised_m:
         shapely.prepare(area.polygon)
-        wide = union([area.polygon, intersection(outset(area.polygon, SEAM_M), ground.pavement)])
+        beyond = outset(area.polygon, SEAM_M)
+        x0, y0, x1, y1 = shapely.bounds(beyond).tolist()
+        wide = union([area.polygon, intersection(beyond, clipped(ground.pavement, (x0, y0, x1, y1)))])
     x0, y0, x1, y1 = shapely.bounds(wide)
     away_m = float(ground.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
-    cell_m = CELL_M if away_m < FAR_M else FAR_CELL_M
-    axes = [np.arange(low - cell_m, high + 2 * cell_m, cell_m) for low, high in ((x0, x1), (y0, y1))]
-    xs, ys = axes
-    (column, row), _, parts = _cut(xs, ys, wide)
+    cell_m = CELLS_M[int(np.searchsorted(CELLS_TO_M, away_m))]
+    wide_corners = shapely.get_coordinates(wide)
+    xs, ys = (
+        beside(np.arange(low - cell_m, high + 2 * cell_m, cell_m), places)
+        for low, high, places in zip((x0, y0), (x1, y1), wide_corners.T, strict=True)
+    )
+    cells = cut_cells(xs, ys, wide, outside=False)
+    column, row = cells.whole
     corners = [np.stack([xs[column + i], ys[row + j]], -1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    xy, faces = _merged(np.concatenate([np.stack(corners, axis=1), _triangles(parts)]))
+    xy, faces = merged(np.concatenate([np.stack(corners, axis=1), cells.inside]))
     is_beside = np.zeros(len(xy), dtype=bool)
     if not area.raised_m:
         is_beside = ~contains(area.polygon, xy)
@@ -230,106 +229,3 @@ def _kerb(area: GroundArea, tops: Sequence[Float[np.ndarray, "_ 3"]]) -> Mesh:
         corners.reshape(-1, 3)[:, :2].copy(),
         np.full(len(faces), AREA_SURFACES[area.kind]),
     )
-
-
-def _beside(axis: Scalars, places: Float[np.ndarray, " m"]) -> Scalars:
-    """The lines of a grid, moved by hairs so that none goes through a place: cells on both sides of a line would differ
-    in whether that is on their edge."""
-    places = np.sort(np.concatenate([places, [-np.inf, np.inf]]))
-    while True:
-        after = np.searchsorted(places, axis)
-        is_near = np.minimum(axis - places[after - 1], places[after] - axis) < HAIR_M
-        if not is_near.any():
-            return axis
-        axis = axis + 2.1 * HAIR_M * is_near
-
-
-class _Cells(NamedTuple):
-    """What an area covers of a grid: the columns and rows of the cells that are wholly in it, those of the cells that
-    its border cuts, and its part in each of these."""
-
-    whole: Int[np.ndarray, "2 n"]
-    cut: Int[np.ndarray, "2 m"]
-    parts: list[BaseGeometry]
-
-
-def _cut(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry) -> _Cells:
-    """The cells of a grid that an area covers."""
-    whole, cut, parts = [], [], list[BaseGeometry]()
-    x0, y0, x1, y1 = shapely.bounds(area) if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
-    for i in range(max(int(np.searchsorted(xs, x0)) - 1, 0), min(int(np.searchsorted(xs, x1)), len(xs) - 1)):
-        # A little wider, so that cells do not touch its sides: these are slow to ask about.
-        column = clipped(area, (xs[i] - ASIDE_M, y0 - 1, xs[i + 1] + ASIDE_M, y1 + 1))
-        if column.is_empty:
-            continue
-        _, low, _, high = shapely.bounds(column)
-        j = np.arange(max(int(np.searchsorted(ys, low)) - 1, 0), min(int(np.searchsorted(ys, high)), len(ys) - 1))
-        cells = shapely.box(xs[i], ys[j], xs[i + 1], ys[j + 1])
-        shapely.prepare(column)
-        inside = shapely.contains_properly(column, cells)
-        met = j[shapely.intersects(column, cells) & ~inside]
-        pieces = [clipped(column, (xs[i], ys[k], xs[i + 1], ys[k + 1])) for k in met]
-        is_part = shapely.area(pieces) > 0
-        parts += [piece for piece, is_one in zip(pieces, is_part, strict=True) if is_one]
-        cut += [(i, k) for k in met[is_part].tolist()]
-        whole += [(i, k) for k in j[inside].tolist()]
-    in_all, in_part = (np.array(at, dtype=int).reshape(-1, 2).T for at in (whole, cut))
-    return _Cells(in_all, in_part, parts)
-
-
-def _differences(cells: np.ndarray, parts: list[BaseGeometry]) -> list[BaseGeometry]:
-    """What of each cell its part leaves."""
-    try:
-        return list(shapely.difference(cells, parts))
-    except shapely.errors.GEOSException:
-        return [difference(cell, part) for cell, part in zip(cells, parts, strict=True)]
-
-
-def _triangles(parts: list[BaseGeometry]) -> Float[np.ndarray, "q 4 2"]:
-    """The triangles of areas, as quads whose last corner is there twice. They have all corners of the areas, and no
-    others: triangles of areas beside each other share these."""
-    pieces = shapely.get_parts(shapely.get_parts(parts))
-    polygons = pieces[shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON]
-    if not len(polygons):
-        return np.zeros((0, 4, 2))
-    return shapely.get_coordinates(_triangulated(polygons)).reshape(-1, 4, 2)[:, [0, 1, 2, 2]]
-
-
-def _triangulated(polygons: np.ndarray) -> np.ndarray:
-    """The triangles of polygons; those that are too thin for any are left out."""
-    try:
-        return np.asarray(shapely.constrained_delaunay_triangles(polygons))
-    except shapely.errors.GEOSException:
-        pass
-    found = []
-    for polygon in polygons:
-        for grid_m in (0.0, *GRIDS_M):
-            try:
-                found.append(shapely.constrained_delaunay_triangles(shapely.set_precision(polygon, grid_m)))
-                break
-            except shapely.errors.GEOSException:
-                continue
-    return np.array(found)
-
-
-class _Merged(NamedTuple):
-    """Quads from above that share their corners, facing up."""
-
-    xy: Float[np.ndarray, "v 2"]
-    faces: Int[np.ndarray, "f 4"]
-
-
-def _merged(quads: Float[np.ndarray, "q 4 2"]) -> _Merged:
-    """Quads with each corner once."""
-    corners = quads.reshape(-1, 2)
-    x, y = np.rint(corners * 1e6).astype(int).T
-    # As one number each: sorted by rows, they take longer.
-    numbers = (x - x.min()) * (np.ptp(y) + 1) + y if len(y) else y
-    _, first, which = np.unique(numbers, return_index=True, return_inverse=True)
-    faces = which.reshape(-1, 4)
-    has_area = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    faces = faces[has_area]
-    a, b, c, d = (corners[first][faces[:, i]] for i in range(4))
-    is_down = (c - a)[:, 0] * (d - b)[:, 1] < (c - a)[:, 1] * (d - b)[:, 0]
-    faces[is_down] = faces[is_down][:, [0, 3, 2, 1]]
-    return _Merged(corners[first], faces)

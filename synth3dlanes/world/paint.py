@@ -15,6 +15,7 @@ from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.streams import Streams
+from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.meshes import LANE_COLUMNS, Mesh, grid, is_facing_up, over_terrain
 
@@ -40,6 +41,8 @@ DISC_ROWS = np.array([-1, -OCTAGON, OCTAGON, 1])
 # Missing stretches are 3 to 12 m long and are drawn up to this length of a line to either side of station 0.
 GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 
+NO_PAINT = Mesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=int), np.zeros((0, 2)), np.zeros(0, dtype=int))
+
 Intervals = Float[np.ndarray, "_ 2"]
 Places = Float[np.ndarray, " _"]
 
@@ -64,14 +67,16 @@ class StripRows(NamedTuple):
 
 
 def paint_meshes(
-    ground: Ground, lines: Sequence[LaneCurve], eye_world: Float[np.ndarray, "3"], streams: Streams
+    ground: Ground,
+    lines: Sequence[LaneCurve],
+    eye_world: Float[np.ndarray, "3"],
+    streams: Streams,
+    seen: Sector | None = None,
 ) -> dict[str, Mesh]:
-    """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye."""
-    return {
-        line.id: _paint(ground, line, eye_world, streams)
-        for line in lines
-        if line.kind == "delimiter" and ground.shows(line)
-    }
+    """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye.
+    Meshes of lines out of what is `seen` may be empty."""
+    drawn = ground.drawn([line for line in lines if line.kind == "delimiter"], seen)
+    return {line.id: _paint(ground, line, eye_world, streams) if own else NO_PAINT for line, own in drawn.items()}
 
 
 def paint_color(line: LaneCurve, markings: Markings) -> PaintColor | None:

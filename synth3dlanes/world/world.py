@@ -21,7 +21,7 @@ from synth3dlanes.scene.scene import Car, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world import roadside
 from synth3dlanes.world.bonnet import cam_from_bonnet
-from synth3dlanes.world.camera import img_from_cam, project, world_from_host
+from synth3dlanes.world.camera import Sector, img_from_cam, project, sector, world_from_host
 from synth3dlanes.world.elements import TrafficElement, traffic_elements
 from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
@@ -125,6 +125,11 @@ class View:
         return np.asarray(self.world_from_cam[:3, 3])
 
     @cached_property
+    def sector(self) -> Sector | None:
+        """What of the plan its camera may see; None with a lidar, and where the camera sees on all sides."""
+        return None if self.lidar is not None else sector(self.camera, self.world_from_cam)
+
+    @cached_property
     def img_from_cam(self) -> Float[np.ndarray, "3 3"]:
         """The camera's projection matrix, without its lens."""
         return img_from_cam(self.camera)
@@ -216,9 +221,11 @@ class World:
         """Another picture of the same site: the scene differs in camera, shot and lidar alone."""
         return World(scene, self.site)
 
-    def paint(self, view: View) -> dict[str, Mesh]:
-        """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view."""
-        return paint_meshes(self.ground, self.site.lines, view.eye_world, self.scene.stream)
+    def paint(self, view: View, all_round: bool = True) -> dict[str, Mesh]:
+        """The paint of every delimiter by id, corrected for parallax so that it looks in place from a view. Without
+        `all_round`, meshes of lines that the view's camera cannot have in its image may be empty."""
+        seen = None if all_round else view.sector
+        return paint_meshes(self.ground, self.site.lines, view.eye_world, self.scene.stream, seen)
 
     def symbols(self, view: View) -> list[Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""

@@ -128,6 +128,11 @@ class GivenMap:
         }
 
     @cached_property
+    def plain_roads(self) -> dict[Name, MapRoad]:
+        """Roads as scenes keep them whole, of those that any did: `part` fills it."""
+        return {}
+
+    @cached_property
     def following(self) -> dict[LaneName, list[LaneName]]:
         """The lanes that follow each lane that is followed."""
         found: dict[LaneName, list[LaneName]] = {}

@@ -82,7 +82,7 @@ def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> M
         for i, section in enumerate(given.roads[name].sections[cut.sections_before :][: cut.n_sections])
         for lane_at in section.lanes
     }
-    roads = tuple(frame.road(_shortened(given.roads[name], cut)) for name, cut in cuts.items())
+    roads = tuple(frame.road(_plain(given, name, cut)) for name, cut in cuts.items())
     junctions = {road.junction for road in roads}
     paint = (_painted(item, frame, names, cuts) for item in given.paint)
     islands = (item.model_copy(update={"outline": frame.corners(item.outline)}) for item in given.islands)
@@ -210,6 +210,27 @@ def _begun(section: MapSection, from_m: float) -> MapSection:
     return MapSection(s_m=0.0, lanes=tuple(lanes))
 
 
+def _plain(given: GivenMap, name: str, cut: _Cut) -> MapRoad:
+    """What is kept of a road, with rounded numbers but for plan and heights. A whole road is rounded once for all
+    scenes."""
+    road, kept = given.roads[name], _shortened(given.roads[name], cut)
+    if kept is not road:
+        return _rounded_road(kept)
+    if name not in given.plain_roads:
+        given.plain_roads[name] = _rounded_road(road)
+    return given.plain_roads[name]
+
+
+def _rounded_road(road: MapRoad) -> MapRoad:
+    return road.model_copy(
+        update={
+            "sections": tuple(map(_rounded, road.sections)),
+            "banks": rounded(road.banks),
+            "lane_offsets": rounded(road.lane_offsets),
+        }
+    )
+
+
 def _rounded(section: MapSection) -> MapSection:
     lanes = (lane.model_copy(update={"widths": rounded(lane.widths)}) for lane in section.lanes)
     return MapSection(s_m=round(section.s_m, DECIMALS), lanes=tuple(lanes))
@@ -244,17 +265,9 @@ class _Frame:
         return tuple(map(self.point, outline))
 
     def road(self, road: MapRoad) -> MapRoad:
-        """A road of the map in the world."""
+        """A road of the map, with rounded numbers but for plan and heights, in the world."""
         heights = (piece.model_copy(update={"a": piece.a - self.z}) for piece in road.heights)
-        return road.model_copy(
-            update={
-                "plan": tuple(map(self._piece, road.plan)),
-                "sections": tuple(map(_rounded, road.sections)),
-                "heights": rounded(heights),
-                "banks": rounded(road.banks),
-                "lane_offsets": rounded(road.lane_offsets),
-            }
-        )
+        return road.model_copy(update={"plan": tuple(map(self._piece, road.plan)), "heights": rounded(heights)})
 
     def element(self, item: GivenElement, names: Mapping[LaneName, LaneName]) -> GivenElement | None:
         """A signal or sign of the map in the world, with those of its lanes that are kept; None of one far away."""
