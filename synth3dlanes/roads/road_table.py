@@ -48,11 +48,11 @@ class Ragged:
     keys: np.ndarray
 
     @classmethod
-    def of(cls, starts: Iterable[Sequence[float]]) -> "Ragged":
+    def of(cls, starts: Iterable[Sequence[float] | np.ndarray]) -> "Ragged":
         """The rows of owners, by where each begins in ascending order."""
         rows = list(starts)
         counts = np.array([len(row) for row in rows], dtype=int)
-        flat = np.array([start for row in rows for start in row], dtype=float)
+        flat = np.concatenate([np.zeros(0), *rows])
         return cls(np.cumsum([0, *counts]), flat, _keys(np.repeat(np.arange(len(rows)), counts), flat))
 
     def at(self, owner: Indices, s: Scalars) -> Indices:
@@ -79,7 +79,7 @@ class _Cubics:
 
     def __init__(self, profiles: Sequence[Profile]) -> None:
         tables = [profile.table for profile in profiles]
-        self._rows = Ragged.of(starts.tolist() for starts, _ in tables)
+        self._rows = Ragged.of(starts for starts, _ in tables)
         self._numbers = np.concatenate([np.zeros((4, 0)), *(numbers for _, numbers in tables)], axis=1)
 
     def __call__(self, profile: Indices, s: Scalars) -> Scalars:
@@ -96,7 +96,7 @@ class RoadTable:
         self.roads, self._terrain = tuple(roads), terrain
         lines = [line for road in roads for line in road.line.parts]
         self._lines = lines
-        self._pieces = Ragged.of(road.line.starts.tolist() for road in roads)
+        self._pieces = Ragged.of(road.line.starts for road in roads)
         self._spirals = np.array([line.numbers if isinstance(line, Spiral) else (0.0,) * 5 for line in lines])
         self._is_other = np.array([not isinstance(line, Spiral) for line in lines])
         self._is_straight = ~self._is_other & (self._spirals[:, 3:] == 0).all(axis=1)

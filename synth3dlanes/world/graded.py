@@ -29,6 +29,8 @@ BELOW_DECK_M, COVERED_M = 0.3, 0.5
 # Limits of the ground: the size of the cells in which they are found, and a height that nothing has. They are asked of
 # rows of places across roads, at shares of their width; between these, a road is higher by less than ROUGH_M.
 CELL_M, NOWHERE_M, ROUGH_M, SHARES = 4.0, 1e4, 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)
+# Cells to a side of those around a place whose lowest road is below all pavement at it.
+FLOOR_CELLS = 5
 # Places that are asked together: more take no less time each, but more memory.
 TOGETHER = 40_000
 # What is no farther from pavement is on it.
@@ -256,6 +258,20 @@ class GradedGround:
         lowest_m, highest_m = np.where(is_near, low_m, 0.0).min(axis=1), np.where(is_near, high_m, 0.0).max(axis=1)
         apart_m = np.maximum(high_m - lowest_m, highest_m - low_m) + BETWEEN_M
         return np.where(own, np.minimum(EMBANKMENT_M, BERM_M + EMBANKMENT_SLOPE * apart_m), -np.inf)
+
+    def floor(self, xy_world: Points2) -> Scalars:
+        """Heights below those of all pavement on the ground at places on pavement, or near it: those of the lowest
+        roads in the cells of a grid around them, but not over the terrain."""
+        found = np.zeros(len(xy_world))
+        if self._has_heights.any() and len(xy_world):
+            corner = np.floor(xy_world.min(axis=0) / CELL_M).astype(int)
+            at = np.floor(xy_world / CELL_M).astype(int) - corner
+            cells = np.floor(self._rows.xy_world / CELL_M).astype(int) - corner
+            lowest = np.zeros(at.max(axis=0) + 1)
+            inside = ((cells >= 0) & (cells < lowest.shape)).all(axis=-1)
+            np.minimum.at(lowest, tuple(cells[inside].T), self._rows.low_m[inside])
+            found = scipy.ndimage.minimum_filter(lowest, size=FLOOR_CELLS, mode="nearest")[tuple(at.T)]
+        return np.asarray(found)
 
     def limits(self, xy_world: Points2) -> tuple[Scalars, Scalars]:
         """Heights that `above` is nowhere lower and nowhere higher than, by the deepest and the highest roads around

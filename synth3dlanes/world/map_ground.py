@@ -20,7 +20,6 @@ from shapely.geometry.base import BaseGeometry
 from synth3dlanes.roads.cross_section import KERB_M, RAISED
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.map_network import AS_FAR, Junction, MapNetwork
-from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland, MapLane
@@ -43,7 +42,7 @@ from synth3dlanes.world.areas import (
 )
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.graded import GradedGround
-from synth3dlanes.world.ground import FINE_M, Ground
+from synth3dlanes.world.ground import FINE_M, PRESS_M, Ground
 from synth3dlanes.world.spans import CEILING_M, DECK_M, Span, spans
 
 # Places along the host's way from which distances are measured, and rows along roads by their distance from it.
@@ -162,7 +161,7 @@ class MapGround(Ground):
         rows = [self.stretch_rows(stretch) for stretch in stretches]
         counts = [len(rows[i]) for i, _, _ in wanted]
         number, edge = (np.repeat([at[k] for at in wanted], counts) for k in (0, 2))
-        s, table = np.concatenate([rows[i] for i, _, _ in wanted]), RoadTable(stretches, self.network.terrain)
+        s, table = np.concatenate([rows[i] for i, _, _ in wanted]), self.network.stretches
         xy = table.xy(number, s, table.edge(number, edge, s))
         ends = np.cumsum(counts)[:-1]
         return {(id(at), k): line for (_, at, k), line in zip(wanted, np.split(xy, ends), strict=True)}
@@ -478,6 +477,13 @@ class MapGround(Ground):
         z, beside = self._bed(flat)
         z[beside] = self.graded(flat[beside])
         return z.reshape(xy_world.shape[:-1])
+
+    def bed_height(self, xy_world: Points2) -> Scalars:
+        """Height of the terrain mesh below pavement, inside its edges: nobody sees it there, and it is quickly
+        found."""
+        pressed_m = (UNDER_FALL_M + PRESS_M) * self.cell_scale(xy_world)
+        below_m = self.graded_ground.floor(xy_world) - pressed_m
+        return np.asarray(height_at(self.network.terrain, xy_world) + below_m + self.hills.height(xy_world))
 
     def beside_tunnels(self, xy_world: Points2, is_over: bool) -> Scalars:
         """Height of the terrain mesh at places that are not inside tunnels, or over these, edges included."""

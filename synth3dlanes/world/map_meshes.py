@@ -19,7 +19,6 @@ from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.world.areas import clipped, contains, difference, intersection, outset, union, valid
 from synth3dlanes.world.cells import beside, cut_cells, merged
 from synth3dlanes.world.decks import span_bodies
-from synth3dlanes.world.ground import PRESS_M
 from synth3dlanes.world.map_ground import GroundArea, MapGround
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, Surfaces, grid, with_crease
 from synth3dlanes.world.solids import Body
@@ -78,8 +77,8 @@ class MapSurfaces(Surfaces):
         corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
         xs, ys = (beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
         xy = np.stack(np.meshgrid(xs, ys), -1)
-        z, inside = ground.mesh_heights(xy), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
-        z[inside] -= PRESS_M * ground.cell_scale(xy[inside])
+        z, inside = np.zeros(xy.shape[:2]), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
+        z[inside], z[~inside] = ground.bed_height(xy[inside]), ground.mesh_heights(xy[~inside])
         inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
         z[inside] = ground.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
         whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
