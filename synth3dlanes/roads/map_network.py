@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
-from synth3dlanes.roads.lane_curves import KNOT_M, Course, LaneCurve, TableLine, measured
+from synth3dlanes.roads.lane_curves import KNOT_M, Course, LaneCurve, Piece, TableLine, measured
 from synth3dlanes.roads.maps.cubics import SAME_M
 from synth3dlanes.roads.network import APART_M, LINES_STEP_M, LanePattern, Nearby, Network
 from synth3dlanes.roads.road_table import Indices, OnRoads, Ragged, RoadTable
@@ -58,19 +58,14 @@ class _Samples(NamedTuple):
         return cls(np.concatenate(lengths), np.concatenate(points), starts)
 
 
-class _OnPieces(NamedTuple):
-    """The pieces of all lines: which each line has and where they begin, their ends, their lines in the table, the
-    sign of their stations, and their knots one piece after the other: lengths, that begin later for each, places on
-    the road, and those from above."""
+class _Pieces(NamedTuple):
+    """The pieces of all lines: those of each line by where they begin, their lines in the table, the signs of their
+    stations, and the places of their knots, with where those of each piece begin."""
 
+    all: list[Piece]
     of_line: Ragged
-    start_m: Scalars
-    end_m: Scalars
     lines: list[TableLine]
     along: Scalars
-    first_m: Scalars
-    knots_m: Scalars
-    knots_on: Scalars
     knots_world: Float[np.ndarray, "k 2"]
     first_knot: Int[np.ndarray, " _"]
 
@@ -222,24 +217,16 @@ class MapNetwork(Network):
     # -- labels
 
     @cached_property
-    def _pieces(self) -> _OnPieces:
+    def _pieces(self) -> _Pieces:
         pieces = [piece for curve in self.curves for piece in curve.pieces]
-        knots = [piece.knots for piece in pieces if piece.knots is not None]
-        start_m, end_m = (np.array([getattr(piece, end) for piece in pieces]) for end in ("start_m", "end_m"))
-        counts = [len(lengths_m) for lengths_m, _ in knots]
-        # A metre apart, so that no length is of two pieces.
-        first_m = np.cumsum([0.0, *(end_m - start_m + 1.0)[:-1]])
-        return _OnPieces(
+        knots = [piece.knots_world for piece in pieces if piece.knots_world is not None]
+        return _Pieces(
+            pieces,
             Ragged.of([piece.start_m for piece in curve.pieces] for curve in self.curves),
-            start_m,
-            end_m,
             [piece.on_table for piece in pieces if piece.on_table is not None],
             np.array([piece.along for piece in pieces]),
-            first_m,
-            np.concatenate([lengths_m for lengths_m, _ in knots]) + np.repeat(first_m - start_m, counts),
-            np.concatenate([stations for _, stations in knots]),
-            np.concatenate([piece.knots_world for piece in pieces if piece.knots_world is not None]),
-            np.cumsum([0, *counts]),
+            np.concatenate(knots),
+            np.cumsum([0, *map(len, knots)]),
         )
 
     @cached_property
@@ -250,10 +237,13 @@ class MapNetwork(Network):
     def _on(self, number: Indices, s: Scalars) -> tuple[Indices, Scalars]:
         """The pieces of lines, by the number of each, that are at lengths along them, and the stations of their roads
         there."""
-        of = self._pieces
+        of, on = self._pieces, np.zeros(len(s))
         piece = of.of_line.at(number, s)
-        along_m = np.clip(s, of.start_m[piece], of.end_m[piece]) - of.start_m[piece]
-        return piece, np.interp(of.first_m[piece] + along_m, of.knots_m, of.knots_on)
+        order = np.argsort(piece, kind="stable")
+        for some in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1) if len(order) else ():
+            at = of.all[piece[some[0]]]
+            on[some] = at.on(np.minimum(s[some], at.end_m))
+        return piece, on
 
     def xy_on(self, number: Indices, s: Scalars) -> Points2:
         """World (x, y) of lines, by the number of each, at lengths along them."""
