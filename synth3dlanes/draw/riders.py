@@ -40,7 +40,7 @@ class RiderPlace(NamedTuple):
 def draw_riders(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
     """The cyclists and motorcyclists of a scene; on the paper's road there are no cyclists."""
     own, looks = of("riders"), of("riders", "riders_looks")
-    numbers: list[tuple[ThingKind, int]] = [("cyclist", own("cyclists")), ("motorcyclist", own("motorcyclists"))]
+    numbers: list[tuple[ThingKind, int]] = [("motorcyclist", own("motorcyclists")), ("cyclist", own("cyclists"))]
     for kind, number in numbers:
         for _ in range(number):
             thing = _rider(scene, bodies, kind, own, looks, of)
