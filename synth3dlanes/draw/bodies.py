@@ -137,15 +137,15 @@ def vehicle_places(
     host_speed_m_s = shot.speed_m_s if shot.n_frames > 1 else HOST_M_S
     driven_m = driven_after(shot.track, host_speed_m_s, times_s)
     way = network.host_way(camera)
-    found = [way_places(network, way, camera.y_m, driven_m, camera.offset_m, placement.HOST_SIZE_M)]
+    found = [way_places(way, camera.y_m * network.onwards, driven_m, camera.offset_m, placement.HOST_SIZE_M)]
     for car in () if only_host else scene.cars:
         model = scene.assets.car_models[car.model - 1]
         size = model.length_m * car.scale, model.width_m * car.scale
         way, start_m = network.car_way(car)
-        here = way_places(network, way, start_m, np.zeros(1), car.offset_m, size)[0].mean(axis=0)
+        here = way_places(way, start_m, np.zeros(1), car.offset_m, size)[0].mean(axis=0)
         if near is None or np.linalg.norm(near - here, axis=1).min() < VEHICLES_M:
             driven_m = driven_after(car.track, _speed(scene, car), times_s)
-            found.append(way_places(network, way, start_m, driven_m, car.offset_m, size))
+            found.append(way_places(way, start_m, driven_m, car.offset_m, size))
     return np.stack(found)
 
 
@@ -155,31 +155,30 @@ def _speed(scene: Scene, car: Car) -> float:
 
 
 def way_places(
-    network: Network,
     way: LaneCurve,
     start_m: float,
     driven_m: Float[np.ndarray, " t"],
     offset_m: float,
     size: tuple[float, float],
 ) -> Float[np.ndarray, "t 4 2"]:
-    """The footprints of a vehicle of a length and width after distances along a way from a station, as the host drives;
-    `offset_m` is to its driver's right. Beyond the end of a way of a map it stands there."""
-    return placement.footprint(*way_poses(network, way, start_m, driven_m, offset_m), *size)
+    """The footprints of a vehicle of a length and width after distances along a way from a station of it;
+    `offset_m` is to its driver's right. Beyond the end of its way it stands there."""
+    return placement.footprint(*way_poses(way, start_m, driven_m, offset_m), *size)
 
 
 def way_poses(
-    network: Network, way: LaneCurve, start_m: float, driven_m: Float[np.ndarray, " t"], offset_m: float
+    way: LaneCurve, start_m: float, driven_m: Float[np.ndarray, " t"], offset_m: float
 ) -> tuple[Float[np.ndarray, "t 2"], Float[np.ndarray, "t 2"]]:
     """Places and unit headings after distances along a way, as of `way_places`."""
     s = np.full(len(driven_m), start_m)
     if driven_m.any():
-        s = stations_after(network, way, start_m, driven_m)
-    ahead_m = -HEADING_M if way.direction == "oncoming" else HEADING_M
-    inside = np.clip(s, HEADING_M, max(way.end_m - HEADING_M, HEADING_M)) if way.is_measured else s
-    behind, ahead = (way.xy_world(network.stations(inside + by)) for by in (-ahead_m, ahead_m))
+        s = stations_after(way, start_m, driven_m)
+    ahead_m, least_m = HEADING_M if way.ascends else -HEADING_M, way.start_m + HEADING_M
+    inside = np.clip(s, least_m, max(way.end_m - HEADING_M, least_m))
+    behind, ahead = (way.xy_world(inside + by) for by in (-ahead_m, ahead_m))
     heading = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
     right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
-    return way.xy_world(network.stations(s)) + offset_m * right, heading
+    return way.xy_world(s) + offset_m * right, heading
 
 
 def driven_after(track: tuple[tuple[float, float], ...], speed_m_s: float, times_s: Scalars) -> Scalars:

@@ -110,7 +110,7 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
     def way(lane: str, s_m: float, offset_m: float, size: BodySize, driven_m: Scalars) -> np.ndarray:
         stations = np.full(driven_m.shape, s_m)
         if driven_m.any():
-            stations = stations_after(network, network.path(lane), s_m, driven_m)
+            stations = network.stations(stations_after(network.path(lane), s_m * network.onwards, driven_m))
         return placement.footprint(*placement.car_place(network, lane, stations, offset_m), *size)
 
     def places(size: BodySize) -> Iterator[CarPlace]:

@@ -2,7 +2,7 @@
 it. World frame, metres."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -19,12 +19,12 @@ from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
 from synth3dlanes.roads.map_lines import plan_line
-from synth3dlanes.roads.map_network import MapNetwork
 from synth3dlanes.roads.map_roads import map_network
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.roads.maps.part import MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
 from synth3dlanes.roads.maps.read import read_map
+from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import Camera, Shot
@@ -129,7 +129,7 @@ def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
     return float(np.hypot(*steps.T).sum())
 
 
-def red_lines(scene: Scene, network: MapNetwork) -> dict[LaneName, float]:
+def red_lines(scene: Scene, network: Network) -> dict[LaneName, float]:
     """Where traffic may not go on, by lanes, as stations of their roads: at the stop lines of signals that are neither
     green nor off, or where the junction begins."""
     roads = scene.map
@@ -148,7 +148,7 @@ def red_lines(scene: Scene, network: MapNetwork) -> dict[LaneName, float]:
 
 def _line_ahead(way: LaneCurve, lines: Mapping[LaneName, float], front_m: float) -> float:
     """The length along a way at which the first of some lines before a place of it is; infinite without one."""
-    at = (piece.station(lines[lane.id]) for lane, piece in zip(way.lanes, way.pieces, strict=True) if lane.id in lines)
+    at = (float(way.stations_on(lane.id, lines[lane.id])) for lane in way.lanes if lane.id in lines)
     return min((m for m in at if m >= front_m), default=math.inf)
 
 
@@ -167,13 +167,14 @@ def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, l
     return round(float(fastest), 3)
 
 
-def cars_on_map(scene: Scene, network: MapNetwork, of: DrawsOf) -> tuple[Car, ...]:
+def cars_on_map(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, ...]:
     """Cars in the lanes as near to the host as stations of `cars.s_m` are to the paper's, which in a clip keep a speed
     through lanes that follow each other and touch nobody; those without room are left out."""
     shot, camera, is_clip = scene.shot, scene.camera, scene.shot.n_frames > 1
     looks, speeds = of("cars", "map_cars"), of("motion", "car_speeds")
     near, chances = _near(scene, network, max(map(abs, extent(of.params.cars.s_m))))
     lines, rng = red_lines(scene, network), looks.rng
+    links = () if scene.map is None else scene.map.links
 
     def own(way: LaneCurve, at_m: float, offset_m: float, size: BodySize) -> Way:
         return lambda driven_m: _footprints(way, at_m + driven_m, offset_m, size)
@@ -182,9 +183,9 @@ def cars_on_map(scene: Scene, network: MapNetwork, of: DrawsOf) -> tuple[Car, ..
         for _ in range(TRIES):
             lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
             s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), DECIMALS)
-            route = _onward(network, lane, rng) if is_clip else ()
+            route = _onward(network, lane, links, rng) if is_clip else ()
             way = network.way_through([lane, *(network.lanes[name] for name in route)])
-            at_m = way.pieces[0].station(s_m)
+            at_m = float(way.stations_on(lane.id, s_m))
             line_m = _line_ahead(way, lines, at_m + size[0] / 2) - size[0] / 2
             wishes = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if is_clip else [0.0]
             possible = [_allowed(way, at_m, wish, shot.duration_s, line_m) if wish else 0.0 for wish in wishes]
@@ -194,7 +195,7 @@ def cars_on_map(scene: Scene, network: MapNetwork, of: DrawsOf) -> tuple[Car, ..
     return tuple(filter(None, draw_cars(looks, scene.assets, traffic, places))) if near else ()
 
 
-def _near(scene: Scene, network: MapNetwork, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:
+def _near(scene: Scene, network: Network, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:
     """Lanes of traffic near the host, and the sums of their chances."""
     foot = network.host_points(scene.camera, np.zeros(1))[0, :2]
     own = {lane.road for lane in network.way.lanes}
@@ -208,11 +209,13 @@ def _near(scene: Scene, network: MapNetwork, reach_m: float) -> tuple[list[Netwo
     return found, np.cumsum(chances)
 
 
-def _onward(network: MapNetwork, lane: NetworkLane, rng: np.random.Generator) -> tuple[LaneName, ...]:
+def _onward(
+    network: Network, lane: NetworkLane, links: Sequence[tuple[str, str]], rng: np.random.Generator
+) -> tuple[LaneName, ...]:
     """Lanes that follow a lane, each of those that follow one as likely."""
     route, length_m, at = list[LaneName](), 0.0, lane
     while length_m < 400.0 and len(route) < 60:
-        after = [name for name in (each.id for each in network.successors(at.id)) if name in network.lanes]
+        after = [after for before, after in links if before == at.id and after in network.lanes]
         if not after:
             break
         at = network.lanes[after[int(rng.random() * len(after))]]

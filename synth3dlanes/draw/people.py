@@ -12,7 +12,7 @@ from synth3dlanes.draw.bodies import AHEAD_S, AHEAD_STEP_S, ROOM_M, Bodies, Moti
 from synth3dlanes.draw.clothes import dressed
 from synth3dlanes.draw.draws import Draw, DrawsOf
 from synth3dlanes.draw.walkways import WalkedLine, Walkways
-from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import ThingModel
 from synth3dlanes.scene.scene import Scene, Thing
 from synth3dlanes.system.arrays import Points2
@@ -53,7 +53,7 @@ def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
     """The people of a scene on a map: first those at crosswalks, then the others."""
     own, looks, network = of("people"), of("people", "people_looks"), bodies.network
     density, n_crossing = own("per_100_m") / 100, own("crossing")
-    if not (density or n_crossing) or not isinstance(network, MapNetwork):
+    if not (density or n_crossing) or scene.map is None:
         return
     walkways = Walkways(network, bodies.host_places, NEAR_M)
     found = 0
@@ -179,9 +179,8 @@ def _crosswalks(scene: Scene, bodies: Bodies) -> Iterator[Crosswalk]:
         yield Crosswalk(corners[[0, 3]], corners[[1, 2]], lanes)
 
 
-def _leads_through(network: object, name: str, area: shapely.Polygon, middle: Float[np.ndarray, "2"]) -> bool:
+def _leads_through(network: Network, name: str, area: shapely.Polygon, middle: Float[np.ndarray, "2"]) -> bool:
     """Whether the middle of a lane passes through an area."""
-    assert isinstance(network, MapNetwork)
     if name not in network.lanes:
         return False
     lines = network.lane_lines(network.lanes[name], middle, 15.0)

@@ -11,7 +11,7 @@ from synth3dlanes.draw.clothes import dressed
 from synth3dlanes.draw.draws import Draw, DrawsOf
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.scene import Scene, Thing
 from synth3dlanes.scene.things import ThingKind
@@ -29,7 +29,7 @@ LINE_M, DECELERATION = 7.5, 1.5
 
 
 class RiderPlace(NamedTuple):
-    """A way and a place on it, as the host drives; the offset to the rider's right; how far the way leads."""
+    """A way and a station of it; the offset to the rider's right; how far the way leads."""
 
     way: LaneCurve
     start_m: float
@@ -59,7 +59,7 @@ def _rider(scene: Scene, bodies: Bodies, kind: ThingKind, own: Draw, looks: Draw
         gone_m = ridden(times_s, speed_m_s, place.room_m)
         if gone_m is None:
             continue
-        xy, heading = way_poses(bodies.network, place.way, place.start_m, gone_m, place.offset_m)
+        xy, heading = way_poses(place.way, place.start_m, gone_m, place.offset_m)
         speeds = np.gradient(gone_m, times_s) if len(times_s) > 1 else np.full(1, speed_m_s)
         motion = Motion(times_s, xy, np.arctan2(-heading[:, 0], heading[:, 1]), speeds)
         if bodies.join(motion, model, 1.0, ROOM_M[kind]):
@@ -84,7 +84,7 @@ def _places(
 ) -> Iterator[RiderPlace]:
     """Places on lanes: on a map near the host, on the paper's road at the stations of its cars."""
     network = bodies.network
-    if isinstance(network, MapNetwork):
+    if scene.map is not None:
         lanes = [at for at in map_lanes(network, bodies, kind == "cyclist")]
         for lane, at, aside in rng.random((TRIES if lanes else 0, 3)).tolist():
             chosen, offset_m = lanes[int(lane * len(lanes))]
@@ -99,10 +99,10 @@ def _places(
             s_m, choice, aside = low + (high - low) * rng.random(), rng.random(), rng.random()
             here = network.lanes_at(s_m * network.onwards)
             lane = here[int(choice * len(here))]
-            yield RiderPlace(network.path(lane.id), s_m, MIDDLE_M * (2 * aside - 1), np.inf)
+            yield RiderPlace(network.path(lane.id), s_m * network.onwards, MIDDLE_M * (2 * aside - 1), np.inf)
 
 
-def map_lanes(network: MapNetwork, bodies: Bodies, beside_kerb: bool) -> Iterator[tuple[NetworkLane, float]]:
+def map_lanes(network: Network, bodies: Bodies, beside_kerb: bool) -> Iterator[tuple[NetworkLane, float]]:
     """The lanes near the host outside junctions, and the offset to the right of their middle that a cyclist keeps; with
     `beside_kerb` those that are the outermost of their direction."""
     for lane in network.lanes.values():
@@ -122,7 +122,7 @@ def map_lanes(network: MapNetwork, bodies: Bodies, beside_kerb: bool) -> Iterato
             yield lane, lane.width_m / 2 - room_m
 
 
-def _onward(network: MapNetwork, lane: NetworkLane) -> list[NetworkLane]:
+def _onward(network: Network, lane: NetworkLane) -> list[NetworkLane]:
     """A lane and those that follow it up to a junction."""
     lanes = [lane]
     while len(lanes) < 12:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import lengths_along
-from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import Points2, Scalars
 
@@ -65,8 +65,8 @@ class WalkedLine(NamedTuple):
 class Walkways:
     """The walkways of a map that come within a reach of some places."""
 
-    def __init__(self, network: MapNetwork, places: Points2, reach_m: float) -> None:
-        low, high = network.boxes
+    def __init__(self, network: Network, places: Points2, reach_m: float) -> None:
+        low, high = network.index.boxes
         near = ((low < places.max(axis=0) + reach_m) & (high > places.min(axis=0) - reach_m)).all(axis=1)
         self.strips = [strip for i in np.flatnonzero(near).tolist() for strip in _strips(network.roads[i])]
         self.ends = np.array([strip.middle[[0, -1]] for strip in self.strips]).reshape(-1, 2)

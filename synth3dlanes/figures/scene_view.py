@@ -11,9 +11,11 @@ from jaxtyping import Float
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels
+from synth3dlanes.roads.maps.cubics import SAME_M
+from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import KIND_OF_CATEGORY
-from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import World, resolve
@@ -72,9 +74,9 @@ class SceneView:
         """Both edges of each road in range, shoulders included, by its id."""
         if self.world is None:
             return {}
-        edges_world, network = {}, self.world.network
-        for road in network.roads:
-            s = network.road_stations(road, self.world.view.camera, self.behind_m, AHEAD_M)
+        edges_world = {}
+        for road in self.world.network.roads:
+            s = self._stations(self.world, road)
             if s.size > 1:
                 edges_world[road.id] = road.points(s, road.left(s)), road.points(s, road.right(s))
         return {
@@ -82,9 +84,22 @@ class SceneView:
             for name, (left, right) in edges_world.items()
         }
 
+    def _stations(self, world: World, road: Road) -> Scalars:
+        """Stations along a road, on both sides of where a section begins; of one without ends, those near the host.
+        None where it is farther away than AHEAD_M."""
+        network, camera = world.network, world.view.camera
+        if np.isfinite(road.end_m - road.start_m):
+            begins = np.array([section.start_m for section in road.sections[1:]])
+            s = np.union1d(road.stations, [begins - SAME_M, begins])
+        else:
+            s = network.stations(np.arange(camera.y_m - self.behind_m, camera.y_m + AHEAD_M + 0.5))
+            s = s[(s >= road.start_m) & (s <= road.end_m)]
+        away_m = np.hypot(*(road.xy(s, 0.0) - network.host_points(camera, np.zeros(1))[0, :2]).T)
+        return s if (away_m < AHEAD_M).any() else s[:0]
+
     @cached_property
     def ground_along_main(self) -> Points3:
-        """The surface along the main road's reference line, on a map along the host's way."""
+        """The surface along the line of the host's way."""
         if self.world is None:
             return np.zeros((0, 3))
         y_m = self.world.view.camera.y_m

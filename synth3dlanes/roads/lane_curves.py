@@ -1,20 +1,23 @@
 """The curves of lanes along roads: centre lines of paths, and painted lines. World frame, metres."""
 
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Bool, Float
 
 from synth3dlanes.labels.labels import Direction, LaneKind, Marking, Pair
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Road
-from synth3dlanes.system.arrays import AnyScalars
+from synth3dlanes.system.arrays import AnyScalars, Points2, Points3
 
-# Lengths along a curve of a map are measured in steps of this length.
+# Lengths along a curve are measured in steps of this length.
 KNOT_M = 0.5
+# Stations around a place of a curve for which lengths along it are measured.
+AROUND_M = np.arange(-10.0, 10.01, 0.25)
 # A neighbour that ends within this of a station is not beside it.
 ENDED_M = 0.01
 
@@ -58,12 +61,12 @@ class Piece:
         """Stations of the road."""
         return s if self.knots is None else np.interp(s, *self.knots)
 
-    def station(self, road_s: float) -> float:
-        """The curve's station at one of the road's."""
+    def stations(self, road_s: npt.ArrayLike) -> AnyScalars:
+        """The curve's stations at stations of the road."""
         if self.knots is None:
-            return road_s
+            return np.asarray(road_s)
         lengths_m, stations = self.knots
-        return float(np.interp(road_s * self.along, stations * self.along, lengths_m))
+        return np.asarray(np.interp(np.asarray(road_s) * self.along, stations * self.along, lengths_m))
 
 
 class Neighbour(NamedTuple):
@@ -83,9 +86,10 @@ def neighbours(left: str | None, right: str | None) -> tuple[Neighbour, ...]:
 @dataclass(frozen=True)
 class LaneCurve:
     """The centre line of a path through the lanes, or a painted line, from `start_m` to `end_m`; its pieces follow each
-    other. `direction` is as in the labels; `is_inner` says whether a delimiter faces the oncoming traffic, or is the
-    left edge of a road without any. `lanes` are those of a path, as s grows. In a map, stations are lengths along the
-    curve; `connector` and `junction` are as in the labels, and lines have their own `paint`."""
+    other. Stations are those of its roads or, if they have knots, lengths along the curve. `direction` is as in the
+    labels; `is_inner` says whether a delimiter faces the oncoming traffic, or is the left edge of a road without any.
+    `lanes` are those of a path, as s grows, each from a station of `lane_starts_m` on; its traffic goes with growing s
+    if it `ascends`. `connector` and `junction` are as in the labels, and a line may have its own `paint`."""
 
     id: str
     kind: LaneKind
@@ -98,6 +102,8 @@ class LaneCurve:
     direction: Direction = "same"
     is_inner: bool = False
     lanes: tuple[NetworkLane, ...] = ()
+    lane_starts_m: tuple[float, ...] = ()
+    ascends: bool = True
     connector: bool | None = None
     junction: str | None = None
     paint: LinePaint | None = None
@@ -111,8 +117,13 @@ class LaneCurve:
 
     @property
     def is_measured(self) -> bool:
-        """Whether its stations are lengths along it, as those of maps are."""
+        """Whether its stations are lengths along it."""
         return self.pieces[0].knots is not None
+
+    @property
+    def rightward(self) -> float:
+        """1 where offsets from it grow to the right of its traffic, else -1."""
+        return 1.0 if self.ascends != self.pieces[0].road.line.is_mirrored else -1.0
 
     def xy_world(self, s: AnyScalars) -> Float[np.ndarray, "n 2"]:
         """World (x, y) at stations."""
@@ -147,7 +158,8 @@ class LaneCurve:
         return height_m
 
     def shifted(self, t_m: float) -> "LaneCurve":
-        """The curve `t_m` beside it; of a map, to the right of its own direction, at the same stations."""
+        """The curve `t_m` beside it, at the same stations: to where t of its roads grows or, if stations are lengths
+        along it, to the right of growing ones."""
         aside = (replace(piece, offset=piece.offset.shifted(t_m * piece.along)) for piece in self.pieces)
         return replace(self, pieces=tuple(aside))
 
@@ -160,13 +172,36 @@ class LaneCurve:
 
     def lane_at(self, s: float) -> NetworkLane:
         """The lane of a path at a station."""
-        if not self.is_measured:
-            return next(lane for lane in reversed(self.lanes) if s >= lane.start_m)
-        return self.lanes[self.piece_at(s)]
+        return self.lanes[self.lane_number_at(s)]
 
-    def piece_at(self, s: float) -> int:
-        """The number of the piece at a station; before the first one it, too."""
-        return max(sum(s >= piece.start_m for piece in self.pieces) - 1, 0)
+    def lane_number_at(self, s: float) -> int:
+        """The number of the lane of a path at a station; before the first one it, too."""
+        return max(sum(s >= start_m for start_m in self.lane_starts_m) - 1, 0)
+
+    def piece_at(self, s: float) -> Piece:
+        """The piece at a station; before the first one it, too."""
+        return self.pieces[max(sum(s >= piece.start_m for piece in self.pieces) - 1, 0)]
+
+    def stations_on(self, lane: str, road_s: npt.ArrayLike) -> AnyScalars:
+        """Stations of a path at stations of the road of one of its lanes."""
+        start_m = next(at for own, at in zip(self.lanes, self.lane_starts_m, strict=True) if own.id == lane)
+        return self.piece_at(start_m).stations(road_s)
+
+    def places_from(self, s: float) -> Callable[[Points2], Points3]:
+        """World points of places (right, ahead) in metres, as its traffic drives, from a station of it."""
+        around, onwards = s + AROUND_M, 1.0 if self.ascends else -1.0
+        if self.is_measured:
+            length_m = AROUND_M
+        else:
+            steps = np.diff(self.xy_world(around), axis=0)
+            length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+            length_m -= np.interp(s, around, length_m)
+
+        def points_world(places: Points2) -> Points3:
+            at = np.interp(onwards * places[:, 1], length_m, around)
+            return self.points_beside(np.clip(at, self.start_m, self.end_m), self.rightward * places[:, 0])
+
+        return points_world
 
     def _parts(self, s: AnyScalars) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
         """Which stations lie on each piece; the first and the last one have no outer ends."""

@@ -235,6 +235,6 @@ def bounded(path: LaneCurve, beside: dict[str, list[LineBeside]]) -> LaneCurve:
     found = []
     for lane, piece in zip(path.lanes, path.pieces, strict=True):
         for at in beside.get(lane.id, ()):
-            ends = sorted(piece.station(s) for s in (at.start_m, at.end_m))
+            ends = np.sort(piece.stations([at.start_m, at.end_m])).tolist()
             found.append(Neighbour(at.id, at.is_right == (piece.along > 0), *ends))
     return replace(path, neighbours=tuple(found))

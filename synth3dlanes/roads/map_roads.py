@@ -10,8 +10,8 @@ from synth3dlanes.labels.labels import Direction
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, TableLine, measured
 from synth3dlanes.roads.map_lines import plan_line
-from synth3dlanes.roads.map_network import Junction, MapNetwork
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
+from synth3dlanes.roads.network import Junction, LanePattern, Network
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
@@ -26,7 +26,7 @@ GAP_M, TANGENT_M = 1.0, 0.01
 LEAST_WIDTH_M = 0.1
 
 
-def map_network(roads: RoadMap, terrain: Terrain, at_m: float) -> MapNetwork:
+def map_network(roads: RoadMap, terrain: Terrain, at_m: float) -> Network:
     """The roads of a map within AROUND_M of the place at a length along its route, and those of the route."""
     return _Reading(roads, terrain).network(at_m)
 
@@ -37,7 +37,7 @@ class _Reading:
     def __init__(self, roads: RoadMap, terrain: Terrain) -> None:
         self.map, self.terrain, self.route = roads, terrain, frozenset(roads.route)
 
-    def network(self, at_m: float) -> MapNetwork:
+    def network(self, at_m: float) -> Network:
         near = self._near(at_m)
         lanes = {lane.id: lane for road in near for lane in road.lanes}
         links = [link for link in self.map.links if link[0] in lanes and link[1] in lanes]
@@ -70,16 +70,22 @@ class _Reading:
             )
             for at in self.map.junctions
         )
-        return MapNetwork(
+        route = [lanes[name] for name in self.map.route]
+        driven = {id(at): at for at in (roads[lane.road].stretch_of(lane) for lane in route if lane.junction is None)}
+        return Network(
             self.terrain,
             roads=tuple(roads.values()),
+            lanes=lanes,
+            links=tuple(sorted(links)),
+            paths=tuple(bounded(path, beside) for path in paths),
             delimiters=tuple(line for line, _ in drawn),
-            links=tuple(links),
-            given_paths=tuple(bounded(path, beside) for path in paths),
+            way=_path(route, courses),
+            # Lanes lie one beside the other across the texture of every road.
+            across=LanePattern(route[0].width_m, 0, is_along=False),
+            host_stretches=tuple((at, at.start_m, at.end_m) for at in driven.values()),
             junctions=tuple(at for at in junctions if at.roads),
             courses=courses,
             stretches=table,
-            way=_path([lanes[name] for name in self.map.route], courses),
         )
 
     # -- roads
@@ -199,6 +205,8 @@ def _path(lanes: list[NetworkLane], courses: Mapping[str, Course]) -> LaneCurve:
         pieces[-1].end_m,
         first.direction,
         lanes=tuple(lanes),
+        lane_starts_m=tuple(piece.start_m for piece in pieces),
+        ascends=first.direction != "oncoming",
         connector=first.junction is not None,
         junction=first.junction,
     )

@@ -1,18 +1,19 @@
-"""Roads as one kind of network: roads, their lanes and painted lines, and the links between lanes. World frame, metres;
-the rules are in docs/network.md."""
+"""Roads as a network: roads, their lanes, the links between these, the lines along them, and the way of the host. World
+frame, metres; the rules are in docs/network.md."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
+from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
-from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, joined, neighbours
-from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
+from synth3dlanes.roads.line_table import APART_M, LineTable
+from synth3dlanes.roads.road_table import RoadIndex, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.host import Camera
@@ -20,28 +21,15 @@ from synth3dlanes.scene.scene import Car, Terrain
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.system.errors import InputError
 
-# The lane graph ends at these stations.
+# The lane graph ends at these stations of roads that have no end.
 GRAPH_END_M = 100.0
-# A common station this close to a line's own end is left out: two coinciding points have no direction.
-APART_M = 0.01
-# The host drives between these stations, and a little beyond.
-HOST_ROAD_M = 115.0
-# Steps along a road in which its extent is measured.
-EXTENT_STEP_M = 10.0
 # Points of the middle and the edges of lanes are this far apart, and where a lane begins at the end of another that is
 # on another road at least so far beyond that.
 LINES_STEP_M, LEAST_GAP_M = 0.5, 0.25
-# Stations around a place for which lengths along the road are measured.
-AROUND_M = np.arange(-10.0, 10.01, 0.25)
-
-
-class Nearby(NamedTuple):
-    """Points that may be near a road: which of a query they are, and their places along it."""
-
-    road: Road
-    which: Bool[np.ndarray, " n"]
-    s: AnyScalars
-    t: AnyScalars
+# On a route, the surface's normal and the host's direction are measured over these lengths to both sides.
+ACROSS_M, TANGENT_M = 0.5, 0.01
+# What lies at most this many times a reach from a place, from above, is near it: roads turn.
+AS_FAR = 2.0
 
 
 class LanePattern(NamedTuple):
@@ -55,182 +43,228 @@ class LanePattern(NamedTuple):
     is_along: bool = True
 
 
+class Junction(NamedTuple):
+    """A junction: its connecting roads, the outline of its pavement where it is known, and pairs of lanes, the first of
+    which yields to the second."""
+
+    id: str
+    roads: tuple[Road, ...]
+    outline: Points2
+    yields: tuple[tuple[str, str], ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Roads, the first of which is the host's, with their painted lines, and links (lane, lane) as traffic drives. A
-    road comes after the one where it begins. The host drives with growing s where `onwards` is 1, against it where it
-    is -1; stations as it drives grow ahead of it."""
+    """Roads with lanes, in the order of the labels, links (lane, lane) as traffic drives, the centre lines of the ways
+    through these, painted lines and junctions. A road comes after the one where it begins.
+
+    `way` is the line whose stations, as the host drives, scenes use for the host. If it has lanes, it is the host's
+    route; otherwise the host keeps the lane that its scene says. `host_stretches` are the roads near the host that it
+    drives on, each between two stations, junctions left out. `courses` are those of lanes that routes may use, and
+    `stretches` the roads of one section that all lines are on, if their stations are lengths along them."""
 
     terrain: Terrain
     roads: tuple[Road, ...]
-    delimiters: tuple[LaneCurve, ...]
+    lanes: Mapping[str, NetworkLane]
     links: tuple[tuple[str, str], ...]
-    onwards: float = 1.0
+    paths: tuple[LaneCurve, ...]
+    delimiters: tuple[LaneCurve, ...]
+    way: LaneCurve
+    across: LanePattern
+    host_stretches: tuple[tuple[Road, float, float], ...] = ()
+    junctions: tuple[Junction, ...] = ()
+    courses: Mapping[str, Course] = field(default_factory=dict)
+    stretches: RoadTable | None = None
+
+    # -- roads, lanes and lines
 
     @property
     def main(self) -> Road:
-        """The road whose stations scenes use."""
-        return self.roads[0]
+        """The road where the way of the host begins."""
+        return self.road(self.way.road)
 
     @property
-    def host_stretches(self) -> list[tuple[Road, float, float]]:
-        """The roads that the host drives on, each between two stations near it, junctions left out."""
-        return [(self.main, -HOST_ROAD_M, HOST_ROAD_M)]
-
-    @property
-    def across(self) -> LanePattern:
-        """The lanes of the main road across its texture."""
-        own, median_m = self.main.carriageways[-1], sum(right_m - left_m for left_m, right_m in self.main.medians)
-        return LanePattern(self.main.lane_width_m, own.n_lanes % 2, own.left_m - median_m / 2, median_m)
+    def onwards(self) -> float:
+        """1 where the host drives with growing s, -1 where it drives against it."""
+        return 1.0 if self.way.ascends else -1.0
 
     @property
     def rightward(self) -> float:
         """1 where t grows to the right as the host drives, else -1."""
-        return -self.onwards if self.main.line.is_mirrored else self.onwards
-
-    @cached_property
-    def lanes(self) -> dict[str, NetworkLane]:
-        """All lanes by id: the host's, then oncoming ones; a section's from the host's left."""
-        lanes = (lane for road in self.roads for lane in road.lanes)
-        return {lane.id: lane for lane in sorted(lanes, key=lambda lane: lane.direction == "oncoming")}
-
-    @cached_property
-    def paths(self) -> tuple[LaneCurve, ...]:
-        """The centre line of every way through the links, as t grows. It has the id of its last lane where roads split,
-        of its first where they merge."""
-        ways = list(_ways(list(_as_t_grows(self)), self.links))
-        at = -1 if len({way[-1].id for way in ways}) >= len({way[0].id for way in ways}) else 0
-        return tuple(self._path(way[at], sorted(way, key=lambda lane: lane.start_m)) for way in ways)
-
-    def _path(self, named: NetworkLane, lanes: list[NetworkLane]) -> LaneCurve:
-        beside = [line for line in self.delimiters if line.end_m >= named.end_m]
-        left, right = (
-            next((line.id for line in beside if Neighbour(named.id, not is_right) in line.neighbours), None)
-            for is_right in (False, True)
-        )
-        pieces = joined((self.road(lane.road), lane.middle, lane.start_m) for lane in lanes)
-        return LaneCurve(
-            named.id,
-            "centerline",
-            named.road,
-            "none",
-            neighbours(left, right),
-            pieces,
-            direction=named.direction,
-            lanes=tuple(lanes),
-        )
+        return self.way.rightward
 
     @cached_property
     def curves(self) -> tuple[LaneCurve, ...]:
         """All centre lines, then all delimiters."""
         return (*self.paths, *self.delimiters)
 
+    @cached_property
+    def _road_of(self) -> dict[str, Road]:
+        return {road.id: road for road in self.roads}
+
+    @cached_property
+    def _path_of(self) -> dict[str, LaneCurve]:
+        return {lane.id: path for path in reversed(self.paths) for lane in path.lanes}
+
     def road(self, name: str) -> Road:
-        """A road by its id."""
-        return next(road for road in self.roads if road.id == name)
+        """A road by its id. Raises InputError for one that is too far from the host."""
+        if name not in self._road_of:
+            raise InputError(f"map: expected roads near the host, got {name}")
+        return self._road_of[name]
+
+    def path(self, lane: str) -> LaneCurve:
+        """The first centre line along a lane. Raises InputError for one that is too far from the host, or has no
+        width."""
+        if lane not in self._path_of:
+            raise InputError(f"map: expected lanes of traffic near the host, with a width, got {lane}")
+        return self._path_of[lane]
 
     def branches(self, road: Road) -> list[Road]:
         """The roads that begin beside a road."""
         return [other for other in self.roads if other.parting is not None and other.parting.road is road]
-
-    def path(self, lane: str) -> LaneCurve:
-        """The first centre line along a lane."""
-        return next(path for path in self.paths if any(lane == at.id for at in path.lanes))
 
     def stations(self, s: AnyScalars) -> AnyScalars:
         """Stations of stations as the host drives, and vice versa."""
         return s * self.onwards
 
     def lanes_at(self, s: float) -> list[NetworkLane]:
-        """The lanes of all roads at a station: the host's from its left, then oncoming ones."""
+        """The lanes of all roads at a station that they share: the host's from its left, then oncoming ones."""
         return [lane for lane in self.lanes.values() if lane.start_m <= s < lane.end_m]
-
-    def host_lane(self, number: int, driven_m: float) -> NetworkLane:
-        """The host's lane `number` from its left, at a station as it drives."""
-        return self.lanes_at(driven_m * self.onwards)[number - 1]
 
     def successors(self, lane: str) -> list[NetworkLane]:
         """The lanes that follow a lane."""
         return [self.lanes[after] for before, after in self.links if before == lane]
 
-    def neighbours(self, segment: Segment) -> tuple[str | None, str | None]:
-        """The lanes to the left and the right of one of the lane graph, as its own traffic drives."""
-        is_oncoming = self.lanes[segment.id].direction == "oncoming"
-        return (segment.right, segment.left) if is_oncoming else (segment.left, segment.right)
-
     def joined_to(self, lane: NetworkLane) -> list[NetworkLane]:
         """The lanes that a lane is linked to."""
         return [self.lanes[name] for link in self.links if lane.id in link for name in link if name != lane.id]
+
+    @cached_property
+    def index(self) -> RoadIndex:
+        """Its roads as arrays, numbered as in `roads`, and where they are; of roads with both ends."""
+        return RoadIndex(self.roads, self.terrain)
 
     def lift(self, xy_world: AnyPoints2, above_m: AnyScalars | float = 0.0) -> AnyPoints3:
         """3D points on the terrain, or `above_m` over it."""
         return lift(self.terrain, xy_world, above_m)
 
-    def up(self, camera: Camera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """The unit normal of the surface at the host's place."""
-        ((dx, dy),) = gradient_at(self.terrain, foot_world[None, :2])
-        return np.asarray(np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1))
+    # -- the host and the cars
+
+    def host_lane(self, number: int, driven_m: float) -> NetworkLane:
+        """The lane of the host's route at a station as it drives; without one its lane `number` from the left there."""
+        s = driven_m * self.onwards
+        return self.way.lane_at(s) if self.way.lanes else self.lanes_at(s)[number - 1]
+
+    def host_way(self, camera: Camera) -> LaneCurve:
+        """The centre line that the host drives on: of its route, or of the lane that it keeps."""
+        return self.way if self.way.lanes else self.path(self.host_lane(camera.lane, camera.y_m).id)
 
     def host_points(self, camera: Camera, ahead_m: AnyScalars) -> AnyPoints3:
         """Points on the host's way, its offset from its lane included, at stations ahead of its place."""
-        lane = self.host_lane(camera.lane, camera.y_m)
-        s = self.stations(camera.y_m + ahead_m)
-        return self.road(lane.road).points(s, lane.middle(s) + camera.offset_m * self.rightward)
+        way = self.host_way(camera)
+        return way.points_beside(
+            self.stations(camera.y_m + ahead_m), np.full(ahead_m.shape, camera.offset_m * way.rightward)
+        )
 
-    def host_way(self, camera: Camera) -> LaneCurve:
-        """The path that the host drives on."""
-        return self.path(self.host_lane(camera.lane, camera.y_m).id)
+    def up(self, camera: Camera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """The unit normal at the host's place: of its route's surface, or of the terrain."""
+        if not self.way.lanes:
+            ((dx, dy),) = gradient_at(self.terrain, foot_world[None, :2])
+            return np.asarray(np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1))
+        s, aside_m = np.full(2, camera.y_m), camera.offset_m + np.array([-ACROSS_M, ACROSS_M])
+        left, right = self.way.points_beside(s, aside_m)
+        behind, ahead = self.host_points(camera, np.array([-ACROSS_M, ACROSS_M]))
+        normal = cross(right - left, ahead - behind)
+        return np.asarray(normal / np.linalg.norm(normal))
 
     def host_lines(self, camera: Camera) -> list[str]:
         """The centre lines that the host drives along, from its place on."""
-        return [self.host_way(camera).id]
+        if not self.way.lanes:
+            return [self.host_way(camera).id]
+        lanes = self.way.lanes[self.way.lane_number_at(camera.y_m) :]
+        return list(dict.fromkeys(self.path(lane.id).id for lane in lanes))
 
     def host_on(self, camera: Camera, driven_m: float) -> Camera:
-        """The host at another station of its way; raise InputError where that leaves its road."""
-        before = self.host_lane(camera.lane, camera.y_m)
-        lane = self.path(before.id).lane_at(driven_m * self.onwards)
+        """The host at another station of its way; raise InputError where the lane that it keeps leaves its road."""
+        if self.way.lanes:
+            return camera.model_copy(update={"y_m": driven_m})
+        before, lane = (self.host_way(camera).lane_at(y_m * self.onwards) for y_m in (camera.y_m, driven_m))
         if lane.road != before.road:
             raise InputError(f"camera.lane: expected a lane that stays on the main road in a clip, got {camera.lane}")
         return camera.model_copy(update={"y_m": driven_m, "lane": lane.number})
 
     def car_way(self, car: Car) -> tuple[LaneCurve, float]:
-        """The path that a car drives on, and its station there as the host drives."""
-        return self.path(car.lane), car.s_m
+        """The centre line that a car drives on, through the lanes of its route or, of lanes without courses, that along
+        its lane, and its station there. Raises InputError as `path` does for its lane."""
+        way = self.path(car.lane)
+        if car.lane in self.courses:
+            way = self.way_through([self.lanes[name] for name in (car.lane, *car.route) if name in self.lanes])
+        return way, float(way.stations_on(car.lane, car.s_m * self.onwards))
 
-    def car_on(self, car: Car, driven_m: float) -> Car:
+    def car_on(self, car: Car, s: float) -> Car:
         """A car at another station of its way."""
-        return car.model_copy(update={"s_m": driven_m, "lane": self.path(car.lane).lane_at(driven_m * self.onwards).id})
+        way, _ = self.car_way(car)
+        at, on = way.lane_number_at(s), float(way.piece_at(s).on(np.array([s]))[0])
+        return car.model_copy(update={"s_m": on * self.onwards, "lane": way.lanes[at].id, "route": car.route[at:]})
 
-    def in_lane(self, lane: str, driven_m: AnyScalars) -> tuple[LaneCurve, AnyScalars]:
-        """The first centre line along a lane, and its stations, as the host drives, at stations of cars in it."""
-        return self.path(lane), driven_m
+    def way_through(self, lanes: Sequence[NetworkLane]) -> LaneCurve:
+        """The centre line along lanes that follow each other, as their traffic drives."""
+        pieces, first = measured(self.courses[lane.id] for lane in lanes), lanes[0]
+        ends, starts_m = (0.0, pieces[-1].end_m), tuple(piece.start_m for piece in pieces)
+        return LaneCurve(
+            first.id, "centerline", first.road, "none", (), pieces, *ends, lanes=tuple(lanes), lane_starts_m=starts_m
+        )
 
-    def places_around(self, lane: str | None, s_m: float) -> Callable[[Points2], Points3]:
-        """World points of places (right, ahead) in metres, as the host drives, from a station of the middle of a lane
-        or, without a lane, of the main road's line."""
-        at = None if lane is None else self.lanes[lane]
-        road, middle = (self.main, Offset(0.0)) if at is None else (self.road(at.road), at.middle)
-        driven_m = s_m + AROUND_M
-        around = self.stations(driven_m)
-        steps = np.diff(road.xy(around, middle(around)), axis=0)
-        length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-        length_m -= np.interp(s_m, driven_m, length_m)
-
-        def points_world(places: Points2) -> Points3:
-            s = self.stations(np.interp(places[:, 1], length_m, driven_m))
-            return road.points(s, middle(s) + places[:, 0] * self.rightward)
-
-        return points_world
+    # -- labels
 
     def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
-        """The stations of the points of every line, at these lengths of road ahead of the host and at its ends between
-        them, in driving order."""
-        driven_m = {road.id: self.stations_along(road, camera.y_m, lengths_m) for road in self.roads}
+        """The stations of the points of every line in range of the host. Lines that share the stations of roads have
+        them at these lengths of their road ahead of the host, and at their ends between these, in driving order; others
+        as `LineTable.in_range` says."""
+        if self.stretches is not None:
+            ((foot, forward),) = self._host_at(camera, np.array([camera.y_m]))
+            return self.line_table.in_range(foot, forward, lengths_m)
+        roads = {curve.road: self.road(curve.road) for curve in self.curves}
+        driven_m = {name: self.stations_along(road, camera.y_m, lengths_m) for name, road in roads.items()}
         return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
+
+    def known(self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
+        """The ids of the lines that are in range of the host at any of some stations, each ahead of the one before."""
+        if self.stretches is not None:
+            seen = (self.line_table.known(*at, lengths_m) for at in self._host_at(camera, places_m))
+            return set[str]().union(*seen)
+        # Along a road a line comes into range or is passed, never both.
+        ends = [camera.model_copy(update={"y_m": y_m}) for y_m in (float(places_m[0]), float(places_m[-1]))]
+        return {line.id for at in ends for line, s in self.in_range(at, lengths_m).items() if len(s) > 1}
 
     def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
         """Points on the road surface at stations of lines, one line after the other."""
+        if self.stretches is not None:
+            return self.line_table.points_along(stations)
         return [curve.points_world(s) for curve, s in stations.items()]
+
+    @cached_property
+    def line_table(self) -> LineTable:
+        """Its lines as arrays, if their stations are lengths along them; numbered as in `curves`."""
+        assert self.stretches is not None, "asked only of lines on roads of one section"
+        return LineTable(self.curves, self.stretches)
+
+    def xy_in_lanes(
+        self, lanes: Sequence[NetworkLane], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> list[Float[np.ndarray, "_ 2"]]:
+        """World (x, y) of the middle of each of some lanes with courses at stations of its road."""
+        lines = [line for lane in lanes if (line := self.courses[lane.id].on_table) is not None]
+        return self.line_table.xy_along(lines, stations)
+
+    def _host_at(
+        self, camera: Camera, places_m: Scalars
+    ) -> Iterator[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]]:
+        """The place of the host and the unit vector of its way, from above, at stations as it drives."""
+        steps = np.array([-TANGENT_M, TANGENT_M])
+        feet = self.host_points(camera, places_m - camera.y_m)[:, :2]
+        for foot, y_m in zip(feet, places_m.tolist(), strict=True):
+            behind, ahead = self.host_points(camera, y_m - camera.y_m + steps)[:, :2]
+            yield foot, (ahead - behind) / np.linalg.norm(ahead - behind)
 
     def _points_of(self, curve: LaneCurve, driven_m: Scalars) -> Float[np.ndarray, " m"]:
         s = self.stations(driven_m)
@@ -239,30 +273,6 @@ class Network:
         kept = s[curve.has(s)]
         kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
         return np.sort(np.concatenate([kept, ends]))[:: int(self.onwards)]
-
-    def known(self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
-        """The ids of the lines that are in range of the host at any of some stations."""
-        hosts = (camera.model_copy(update={"y_m": float(y_m)}) for y_m in places_m)
-        return {curve.id for host in hosts for curve, s in self.in_range(host, lengths_m).items() if len(s) > 1}
-
-    def known_at(self, n_frames: int) -> int:
-        """The number of instants of a clip, from its first frame to its last, that have between them all lines of any
-        frame: a line comes into range or is passed, never both."""
-        return min(n_frames, 2)
-
-    def graph(self, centerlines: Sequence[str]) -> LaneGraph:
-        """The lane graph of the labels; its segments list those of their centre lines that are given."""
-        segments = []
-        for lane in self.lanes.values():
-            ends = np.clip([lane.start_m, lane.end_m], -GRAPH_END_M, GRAPH_END_M) * self.onwards + 0.0
-            start_m, end_m = np.sort(ends)[:: 1 if lane.direction == "same" else -1].tolist()
-            names = {n: f"{lane.section}_{n}" for n in (lane.number - 1, lane.number + 1)}
-            left, right = (name if name in self.lanes else None for name in names.values())
-            along = [path.id for path in self.paths if lane in path.lanes and path.id in centerlines]
-            segments.append(Segment(lane.id, lane.road, lane.number, start_m, end_m, left, right, tuple(along)))
-        successors = {before: tuple(lane.id for lane in self.successors(before)) for before, _ in sorted(self.links)}
-        starts = [round(float(road.ramp.start_m * self.onwards), 4) + 0.0 for road in self.roads if road.ramp]
-        return LaneGraph(tuple(segments), successors, starts[0] if starts else None)
 
     def stations_along(self, road: Road, driven_m: float, lengths_m: AnyScalars) -> AnyScalars:
         """Stations as the host drives, at the given lengths of a road ahead of `driven_m`; sorted lengths, negative
@@ -285,112 +295,93 @@ class Network:
             return self._along(road, driven_m, lengths_m, sign, 1.5 * reach)
         return np.interp(lengths_m, arc, grid)
 
+    def graph(self, centerlines: Sequence[str]) -> LaneGraph:
+        """The lane graph of the labels: the lanes of the given centre lines."""
+        given, along = set(centerlines), dict[str, list[str]]()
+        for path in self.paths:
+            for lane in path.lanes if path.id in given else ():
+                along.setdefault(lane.id, []).append(path.id)
+        numbered = {(lane.section, lane.number): lane.id for lane in self.lanes.values()}
+        segments = []
+        for lane in self.lanes.values():
+            if lane.id in along:
+                ends = [s if np.isfinite(s) else float(np.copysign(GRAPH_END_M, s)) for s in lane.driven]
+                start_m, end_m = (s * self.onwards + 0.0 for s in ends)
+                beside = (numbered.get((lane.section, lane.number + step)) for step in (-1, 1))
+                left, right = (name if name in along else None for name in beside)
+                paths = tuple(along[lane.id])
+                segments.append(
+                    Segment(lane.id, lane.road, lane.number, start_m, end_m, left, right, paths, lane.junction)
+                )
+        pairs = [(before, after) for before, after in self.links if before in along and after in along]
+        successors = {before: tuple(b for a, b in pairs if a == before) for before, _ in sorted(pairs)}
+        starts = [round(float(road.ramp.start_m * self.onwards), 4) + 0.0 for road in self.roads if road.ramp]
+        yields = (pair for at in self.junctions for pair in at.yields if pair[0] in along and pair[1] in along)
+        return LaneGraph(
+            tuple(segments), successors, starts[0] if starts else None, tuple(yields) if self.way.lanes else None
+        )
+
+    def neighbours(self, segment: Segment) -> tuple[str | None, str | None]:
+        """The lanes to the left and the right of one of the lane graph, as its own traffic drives."""
+        lane = self.lanes[segment.id]
+        rightward = 1.0 if lane.ascends != self.road(lane.road).line.is_mirrored else -1.0
+        middle = np.clip([lane.start_m, lane.end_m], -GRAPH_END_M, GRAPH_END_M).mean(keepdims=True)
+
+        def across(name: str) -> float:
+            return float(self.lanes[name].middle(middle)[0]) * rightward
+
+        beside = {across(name) > across(lane.id): name for name in (segment.left, segment.right) if name is not None}
+        return beside.get(False), beside.get(True)
+
+    # -- what is near a place
+
     def stations_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Scalars:
-        """Stations up to a distance before and beyond a place of the host, in ascending order."""
-        driven_m = float(xy_world[1]) + np.arange(-reach_m, reach_m + LINES_STEP_M / 2, LINES_STEP_M)
-        return np.sort(self.stations(driven_m))
+        """Stations up to a distance before and beyond a place of the host, in ascending order, of roads that share
+        them."""
+        near = np.arange(-reach_m, reach_m + LINES_STEP_M / 2, LINES_STEP_M)
+        return np.asarray(self.main.line.guess(xy_world) + near)
+
+    def stations_between(
+        self, start_m: float, end_m: float, xy_world: Float[np.ndarray, "2"], reach_m: float
+    ) -> Scalars:
+        """Stations from one to another; without either end, those within a distance of a place of the host."""
+        if np.isfinite(end_m - start_m):
+            return np.linspace(start_m, end_m, max(2 + int((end_m - start_m) / LINES_STEP_M), 3))
+        return np.unique(np.clip(self.stations_near(xy_world, reach_m), start_m, end_m))
 
     def lane_lines(
         self, lane: NetworkLane, xy_world: Float[np.ndarray, "2"], reach_m: float
     ) -> tuple[Points3, Points3, Points3] | None:
-        """A lane's middle, its left and its right edge within about `reach_m` of a place of the host, as its traffic
-        drives: points i are beside each other. None where it is farther away."""
-        road = self.road(lane.road)
-        s = np.unique(np.clip(self.stations_near(xy_world, reach_m), lane.start_m, lane.end_m))
-        if len(s) < 2:
-            return None
+        """A lane's middle, its left and its right edge as its traffic drives, of a lane without ends within about
+        `reach_m` of a place of the host: points i are beside each other. None where it is farther away."""
+        road = self.road(lane.road).stretch_of(lane)
+        s = self.stations_between(lane.start_m, lane.end_m, xy_world, reach_m)
         lines = [road.points(s, offset(s)) for offset in (lane.middle, *lane.edges)]
-        before = next((at for at in self.joined_to(lane) if at.road != lane.road and at.end_m == lane.start_m), None)
-        if before is not None and s[0] <= lane.start_m:
-            # It begins where the lane before it ends, on another road; its own first points may lie behind that.
-            other = self.road(before.road)
-            ahead = np.all([other.line.project(line[:, :2])[0] > s[0] + LEAST_GAP_M for line in lines], axis=0)
-            starts = [other.points(s[:1], offset(s[:1])) for offset in (before.middle, *before.edges)]
-            lines = [np.concatenate([start, line[ahead]]) for start, line in zip(starts, lines, strict=True)]
+        if len(s) < 2 or not _is_near(lines[0], xy_world, reach_m):
+            return None
+        if road.parting is not None and s[0] <= lane.start_m:
+            # It begins where the lane before it ends, on the other road; its own first points may lie behind that.
+            other = road.parting.road
+            before = next((at for at in self.joined_to(lane) if at.road == other.id), None)
+            if before is not None:
+                ahead = np.all([other.line.project(line[:, :2])[0] > s[0] + LEAST_GAP_M for line in lines], axis=0)
+                starts = [other.points(s[:1], offset(s[:1])) for offset in (before.middle, *before.edges)]
+                lines = [np.concatenate([start, line[ahead]]) for start, line in zip(starts, lines, strict=True)]
         middle, low, high = (line[:: 1 if lane.ascends else -1] for line in lines)
         return (middle, low, high) if lane.ascends != road.line.is_mirrored else (middle, high, low)
 
     def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Scalars]:
-        """The stations of places along the painted lines within about `reach_m` of a place of the host."""
-        s = self.stations_near(xy_world, reach_m)
-        return {line: s[(s >= line.start_m) & (s <= line.end_m)] for line in self.delimiters}
+        """The stations of places along the painted lines that come within about `reach_m` of a place of the host; of a
+        line without ends, those within this distance."""
+        places = ((at, self.stations_between(at.start_m, at.end_m, xy_world, reach_m)) for at in self.delimiters)
+        return {line: s for line, s in places if len(s) > 1 and _is_near(line.xy_world(s), xy_world, reach_m)}
 
     def along_host(self, driven_m: Scalars) -> Points3:
-        """Points on the main road's line, at stations as the host drives."""
-        return self.main.points(self.stations(driven_m), 0.0)
-
-    def road_stations(self, road: Road, camera: Camera, behind_m: float, ahead_m: float) -> Scalars:
-        """Stations of a road from behind the host to ahead of it, as it drives; none where the road is not there."""
-        s = self.stations(np.arange(camera.y_m - behind_m, camera.y_m + ahead_m + 0.5))
-        return np.asarray(s[(s >= road.start_m) & (s <= road.end_m)])
-
-    def nearby(
-        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
-    ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
-        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
-        near."""
-        masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.roads}
-        near = np.logical_or.reduce(list(masks.values()))
-        xy = xy_world[near]
-        found: dict[str, Nearby] = {}
-        for road in self.roads:
-            guess = None
-            if road.parting is None:
-                which = np.logical_or.reduce([masks[at.id][near] for at in (road, *self.branches(road))])
-            elif beside := found.get(road.parting.road.id):
-                close = road.parting.may_hold(road, beside.s, beside.t, reach_m[near][beside.which])
-                which, guess = beside.which.copy(), beside.s[close]
-                which[which] = close
-            else:
-                continue
-            if which.any():
-                found[road.id] = Nearby(road, which, *road.line.project(xy[which], guess))
-        return near, list(found.values())
-
-    def around(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> "Network":
-        """The part of the network within `reach_m` of a point, from above."""
-        low, high = self._extents
-        near = ((low < xy_world + reach_m) & (high > xy_world - reach_m)).all(axis=1)
-        if near.all():
-            return self
-        chosen = [road for road, is_near in zip(self.roads, near, strict=True) if is_near]
-        kept = {road.id for road in chosen} | {road.parting.road.id for road in chosen if road.parting}
-        roads = tuple(road for road in self.roads if road.id in kept)
-        delimiters = tuple(line for line in self.delimiters if all(piece.road.id in kept for piece in line.pieces))
-        links = tuple(link for link in self.links if all(self.lanes[lane].road in kept for lane in link))
-        return replace(self, roads=roads, delimiters=delimiters, links=links)
-
-    @cached_property
-    def _extents(self) -> Float[np.ndarray, "2 roads 2"]:
-        """The lowest and the highest (x, y) of all roads' pavements; infinite for roads without ends."""
-        found = np.zeros((2, len(self.roads), 2))
-        found[0], found[1] = -np.inf, np.inf
-        for i, road in enumerate(self.roads):
-            if np.isfinite(road.end_m - road.start_m):
-                s = np.linspace(road.start_m, road.end_m, 2 + int((road.end_m - road.start_m) / EXTENT_STEP_M))
-                xy = np.concatenate([road.xy(s, road.left(s)), road.xy(s, road.right(s))])
-                found[:, i] = xy.min(axis=0) - EXTENT_STEP_M, xy.max(axis=0) + EXTENT_STEP_M
-        return found
+        """Points on the line of the host's way at stations as it drives; those beyond its ends are left out."""
+        within = np.clip(self.stations(driven_m), self.way.start_m, self.way.end_m)
+        return self.way.points_world(np.unique(within)[:: int(self.onwards)])
 
 
-def _as_t_grows(network: Network) -> Iterator[NetworkLane]:
-    """All lanes, those of a section as t grows."""
-    for _, group in groupby(network.lanes.values(), key=lambda lane: lane.section):
-        yield from list(group)[:: int(network.rightward)]
-
-
-def _ways(lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]]) -> Iterator[list[NetworkLane]]:
-    """All ways from lanes that follow no other to lanes that no other follows."""
-    by_id = {lane.id: lane for lane in lanes}
-
-    def onward(way: list[NetworkLane]) -> Iterator[list[NetworkLane]]:
-        after = [by_id[b] for a, b in links if a == way[-1].id and by_id[b] not in way]
-        if not after:
-            yield way
-        for lane in after:
-            yield from onward([*way, lane])
-
-    followers = {after for _, after in links}
-    for lane in lanes:
-        if lane.id not in followers:
-            yield from onward([lane])
+def _is_near(points: Float[np.ndarray, "n _"], xy_world: Float[np.ndarray, "2"], reach_m: float) -> bool:
+    """Whether any of some points is within about `reach_m` of a place."""
+    return bool((np.linalg.norm(points[:, :2] - xy_world, axis=1) < AS_FAR * reach_m).any())

@@ -3,14 +3,16 @@
 Stations and offsets are those of the plan, see paper_lines.py.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 
 from synth3dlanes.labels.labels import Direction, Marking
-from synth3dlanes.roads.lane_curves import LaneCurve, joined, neighbours
-from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, Piece, joined, neighbours
+from synth3dlanes.roads.network import LanePattern, Network
 from synth3dlanes.roads.paper_lines import S_END_M, Displaced, Flips, Opening, Quartic
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Parting, Ramp, Road
@@ -31,6 +33,8 @@ TAPER_M = 20.0
 # min(q, width) has a corner at the nose. It is rounded where q is this close to the width, so that the lane is smooth;
 # this moves the lane by at most 1.5 cm.
 CORNER_M = 0.06
+# The host drives between these stations, and a little beyond.
+HOST_ROAD_M = 115.0
 
 
 def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
@@ -235,14 +239,37 @@ class _Plan:
 
     @property
     def network(self) -> Network:
-        roads = (self.main_road,) if self.road.topology == 1 else (self.main_road, self.exit_road)
+        main, sections = self.main_road, self.main_lanes
+        roads = (main,) if self.road.topology == 1 else (main, self.exit_road)
+        if len(roads) > 1:
+            sections = sections + self.exit_lanes
+        # The host's, then oncoming ones; those of a section from the host's left.
+        lanes = sorted(sections, key=lambda lane: lane.direction == "oncoming")
         lines = self._delimiters() + self._oncoming_delimiters()
         facing = (
             {self.line_id("main", 0), self.line_id("oncoming", self.road.n_oncoming)} if self.road.n_oncoming else set()
         )
         facing = facing or {line.id for line in lines if all(at.is_right for at in line.neighbours)}
         delimiters = tuple(replace(at, is_inner=at.id in facing) for at in lines)
-        return Network(self.terrain, roads, delimiters, self.links, self.flips.y)
+        whole = (Piece(main, Offset(0.0), -np.inf, np.inf),)
+        return Network(
+            self.terrain,
+            roads,
+            {lane.id: lane for lane in lanes},
+            self.links,
+            paths_through(roads, lanes, self.links, delimiters, to_right=self.flips.x > 0),
+            delimiters,
+            way=LaneCurve("main", "centerline", "main", "none", (), whole, ascends=self.flips.y > 0),
+            across=self.texture,
+            host_stretches=((main, -HOST_ROAD_M, HOST_ROAD_M),),
+        )
+
+    @property
+    def texture(self) -> LanePattern:
+        """The lanes of the main road across its texture."""
+        own, medians = self.main_road.carriageways[-1], self.main_road.medians
+        median_m = sum(right_m - left_m for left_m, right_m in medians)
+        return LanePattern(self.road.lane_width_m, own.n_lanes % 2, own.left_m - median_m / 2, median_m)
 
     # -- painted lines
 
@@ -329,3 +356,59 @@ class _Plan:
             )
             for j in range(n if self.is_divided_by_line or n == 0 else n + 1)
         ]
+
+
+def paths_through(
+    roads: Sequence[Road],
+    lanes: Sequence[NetworkLane],
+    links: Sequence[tuple[str, str]],
+    delimiters: Sequence[LaneCurve],
+    to_right: bool,
+) -> tuple[LaneCurve, ...]:
+    """The centre line of every way through the links, as t grows, which is to the right as the host drives or to its
+    left. It has the id of its last lane where roads split, of its first where they merge. `lanes` are section by
+    section from the host's left."""
+    sections = [list(group) for _, group in groupby(lanes, key=lambda lane: lane.section)]
+    ways = list(_ways([lane for section in sections for lane in section[:: 1 if to_right else -1]], links))
+    at = -1 if len({way[-1].id for way in ways}) >= len({way[0].id for way in ways}) else 0
+    by_id = {road.id: road for road in roads}
+    found = []
+    for way in ways:
+        named, along = way[at], sorted(way, key=lambda lane: lane.start_m)
+        beside = [line for line in delimiters if line.end_m >= named.end_m]
+        left, right = (
+            next((line.id for line in beside if Neighbour(named.id, not is_right) in line.neighbours), None)
+            for is_right in (False, True)
+        )
+        found.append(
+            LaneCurve(
+                named.id,
+                "centerline",
+                named.road,
+                "none",
+                neighbours(left, right),
+                joined((by_id[lane.road], lane.middle, lane.start_m) for lane in along),
+                direction=named.direction,
+                lanes=tuple(along),
+                lane_starts_m=tuple(lane.start_m for lane in along),
+                ascends=named.ascends,
+            )
+        )
+    return tuple(found)
+
+
+def _ways(lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]]) -> Iterator[list[NetworkLane]]:
+    """All ways from lanes that follow no other to lanes that no other follows."""
+    by_id = {lane.id: lane for lane in lanes}
+
+    def onward(way: list[NetworkLane]) -> Iterator[list[NetworkLane]]:
+        after = [by_id[b] for a, b in links if a == way[-1].id and by_id[b] not in way]
+        if not after:
+            yield way
+        for lane in after:
+            yield from onward([*way, lane])
+
+    followers = {after for _, after in links}
+    for lane in lanes:
+        if lane.id not in followers:
+            yield from onward([lane])

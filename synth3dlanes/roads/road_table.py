@@ -1,14 +1,16 @@
-"""Roads of maps as arrays: answers for places on many roads in one call. World frame, metres.
+"""Roads with sections as arrays: answers for places on many roads in one call. World frame, metres.
 
 A road is known by its number. What a call tells of a place is what the `Road` of that number tells of it.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.roads.cross_section import CrossSection, Profile
@@ -18,7 +20,7 @@ from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, 
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.scene import Terrain
-from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.system.arrays import AnyScalars, Points2, Points3, Scalars
 
 # Steps of a projection, and how far from the perpendicular through a foot its point may be.
 MOST_STEPS, FOOT_M = 12, 1e-3
@@ -240,3 +242,92 @@ class RoadTable:
             here = section == i
             z[here] = self._sections[i].height(s[here], t[here])
         return z
+
+
+class Nearby(NamedTuple):
+    """Points that may be near a road: which of a query they are, and their places along it."""
+
+    road: Road
+    which: Bool[np.ndarray, " n"]
+    s: AnyScalars
+    t: AnyScalars
+
+
+class _Index(NamedTuple):
+    """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
+    line, the stations of these, and a tree of them."""
+
+    low: Float[np.ndarray, "r 2"]
+    high: Float[np.ndarray, "r 2"]
+    half_m: Float[np.ndarray, " r"]
+    stations: list[Scalars]
+    trees: list["scipy.spatial.cKDTree"]
+
+
+class RoadIndex:
+    """Which roads places are near, and where along these they are; of roads with both ends. `table` numbers them."""
+
+    def __init__(self, roads: Sequence[Road], terrain: Terrain) -> None:
+        self.roads, self.table = tuple(roads), RoadTable(roads, terrain)
+
+    def nearby(
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
+    ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
+        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
+        near."""
+        found, near = self.places(xy_world, float(reach_m.max(initial=0.0))), np.zeros(len(xy_world), dtype=bool)
+        near[found.point] = True
+        rows, ends = np.cumsum(near) - 1, np.flatnonzero(np.diff(found.road)) + 1
+        listed = []
+        for point, road, s, t in zip(*(np.split(values, ends) for values in found), strict=True):
+            if len(point):
+                which = np.zeros(int(near.sum()), dtype=bool)
+                which[rows[point]] = True
+                listed.append(Nearby(self.roads[road[0]], which, s, t))
+        return near, listed
+
+    def places(self, xy_world: Float[np.ndarray, "n 2"], reach_m: Float[np.ndarray, " r"] | float) -> OnRoads:
+        """Where points are along every road whose pavement they may be within `reach_m` of, a number or that of each
+        road: road by road, points in ascending order."""
+        index, points, roads, guesses = self._index, [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
+        reach = np.broadcast_to(reach_m, len(self.roads))[:, None]
+        low, high, from_line_m = index.low - reach, index.high + reach, index.half_m + reach[:, 0]
+        ends = xy_world.min(axis=0, initial=np.inf), xy_world.max(axis=0, initial=-np.inf)
+        order = np.argsort(xy_world[:, 0])
+        x = xy_world[order, 0]
+        for i in np.flatnonzero(((low < ends[1]) & (high > ends[0])).all(axis=1)).tolist():
+            first, end = np.searchsorted(x, [low[i, 0], high[i, 0]])
+            y = xy_world[order[first:end], 1]
+            at = np.sort(order[first:end][(y > low[i, 1]) & (y < high[i, 1])])
+            if at.size:
+                _, place = index.trees[i].query(xy_world[at], distance_upper_bound=from_line_m[i])
+                is_near = place < index.trees[i].n
+                points.append(at[is_near])
+                roads.append(np.full(len(points[-1]), i))
+                guesses.append(index.stations[i][place[is_near]])
+        point, road = np.concatenate(points), np.concatenate(roads)
+        s, t, is_foot = self.table.project(road, xy_world[point], np.concatenate(guesses))
+        return OnRoads(point, road, s, t).of(is_foot)
+
+    @property
+    def boxes(self) -> tuple[Float[np.ndarray, "r 2"], Float[np.ndarray, "r 2"]]:
+        """The lowest and the highest (x, y) of the pavement of every road."""
+        return self._index.low, self._index.high
+
+    @cached_property
+    def _index(self) -> _Index:
+        stations = [road.stations for road in self.roads]
+        starts = np.cumsum([0, *map(len, stations)])[:-1]
+        s, road = np.concatenate(stations), np.repeat(np.arange(len(stations)), list(map(len, stations)))
+        points, normals, _, _ = self.table.frames(road, s)
+        offsets = self.table.edges(road, s)
+        sides = np.stack([points + t[:, None] * normals for t in offsets], axis=1)
+        step_m = np.array([own[1] - own[0] for own in stations])
+        widest_m = np.maximum.reduceat(np.abs(offsets).max(axis=0), starts)
+        return _Index(
+            np.minimum.reduceat(sides.min(axis=1), starts) - step_m[:, None],
+            np.maximum.reduceat(sides.max(axis=1), starts) + step_m[:, None],
+            widest_m + step_m,
+            stations,
+            [scipy.spatial.cKDTree(own) for own in np.split(points, starts[1:])],
+        )

@@ -109,7 +109,7 @@ def _known(world: World, stations: dict[LaneCurve, Scalars]) -> set[str]:
     neighbours in every frame."""
     known, camera, shot = {curve.id for curve in stations}, world.scene.camera, world.scene.shot
     if shot.n_frames > 1:
-        driven_m = np.linspace(0.0, host_driven(shot, shot.duration_s), world.network.known_at(shot.n_frames))
+        driven_m = np.linspace(0.0, host_driven(shot, shot.duration_s), shot.n_frames)
         places_m = host_stations(world.network, camera, driven_m)
         known |= world.network.known(camera, places_m, _lengths(world))
     return known

@@ -209,7 +209,7 @@ class MapPlaces:
         if not any(road.has_heights for road in self.ground.network.roads):
             return np.ones(len(self.xy_world), dtype=bool)
         low, high = np.full((2, len(self.xy_world)), np.inf) * [[1], [-1]]
-        near, roads = self.ground.network.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
+        near, roads = self.ground.network.index.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
         rows = np.flatnonzero(near)
         for road, which, s, t in roads:
             inside = road.outside(s, t) < EDGE_M
@@ -250,7 +250,7 @@ class MapPlaces:
             aside = (t - piece.offset(on)) * piece.along
             apart = np.hypot(aside, s - on)
             nearer = apart < best
-            station = np.where(nearer, np.vectorize(piece.station, otypes=[float])(on), station)
+            station = np.where(nearer, piece.stations(on), station)
             right, best = np.where(nearer, aside, right), np.where(nearer, apart, best)
         return station, right
 
@@ -258,7 +258,7 @@ class MapPlaces:
         """Semantic id of what a lane is paved with, given a margin, on roads outside junctions; 0 elsewhere."""
         found, taken = np.zeros((2, len(self.xy_world)), dtype=int)
         inner = {road.id for road in self.ground.outside}
-        near, roads = self.ground.network.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
+        near, roads = self.ground.network.index.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
         rows = np.flatnonzero(near)
         for road, which, s, t in roads:
             at = rows[which]

@@ -75,17 +75,14 @@ def _rows(span: Span, s: Scalars, section: Sequence[tuple[Scalars, Scalars | flo
 def _is_free(ground: MapGround, span: Span, s: Scalars, t: Scalars) -> Bool[np.ndarray, " n"]:
     """At which stations no other pavement is beside the edge of a deck, about as high."""
     points = _points(span, s, t, 0.0)
-    near, roads = ground.network.nearby(points[:, :2], np.full(len(s), BESIDE_M))
+    near, roads = ground.network.index.nearby(points[:, :2], np.full(len(s), BESIDE_M))
     taken, rows = np.zeros(len(s), dtype=bool), np.flatnonzero(near)
     for road, which, at_s, at_t in roads:
-        other = ground.network.road(road.id)
-        if other is span.road:
+        if road is span.road:
             continue
-        on = np.clip(at_s, other.start_m, other.end_m)
-        is_on = (
-            (np.abs(at_s - on) < BESIDE_M) & (at_t > other.left(on) - BESIDE_M) & (at_t < other.right(on) + BESIDE_M)
-        )
-        is_level = np.abs(other.base_points(on, at_t)[:, 2] - points[rows[which], 2]) < LEVEL_M
+        on = np.clip(at_s, road.start_m, road.end_m)
+        is_on = (np.abs(at_s - on) < BESIDE_M) & (at_t > road.left(on) - BESIDE_M) & (at_t < road.right(on) + BESIDE_M)
+        is_level = np.abs(road.base_points(on, at_t)[:, 2] - points[rows[which], 2]) < LEVEL_M
         taken[rows[which][is_on & is_level]] = True
     return ~taken
 

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.reference_line import GUESS_STEP_M
 from synth3dlanes.roads.road_table import OnRoads
 from synth3dlanes.roads.terrain import height_at
@@ -119,7 +119,7 @@ class _Rows(NamedTuple):
 class GradedGround:
     """The graded ground of the roads of a network and of their decks and tunnels."""
 
-    network: MapNetwork
+    network: Network
     spans: Sequence[Span]
 
     def above(self, xy_world: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
@@ -138,7 +138,7 @@ class GradedGround:
         found = np.zeros(len(xy_world))
         # On pavement, where most places are, only the roads there are asked.
         paved, own_reach_m = np.full(len(xy_world), -np.inf), np.where(self._has_heights, 0.0, -np.inf)
-        found_there = self.network.places(xy_world, own_reach_m)
+        found_there = self.network.index.places(xy_world, own_reach_m)
         places, away_m, raised_m = self._beside(xy_world, found_there, on_ground=True)
         is_on = away_m < EDGE_M
         np.maximum.at(paved, places.point[is_on], raised_m[is_on])
@@ -149,7 +149,7 @@ class GradedGround:
 
     def _between_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], paved: Scalars) -> Scalars:
         """What `above` says of places that are not on pavement of this height (minus infinity: on none) alone."""
-        bounds, found = _Bounds.of(len(xy_world)), self.network.places(xy_world, self._slopes_reach_m)
+        bounds, found = _Bounds.of(len(xy_world)), self.network.index.places(xy_world, self._slopes_reach_m)
         places, away_m, raised_m = self._beside(xy_world, found, on_ground=True)
         is_off = away_m >= EDGE_M
         bounds.beside(places.point[is_off], away_m[is_off], raised_m[is_off])
@@ -169,7 +169,7 @@ class GradedGround:
     ) -> Scalars:
         """Height of the roads around places: their mean, the nearer the heavier; at places in a junction, by its number
         (else -1), of its roads alone; or of roads where they lie on the ground."""
-        places = self.network.places(xy_world, NEAR_M)
+        places = self.network.index.places(xy_world, NEAR_M)
         if junction is not None:
             own, of_road = junction[places.point], self.junction_numbers([road.junction for road in self.network.roads])
             places = places.of((own < 0) | (own == of_road[places.road]))
@@ -183,7 +183,7 @@ class GradedGround:
     ) -> tuple[OnRoads, Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """Of places of points how far they are from the pavement of their roads, and how high that is there; of places
         of roads that are nowhere on the ground none, if they are to be `on_ground`."""
-        table, terrain = self.network.table, self.network.terrain
+        table, terrain = self.network.index.table, self.network.terrain
         on = np.clip(places.s, table.start_m[places.road], table.end_m[places.road])
         if on_ground and self.spans:
             for name, spans in self.spans_of.items():
@@ -224,7 +224,7 @@ class GradedGround:
 
     @cached_property
     def _rows(self) -> "_Rows":
-        table, own = self.network.table, np.flatnonzero(self._has_heights)
+        table, own = self.network.index.table, np.flatnonzero(self._has_heights)
         stations = [self.network.roads[i].stations for i in own]
         road, s = np.repeat(own, [len(at) for at in stations]), np.concatenate(stations)
         left, right = table.edges(road, s)
@@ -249,7 +249,7 @@ class GradedGround:
     def _slopes_reach_m(self) -> Float[np.ndarray, " r"]:
         """How far beside each road its slopes may decide the ground: to the terrain, or to the slopes of the road that
         is highest over it or deepest below, of those near it; nowhere beside roads without heights."""
-        rows, own, (low, high) = self._rows, self._has_heights, self.network.boxes
+        rows, own, (low, high) = self._rows, self._has_heights, self.network.index.boxes
         low_m, high_m = np.zeros((2, len(own)))
         np.minimum.at(low_m, rows.road, rows.low_m.min(axis=1))
         np.maximum.at(high_m, rows.road, rows.high_m.max(axis=1))

@@ -18,6 +18,7 @@ from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads import terrain
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.road_table import Nearby
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
@@ -246,7 +247,7 @@ class Ground:
         self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
     ) -> tuple[Bool[np.ndarray, " n"], list[Beside]]:
         """Which points may be within `reach_m` of a road's pavement, and these beside every road."""
-        near, found = self.network.nearby(xy_world, reach_m)
+        near, found = self._nearby(xy_world, reach_m)
         beside: dict[str, Beside] = {}
         for road, which, s, t in found:
             outside, raised, room = np.full(len(which), np.inf), np.zeros(len(which)), None
@@ -260,6 +261,30 @@ class Ground:
                 room[inner] = np.clip(beside[road.parting.road.id].outside[inner] + outside[inner], 0, None)
             beside[road.id] = Beside(road, outside, raised, room)
         return near, list(beside.values())
+
+    def _nearby(
+        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
+    ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
+        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
+        near: on one that begins beside another, of those that are near that one."""
+        network = self.network
+        masks = {road.id: road.may_reach(xy_world, reach_m) for road in network.roads}
+        near = np.logical_or.reduce(list(masks.values()))
+        xy = xy_world[near]
+        found: dict[str, Nearby] = {}
+        for road in network.roads:
+            guess = None
+            if road.parting is None:
+                which = np.logical_or.reduce([masks[at.id][near] for at in (road, *network.branches(road))])
+            elif beside := found.get(road.parting.road.id):
+                close = road.parting.may_hold(road, beside.s, beside.t, reach_m[near][beside.which])
+                which, guess = beside.which.copy(), beside.s[close]
+                which[which] = close
+            else:
+                continue
+            if which.any():
+                found[road.id] = Nearby(road, which, *road.line.project(xy[which], guess))
+        return near, list(found.values())
 
     def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
         """Height of the built ground over the analytic terrain at any points (0 away from roads)."""

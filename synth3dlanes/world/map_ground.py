@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.roads.cross_section import KERB_M, RAISED
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.map_network import AS_FAR, Junction, MapNetwork
+from synth3dlanes.roads.network import AS_FAR, Junction
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland, MapLane
@@ -79,7 +79,6 @@ class GroundArea(NamedTuple):
 class MapGround(Ground):
     """The ground of a map. Distances ahead are those from the host's way, from above."""
 
-    network: MapNetwork
     islands: tuple[MapIsland, ...]
 
     # -- distances from the host
@@ -120,7 +119,7 @@ class MapGround(Ground):
         coarse = [_coarse(road.end_m) for road in roads]
         counts = [len(s) for s in coarse]
         s = np.concatenate(coarse)
-        xy = self.network.table.xy(np.repeat(np.arange(len(roads)), counts), s, np.zeros(len(s)))
+        xy = self.network.index.table.xy(np.repeat(np.arange(len(roads)), counts), s, np.zeros(len(s)))
         away_m = np.split(self.away_at(xy), np.cumsum(counts)[:-1])
         return {road.id: _rows(*at) for road, *at in zip(roads, coarse, away_m, strict=True)}
 
@@ -161,7 +160,7 @@ class MapGround(Ground):
         rows = [self.stretch_rows(stretch) for stretch in stretches]
         counts = [len(rows[i]) for i, _, _ in wanted]
         number, edge = (np.repeat([at[k] for at in wanted], counts) for k in (0, 2))
-        s, table = np.concatenate([rows[i] for i, _, _ in wanted]), self.network.stretches
+        s, table = np.concatenate([rows[i] for i, _, _ in wanted]), self.network.line_table.table
         xy = table.xy(number, s, table.edge(number, edge, s))
         ends = np.cumsum(counts)[:-1]
         return {(id(at), k): line for (_, at, k), line in zip(wanted, np.split(xy, ends), strict=True)}
@@ -393,7 +392,7 @@ class MapGround(Ground):
     @cached_property
     def spans(self) -> list[Span]:
         """The decks and tunnels."""
-        return spans(self.network.table, self.strip)
+        return spans(self.network.index.table, self.strip)
 
     @cached_property
     def decks(self) -> list[Span]:
@@ -537,12 +536,12 @@ class MapGround(Ground):
         """The lines whose paint is near enough to be drawn, and whether what a camera sees may hold any of it."""
         if not lines:
             return {}
-        numbers = [self.network.numbers[line.id] for line in lines]
+        numbers = [self.network.line_table.numbers[line.id] for line in lines]
         stations = [np.linspace(0.0, line.end_m, 2 + int(line.end_m / PAINT_STEP_M)) for line in lines]
         counts = [len(s) for s in stations]
-        away_m = self.away_at(self.network.xy_on(np.repeat(numbers, counts), np.concatenate(stations)))
+        away_m = self.away_at(self.network.line_table.xy_on(np.repeat(numbers, counts), np.concatenate(stations)))
         is_near = np.minimum.reduceat(away_m, np.cumsum([0, *counts])[:-1]) < PAINT_M
-        in_sight = self.network.which_come(seen.holds)[numbers] if seen else np.ones(len(lines), dtype=bool)
+        in_sight = self.network.line_table.which_come(seen.holds)[numbers] if seen else np.ones(len(lines), dtype=bool)
         return {line: bool(own) for line, near, own in zip(lines, is_near, in_sight, strict=True) if near}
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:

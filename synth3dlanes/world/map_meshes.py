@@ -128,7 +128,7 @@ def _strips(ground: MapGround, stretch: Road) -> list[Mesh]:
             n = max(int(np.ceil((edges[k + 1] - edges[k]).mean() / COLUMN_M)), 1)
             share = np.linspace(0, 1, n + 1)[0 if k == i else 1 :]
             columns += [edges[k] + (edges[k + 1] - edges[k]) * at for at in share]
-            across += ((k + share) * ground.network.lane_width_m).tolist()
+            across += ((k + share) * ground.network.across.width_m).tolist()
             surfaces += [SURFACES.get(section.lanes[k].kind, ROAD)] * n
         t = np.stack(columns, axis=1)
         vertices = stretch.base_points(np.broadcast_to(s[:, None], t.shape), t)

@@ -39,16 +39,14 @@ def host_at(network: Network, camera: Camera, driven_m: float) -> Camera:
 
 def host_station(network: Network, camera: Camera, driven_m: float) -> float:
     """The host's station, as it drives, after a distance along its lane."""
-    if driven_m == 0:
-        return camera.y_m
-    return station_after(network, network.host_way(camera), camera.y_m, driven_m)
+    return float(host_stations(network, camera, np.array([driven_m]))[0])
 
 
 def host_stations(network: Network, camera: Camera, driven_m: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
     """`host_station` for several distances."""
     if not driven_m.any():
         return np.full(driven_m.shape, camera.y_m)
-    return stations_after(network, network.host_way(camera), camera.y_m, driven_m)
+    return network.stations(stations_after(network.host_way(camera), camera.y_m * network.onwards, driven_m))
 
 
 def car_at(network: Network, car: Car, time_s: float) -> Car:
@@ -60,7 +58,7 @@ def car_at(network: Network, car: Car, time_s: float) -> Car:
     if driven_m == 0:
         return car
     way, start_m = network.car_way(car)
-    return network.car_on(car, station_after(network, way, start_m, driven_m))
+    return network.car_on(car, float(stations_after(way, start_m, np.array([driven_m]))[0]))
 
 
 def car_speed(scene: Scene, car: Car) -> float:
@@ -121,17 +119,10 @@ def _on_track(track: tuple[tuple[float, float], ...], time_s: float) -> tuple[fl
     return float(driven(time_s)), max(float(driven(time_s, 1)), 0.0)
 
 
-def station_after(network: Network, path: LaneCurve, s_m: float, driven_m: float) -> float:
-    """The station as the host drives that traffic on a path reaches after a distance along the path in 3D."""
-    return float(stations_after(network, path, s_m, np.array([driven_m]))[0])
-
-
-def stations_after(
-    network: Network, path: LaneCurve, s_m: float, driven_m: Float[np.ndarray, " t"]
-) -> Float[np.ndarray, " t"]:
-    """`station_after` for several distances."""
-    ahead, farthest_m = -1.0 if path.direction == "oncoming" else 1.0, float(driven_m.max())
+def stations_after(path: LaneCurve, s: float, driven_m: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
+    """The stations of a path that its traffic reaches after distances along it in 3D from a station."""
+    ahead, farthest_m = 1.0 if path.ascends else -1.0, float(driven_m.max())
     # On the inside of a bend a path is shorter than its stations; none is half as long.
-    stations = s_m + ahead * np.linspace(0, 2 * farthest_m, 2 * int(np.ceil(farthest_m / STEP_M)) + 1)
-    steps_m = np.linalg.norm(np.diff(path.points_world(network.stations(stations)), axis=0), axis=1)
+    stations = s + ahead * np.linspace(0, 2 * farthest_m, 2 * int(np.ceil(farthest_m / STEP_M)) + 1)
+    steps_m = np.linalg.norm(np.diff(path.points_world(stations), axis=0), axis=1)
     return np.interp(driven_m, np.concatenate([[0.0], np.cumsum(steps_m)]), stations)

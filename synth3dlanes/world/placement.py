@@ -22,10 +22,11 @@ Placement = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
 def lane_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"]) -> Placement:
     """World (x, y) on a lane's centre line, or on its path beyond it, and the unit heading of its traffic there; at
     each station as the host drives."""
-    path, s = network.in_lane(lane, np.asarray(driven_m))
+    path = network.path(lane)
+    s = path.stations_on(lane, np.asarray(driven_m) * network.onwards)
     stations = s + np.array([-0.5, 0.0, 0.5]).reshape(3, *[1] * s.ndim)
-    behind, middle, ahead = path.xy_world(network.stations(stations.ravel())).reshape(*stations.shape, 2)
-    along = behind - ahead if path.direction == "oncoming" else ahead - behind
+    before, middle, beyond = path.xy_world(stations.ravel()).reshape(*stations.shape, 2)
+    along = beyond - before if path.ascends else before - beyond
     return middle, along / np.linalg.norm(along, axis=-1, keepdims=True)
 
 

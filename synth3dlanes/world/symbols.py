@@ -97,7 +97,9 @@ def shape(ground: Ground, item: Symbol | MapPaint) -> SymbolShape:
         half = np.array([half_m, (LENGTHS_M["stop_line"] if is_line else TOOTH_LENGTH_M) / 2])
         outline = _rectangle(-half, half)
         polygons = [outline] if is_line else _teeth(half_m)
-    places = ground.network.places_around(item.lane, item.s_m)
+    network, s = ground.network, item.s_m * ground.network.onwards
+    path = network.way if item.lane is None else network.path(item.lane)
+    places = path.places_from(s if item.lane is None else float(path.stations_on(item.lane, s)))
     return SymbolShape(item.kind, polygons, dense(outline, OUTLINE_STEP_M), places, COLUMN_M)
 
 

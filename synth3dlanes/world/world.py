@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import road_from_cam, turned
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.map_network import MapNetwork
 from synth3dlanes.roads.map_roads import map_network
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import paper_network
@@ -39,8 +38,6 @@ from synth3dlanes.world.symbols import SymbolShape, symbol_mesh, symbol_shapes
 
 # Only cameras this close to the host's middle, along it, look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
-# Roads farther from the host than this are left out.
-AROUND_HOST_M = 450.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,15 +266,14 @@ def world_on(surfaces: Surfaces, scene: Scene) -> World:
 def surfaces_of(scene: Scene, network: Network) -> Surfaces:
     """The surfaces of a scene around its host, whatever stands and drives there."""
     shot, camera = scene.shot, scene.camera
-    network = network.around(network.host_points(camera, np.zeros(1))[0, :2], AROUND_HOST_M)
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     place = driven_m, shot.behind_m > 0
-    # Nothing else asks for the kind of a network.
-    if scene.map is not None and isinstance(network, MapNetwork):
+    # Nothing else asks for the kind of a ground.
+    if scene.map is not None:
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
-        around = camera.y_m, scene.markings, replace(hills, center_world=(x, y))
-        return MapSurfaces(MapGround(*around, *place, network=network, islands=scene.map.islands))
+        around = network, camera.y_m, scene.markings, replace(hills, center_world=(x, y))
+        return MapSurfaces(MapGround(*around, *place, islands=scene.map.islands))
     return Surfaces(Ground(network, camera.y_m, scene.markings, hills, *place))
 
 

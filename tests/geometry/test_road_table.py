@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from synth3dlanes.roads.map_network import MapNetwork
+from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.scene.road_map import MapShape, MapSpan, Polynomial, RoadMap
 from synth3dlanes.world.graded import EDGE_M, EMBANKMENT_M, GradedGround
@@ -43,12 +43,11 @@ def world(request: pytest.FixtureRequest) -> World:
 
 
 @pytest.fixture
-def network(world: World) -> MapNetwork:
-    assert isinstance(world.network, MapNetwork)
+def network(world: World) -> Network:
     return world.network
 
 
-def test_places_of_many_roads_are_those_of_each(network: MapNetwork) -> None:
+def test_places_of_many_roads_are_those_of_each(network: Network) -> None:
     table = RoadTable(network.roads, network.terrain)
     road = RNG.integers(0, len(network.roads), 400)
     share = RNG.uniform(-0.1, 1.1, 400)
@@ -65,8 +64,8 @@ def test_places_of_many_roads_are_those_of_each(network: MapNetwork) -> None:
         np.testing.assert_allclose(points[at], one.base_points(s[at], t[at]), rtol=0, atol=1e-12)
 
 
-def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(network: MapNetwork) -> None:
-    table = network.table
+def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(network: Network) -> None:
+    table = network.index.table
     road = RNG.integers(0, len(network.roads), 300)
     s = RNG.uniform(0, 1, 300) * table.end_m[road]
     t = RNG.uniform(-7, 7, 300)
@@ -80,10 +79,12 @@ def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(networ
 
 
 @pytest.mark.parametrize("reach_m", [0.0, 3.0, 25.0])
-def test_all_roads_near_a_point_are_found_and_the_points_are_there(network: MapNetwork, reach_m: float) -> None:
+def test_all_roads_near_a_point_are_found_and_the_points_are_there(network: Network, reach_m: float) -> None:
     xy = RNG.uniform(-70, 70, (120, 2))
-    places = network.places(xy, reach_m)
-    np.testing.assert_allclose(network.table.xy(places.road, places.s, places.t), xy[places.point], rtol=0, atol=2e-3)
+    places = network.index.places(xy, reach_m)
+    np.testing.assert_allclose(
+        network.index.table.xy(places.road, places.s, places.t), xy[places.point], rtol=0, atol=2e-3
+    )
     found = set(zip(places.point.tolist(), places.road.tolist(), strict=True))
     for i, road in enumerate(network.roads):
         s = np.linspace(road.start_m, road.end_m, 400)
@@ -102,13 +103,13 @@ def _has_foot(road, xy: np.ndarray) -> bool:
     return bool((np.diff(np.sign(along)) != 0).any())
 
 
-def test_no_point_is_on_a_road_whose_pavement_is_far_from_it(network: MapNetwork) -> None:
+def test_no_point_is_on_a_road_whose_pavement_is_far_from_it(network: Network) -> None:
     """Inside a tight bend Newton's method may end on the road's other side."""
     xy = RNG.uniform(-40, 40, (3000, 2))
-    places = network.places(xy, EMBANKMENT_M)
-    left, right = network.table.edges(places.road, places.s)
-    on = (places.t > left) & (places.t < right) & (places.s > 0) & (places.s < network.table.end_m[places.road])
-    there = network.table.xy(places.road, places.s, places.t)
+    places = network.index.places(xy, EMBANKMENT_M)
+    left, right = network.index.table.edges(places.road, places.s)
+    on = (places.t > left) & (places.t < right) & (places.s > 0) & (places.s < network.index.table.end_m[places.road])
+    there = network.index.table.xy(places.road, places.s, places.t)
     assert on.any()
     np.testing.assert_allclose(there[on], xy[places.point[on]], rtol=0, atol=2e-3)
 

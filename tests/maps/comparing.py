@@ -10,7 +10,6 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.map_lines import plan_line
-from synth3dlanes.roads.map_network import MapNetwork
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.world.world import World
 from tests.maps.standard import KERB_M, Road
@@ -35,7 +34,6 @@ def apart(world: World, labels: Labels, given: GivenMap, roads: Mapping[str, Roa
     part, network = world.scene.map, world.network
     assert part is not None
     assert part.given_frame is not None
-    assert isinstance(network, MapNetwork)
     files = {name: road_id for road_id, name in given.names.items()}
     own = {road.id: road for road in part.roads}
     curves = {curve.id: curve for curve in network.curves}

@@ -12,7 +12,6 @@ from synth3dlanes.formats.opendrive.write import opendrive as opendrive_of
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params
-from synth3dlanes.roads.map_network import MapNetwork
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.truth.ground_truth import ground_truth
@@ -187,7 +186,6 @@ def test_level_lanes_of_a_banked_road_have_the_height_of_their_inner_edge() -> N
         found = apart(world, labels, read_map, read(file))
         assert found.n_points > 500
         assert max(found.plan_m, found.height_m) < 0.01
-        assert isinstance(world.network, MapNetwork)
         (across,) = world.network.roads[0].sections
         t = across.edges(np.array([100.0]))[:, 0]
         heights = across.height(np.full(len(t), 100.0), t)

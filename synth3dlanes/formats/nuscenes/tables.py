@@ -36,7 +36,7 @@ from synth3dlanes.formats.nuscenes.convention import (
     token,
 )
 from synth3dlanes.formats.writing import PARTS, Part
-from synth3dlanes.roads.map_network import AS_FAR
+from synth3dlanes.roads.network import AS_FAR
 from synth3dlanes.system.arrays import Matrix4
 
 
