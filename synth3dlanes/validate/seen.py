@@ -45,7 +45,6 @@ THROUGH_RANGE_M, INSIDE_M = 80.0, 0.3
 MAX_BEYOND_M = 0.01
 # Pixels this close to an edge of a symbol may show either side of it; lines may lie this far over a gore's edges.
 MARGIN_M, LINE_M = 0.04, 0.15
-
 # Error of a beam's range; depth is interpolated where its error by the surface's bend is below a limit; surfaces whose
 # depths differ by a larger share are two. The number and share of beams that may be wrong.
 MAX_RANGE_M, MAX_BEND_M, ONE_SURFACE, BEAMS, BEAMS_SHARE = 0.01, 0.003, 0.02, 20, 0.02
@@ -231,9 +230,9 @@ def _plan(evidence: Evidence, seen: Seen) -> Iterator[Part]:
 def _hills(evidence: Evidence, seen: Seen) -> Iterator[Part]:
     ground, xy = evidence.world.ground, seen.points_world[:, :2]
     raised_m = EMBANKMENT_SLOPE * max([road.ramp.height_m for road in ground.network.roads if road.ramp], default=0.0)
-    open_ = ground.clearance(xy) > VERGES * VERGE_M * ground.cell_scale(xy) + raised_m
-    slope = gradient_at(evidence.scene.terrain, xy[open_])
-    above_m = seen.points_world[open_, 2] - terrain_height(ground, xy[open_])
+    is_open = ground.clearance(xy) > VERGES * VERGE_M * ground.cell_scale(xy) + raised_m
+    slope = gradient_at(evidence.scene.terrain, xy[is_open])
+    above_m = seen.points_world[is_open, 2] - terrain_height(ground, xy[is_open])
     yield Part("terrain", above_m / np.sqrt(1 + (slope**2).sum(axis=1)))
 
 
@@ -282,10 +281,10 @@ def _strays(evidence: Evidence, seen: Seen) -> Iterator[Part]:
     """Outside the symbol's own paint, or that of any without instance ids; a scene may have none."""
     on = seen.on_road
     own, beyond_m = on.number("symbol"), np.maximum(beyond_symbols(evidence.world, on.places), 0)
+    of_any, nowhere = beyond_m.min(axis=0, initial=np.inf), np.full(len(on), np.inf)
     for i in np.unique(own).tolist():
-        of_own = beyond_m[i] if i < len(beyond_m) and i >= 0 else beyond_m.min(axis=0, initial=np.inf)
-        known = i < len(beyond_m)
-        yield Part(f"symbol {i}" if i >= 0 else "symbols", np.where(known, of_own, np.inf)[own == i])
+        apart_m = of_any if i < 0 else beyond_m[i] if i < len(beyond_m) else nowhere
+        yield Part(f"symbol {i}" if i >= 0 else "symbols", apart_m[own == i])
 
 
 def _gaps(evidence: Evidence, seen: Seen) -> Iterator[Part]:
