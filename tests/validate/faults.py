@@ -291,7 +291,7 @@ FAULTS = [
 WORLDS = [
     World("world: lanes 1 % wider", scaled("road.lane_width_m", 1.01), "paint", needs_many=True),
     World("world: ramp 10 % higher", higher_ramp, "ramp"),
-    World("world: focal length 1 % longer", longer_lens, "focal|far"),
+    World("world: focal length 1 % longer", longer_lens, "focal|near road"),
     World("world: cx 1 px to the right", to_the_side, "right", needs_many=True),
     World("world: exit angle 0.3 deg wider", wider_exit, "exit|paint|pavement|ramp"),
     World("world: hills 2 % higher", higher_hills, "hills|terrain"),
