@@ -12,11 +12,12 @@ import pytest
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.assets.catalogue import CARS, THINGS
+from synth3dlanes.scene.change import change_scene
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.instance_ids import KINDS as SERIES
 from synth3dlanes.scene.scene import PlanInstant, Scene, Thing
 from synth3dlanes.scene.things import KIND_OF_CATEGORY, KINDS, STUFF, ObjectCategory, ThingKind, classes_in
-from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.motion import thing_at
 from synth3dlanes.world.world import resolve
@@ -143,7 +144,7 @@ def test_steps_follow_the_way_and_rest_is_at_standstill():
 def test_no_module_but_the_table_and_makers_names_a_kind_of_thing():
     """Their names in quotes; of cars and the like, which are rows too, many modules still do."""
     # OpenDRIVE calls its crosswalks by the word.
-    makers = {"scene/things.py", "scene/assets/catalogue.py", "formats/opendrive/objects.py"}
+    makers = {"scene/things.py", "scene/assets/catalogue.py", "params/groups.py", "formats/opendrive/objects.py"}
     named = {}
     for path in (ROOT / "synth3dlanes").rglob("*.py"):
         strings = {node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)}
@@ -151,3 +152,10 @@ def test_no_module_but_the_table_and_makers_names_a_kind_of_thing():
         if name not in makers and not re.match(r"draw/", name) and strings & {*get_args(ThingKind)}:
             named[name] = strings & {*get_args(ThingKind)}
     assert named == {}
+
+
+def test_a_speed_that_follows_from_a_track_is_not_changed_alone():
+    scene = Scene.model_validate(with_things(walker(track=TRACK)).model_dump())
+    with pytest.raises(InputError, match=r"things\.0\.speed_m_s: follows from things\.0\.track"):
+        change_scene(scene, ["things.0.speed_m_s=2"])
+    assert change_scene(scene, ["things.0.yaw_deg=90"]).things[0].yaw_rad == pytest.approx(np.pi / 2)

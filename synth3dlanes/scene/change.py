@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from synth3dlanes.scene.host import Shot
-from synth3dlanes.scene.scene import Car, Scene
+from synth3dlanes.scene.scene import Car, Scene, Thing
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import did_you_mean, problem_line, shown
 from synth3dlanes.system.yaml_text import read_yaml
@@ -55,9 +55,10 @@ def change_scene(scene: Scene, changes: Sequence[str]) -> Scene:
     return changed
 
 
-def _driving(scene: Scene) -> list[tuple[str, Shot | Car]]:
-    """The host and the cars, by their paths."""
-    return [("shot", scene.shot), *((f"cars.{number}", car) for number, car in enumerate(scene.cars))]
+def _driving(scene: Scene) -> list[tuple[str, Shot | Car | Thing]]:
+    """The host and all that may move, by their paths."""
+    moving = [(name, item) for name in ("cars", "things") for item in enumerate(getattr(scene, name))]
+    return [("shot", scene.shot), *((f"{name}.{number}", item) for name, (number, item) in moving)]
 
 
 def value_at(scene: Scene, path: str) -> Any:
