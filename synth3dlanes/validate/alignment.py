@@ -72,7 +72,7 @@ def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r
     semantic = passes["semantic"][of].astype(int)
     if "instance" not in passes:
         return semantic
-    return np.where(semantic == SEMANTIC_IDS["tree"], 0, passes["instance"][of].astype(int)) * 16 + semantic
+    return np.where(semantic == SEMANTIC_IDS["tree"], 0, passes["instance"][of].astype(int)) * 256 + semantic
 
 
 def _judge(

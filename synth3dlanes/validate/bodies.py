@@ -17,6 +17,7 @@ from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.system.arrays import Points2, Points3
 from synth3dlanes.world.bonnet import bonnet
+from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.world import World
 
 # Mirrors and twigs may extend beyond the boxes of models; a face may be this far from what is seen of it.
@@ -198,20 +199,20 @@ def _meet(
     return np.asarray(enters <= leaves)
 
 
-def corners_world(world: World, car: int, room: float = 1.0) -> Float[np.ndarray, "8 3"]:
-    """The corners of a car's bounding box, grown about its place on the road."""
-    pose, _, high, _ = (values[car] for values in objects("car", world))
+def corners_world(item: PlacedObject, room: float = 1.0) -> Float[np.ndarray, "8 3"]:
+    """The corners of an object's bounding box, grown about its place on the road."""
+    high = item.size_m * [0.5, 0.5, 1]
     corners = np.stack(np.meshgrid(*np.stack([high * [-1, -1, 0], high], axis=1)), axis=-1).reshape(-1, 3)
-    return transform(pose, room * corners)
+    return transform(item.world_from_object, room * corners)
 
 
-def may_show_cars(world: World, camera: CameraLabel, uv: Points2, within_m: float) -> Bool[np.ndarray, " n"]:
-    """Which pixels a car or its shadow may cover, counting only those that begin within `within_m` ahead, or the host's
-    bonnet."""
+def may_show_objects(world: World, camera: CameraLabel, uv: Points2, within_m: float) -> Bool[np.ndarray, " n"]:
+    """Which pixels an object with a box or its shadow may cover, counting only those that begin within `within_m`
+    ahead, or the host's bonnet."""
     hulls = []
-    for car in range(len(world.scene.cars)):
-        corners = corners_world(world, car)
-        hulls.append(np.concatenate([corners, _shadow(world, car, corners)]))
+    for item in world.view.objects:
+        corners = corners_world(item)
+        hulls.append(np.concatenate([corners, _shadow(world, item, corners)]))
     if world.view.world_from_bonnet is not None:
         hulls.append(transform(world.view.world_from_bonnet, bonnet().vertices_world))
     hidden = np.zeros(len(uv), dtype=bool)
@@ -222,9 +223,9 @@ def may_show_cars(world: World, camera: CameraLabel, uv: Points2, within_m: floa
     return hidden
 
 
-def _shadow(world: World, car: int, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "8 3"]:
+def _shadow(world: World, item: PlacedObject, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "8 3"]:
     """The corners' shadows on level ground."""
-    light, foot_m = world.scene.light, world.view.world_from_cars[car][2, 3]
+    light, foot_m = world.scene.light, item.world_from_object[2, 3]
     rise = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
     length_m = np.minimum((corners[:, 2] - foot_m) / rise, MAX_SHADOW_M)
     away = -np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad)])

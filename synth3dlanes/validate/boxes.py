@@ -18,11 +18,12 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import ObjectLabel, rectangle_around
-from synth3dlanes.scene.instance_ids import numbers_of, thing_of
+from synth3dlanes.scene.instance_ids import END, thing_of
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.bodies import corners_world, covers, outline
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Instant, MovingObject, Result, counted, judged
+from synth3dlanes.world.objects import PlacedObject
 
 # How far outside a box points may be, and how many of them farther.
 ROOM_M, MAX_SINGLE = 0.02, 2
@@ -172,8 +173,9 @@ def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: i
     return float(max((aside_m - 2 * half[axis]) * share, mirror_m))
 
 
-# Share of a car's projected box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's.
-FILL, OWN_FILL = (0.5, 0.95), (0.2, 1.0)
+# Share of a car's projected box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's. People
+# and riders, whose boxes are around all poses, fill less of theirs.
+FILL, OWN_FILL, OF_THING = (0.5, 0.95), (0.2, 1.0), (0.1, 1.0)
 # Cars fit their nominal boxes to 1 %, but for mirrors.
 MIRROR_ROOM = 1.2
 # Labels measure shares with at least RAYS rays, passes with pixel centres. Labels of 1,020 cars that are seen are at
@@ -186,24 +188,26 @@ SLIVER = 0.05
 
 
 def check_cars(evidence: Evidence) -> Iterator[Result]:
-    """Findings where a car's share does not fit its number of pixels."""
-    shares = evidence.labels.car_visible_fraction
-    assert shares is not None
-    numbers = numbers_of("car", evidence.passes["instance"].ravel())
-    counts = np.bincount(numbers + 1, minlength=len(shares) + 1)[1:]
-    for i, share in enumerate(shares):
-        low, high = _seen_share(evidence, i, int(counts[i]))
+    """Findings where the share of a car, or of a thing, does not fit its number of pixels."""
+    items, cars = evidence.labels.objects, evidence.labels.car_visible_fraction
+    assert cars is not None
+    # Of older labels only those of cars are known.
+    things = [item.visible_fraction or 0.0 for item in (items or ())[len(cars) :]]
+    counts = np.bincount(evidence.passes["instance"].ravel(), minlength=END)
+    for item, share in zip(evidence.world.view.objects, [*cars, *things], strict=False):
+        kind, number = thing_of(item.id)
+        low, high = _seen_share(evidence, item, int(counts[item.id]))
         off, near = max(low - share, share - high, 0.0), low if share < low else high
-        expected = f"{low:.2f} to {high:.2f} of car {i} by its {counts[i]} pixels"
-        reason = f"car_visible_fraction: expected {expected}, got {share:.2f}"
-        yield from judged("cars.seen_share", off, reason, most=_error(near))
+        expected = f"{low:.2f} to {high:.2f} of {kind} {number} by its {counts[item.id]} pixels"
+        reason = f"{kind}_visible_fraction: expected {expected}, got {share:.2f}"
+        yield from judged(f"{kind}s.seen_share", off, reason, most=_error(near))
 
 
-def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
-    """Limits of the share of a car's pixels that is seen, from their number and the car's box in the image."""
-    world, camera = evidence.world, evidence.camera
+def _seen_share(evidence: Evidence, item: PlacedObject, n_px: int) -> tuple[float, float]:
+    """Limits of the share of an object's pixels that is seen, from their number and the object's box in the image."""
+    camera = evidence.camera
     corners_cam, outer_cam = (
-        transform(invert(camera.world_from_cam), corners_world(world, car, room)) for room in (1.0, MIRROR_ROOM)
+        transform(invert(camera.world_from_cam), corners_world(item, room)) for room in (1.0, MIRROR_ROOM)
     )
     uv, outer = outline(camera, corners_cam), outline(camera, outer_cam)
     if not _n_pixels(outer, camera):
@@ -215,7 +219,7 @@ def _seen_share(evidence: Evidence, car: int, n_px: int) -> tuple[float, float]:
     if is_wide or not camera.shows(corners_cam).all():
         # It may show a sliver only; but one without any pixel is not seen.
         return max(n_px - SLACK_PX, 0) / box_px, 1.0 if n_px else min(SLACK_PX / (SLIVER * box_px), 1.0)
-    least, most = OWN_FILL if world.scene.assets.cars else FILL
+    least, most = OF_THING if item.kind else OWN_FILL if evidence.scene.assets.cars else FILL
     hull_px = float(ConvexHull(uv).volume)
     return n_px / (most * box_px), min((n_px + SLACK_PX) / (least * hull_px), 1.0)
 

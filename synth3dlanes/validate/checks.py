@@ -138,7 +138,7 @@ CHECKS = (
         "ids of another car, tree, structure, surface or line",
         _needs("aim depth"),
     ),
-    Check("cars", check_cars, "a `car_visible_fraction` that does not match the car's pixels", _needs("aim instance")),
+    Check("cars", check_cars, "a `visible_fraction` that does not match the object's pixels", _needs("aim instance")),
     Check(
         "boxes",
         check_boxes,

@@ -17,7 +17,7 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.settings import SEMANTIC_IDS
-from synth3dlanes.validate.bodies import may_show_cars, meet
+from synth3dlanes.validate.bodies import may_show_objects, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Measure, Result, judged
 from synth3dlanes.world.visibility import seen_over_ground
@@ -81,7 +81,7 @@ def check_frame(evidence: Evidence) -> Iterator[Result]:
         limit = MAX_PINK_OF_GROUND
     share = float(pink.mean()) if pink.size else 0.0
     if share > limit and "semantic" not in passes:
-        of_cars = may_show_cars(evidence.world, evidence.camera, np.argwhere(pink)[:, ::-1] + 0.5, np.inf)
+        of_cars = may_show_objects(evidence.world, evidence.camera, np.argwhere(pink)[:, ::-1] + 0.5, np.inf)
         share -= float(of_cars.sum()) / pink.size
     reason = f"image: expected textures, got {100 * share:.0f} % of the ground pink"
     yield from judged("picture.pink", share, reason, most=limit)
@@ -141,7 +141,7 @@ def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     uv = camera.project(points_cam)
     with np.errstate(invalid="ignore"):
         uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
-    return uv[~may_show_cars(world, camera, uv, AHEAD_M[-1])]
+    return uv[~may_show_objects(world, camera, uv, AHEAD_M[-1])]
 
 
 def _middle(luma: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "r c"]:

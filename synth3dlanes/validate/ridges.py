@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
-from synth3dlanes.validate.bodies import may_show_cars, meet
+from synth3dlanes.validate.bodies import may_show_objects, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result, judged
 from synth3dlanes.validate.paint import Strip
@@ -164,7 +164,7 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[LineProfiles]:
     paint, world, camera = evidence.paint, evidence.world, evidence.camera
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
     uv = camera.project(ends_cam.reshape(-1, 3))
-    is_clear = ~may_show_cars(world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
+    is_clear = ~may_show_objects(world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
     is_clear &= ~_behind_structures(evidence, transform(camera.world_from_cam, ends_cam))
     is_clear &= ~_near_symbols(world, transform(camera.world_from_cam, ends_cam[:, 1]))
     some = np.arange(0, len(ends_cam), ROOM_EVERY)

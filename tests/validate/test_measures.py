@@ -271,13 +271,13 @@ def test_a_car_that_a_fisheye_sees_behind_the_camera_counts_as_a_whole(share, is
     lens = Lens(model="fisheye", coefficients=(0.02, 0, 0, 0))
     camera = FLAT.camera.model_copy(update={"lens": lens, "fx_px": 110.0, "fy_px": 110.0})
     sample = picture_of(semitrailer_alongside().scene.model_copy(update={"camera": camera}))
-    corners_cam = transform(invert(sample.camera.world_from_cam), corners_world(sample.world, 0))
+    corners_cam = transform(invert(sample.camera.world_from_cam), corners_world(sample.world.view.objects[0]))
     assert corners_cam[:, 1].min() < -1 < 1 < corners_cam[:, 1].max()
     rows, columns = np.indices((camera.height_px, camera.width_px))
     car_from_world = invert(sample.world.view.world_from_cars[0])
     car_from_cam = car_from_world @ sample.camera.world_from_cam
     rays = sample.camera.rays(np.stack([columns, rows], axis=-1) + 0.5) @ car_from_cam[:3, :3].T
-    sides = transform(car_from_world, corners_world(sample.world, 0))[[0, -1]] - car_from_cam[:3, 3]
+    sides = transform(car_from_world, corners_world(sample.world.view.objects[0]))[[0, -1]] - car_from_cam[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         ways = np.sort(sides[:, None, None] / rays, axis=0)
     hit = (ways[0].max(axis=-1) < ways[1].min(axis=-1)) & (ways[1].min(axis=-1) > 0)

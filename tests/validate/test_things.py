@@ -56,6 +56,9 @@ def test_labels_turned_by_ten_degrees_ten_centimetres_aside_or_of_another_kind_a
     item = sample.labels.objects[number]
     turn = quaternion(rotation(item.rotation_wxyz) @ turned(np.radians(10))[:3, :3])
     aside = item.center_cam + np.array([0.1, 0, 0])
+    assert "thing_visible_fraction" in reasons(
+        spoilt(sample, number, visible_fraction=item.visible_fraction - 0.9), "cars"
+    )
     for change in ({"rotation_wxyz": turn}, {"center_cam": aside}, {"category": "car"}, {"lidar_points": 1}):
         assert f"objects.{item.id}" in reasons(spoilt(sample, number, **change), "labels", "boxes")
 
@@ -65,6 +68,12 @@ def test_pixels_and_points_ten_centimetres_beside_the_scenes_place_are_found(sam
     thing = sample.world.scene.things[number]
     found = reasons(moved(sample, number, x_m=thing.x_m + 0.1), "boxes", "ids")
     assert f"objects.{sample.labels.objects[number].id}" in found
+
+
+@pytest.mark.parametrize("number", [1, 11, 13])
+def test_a_share_that_does_not_fit_the_pixels_is_found(sample, number):
+    seen = sample.labels.objects[number].visible_fraction
+    assert "thing_visible_fraction" in reasons(spoilt(sample, number, visible_fraction=seen - 0.9), "cars")
 
 
 def test_swapped_ids_are_found_in_pixels_and_points(sample):
