@@ -23,7 +23,8 @@ from synth3dlanes.production.recipe import PackedSample, Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.host import Shot
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import label
 from tests.scenes import FLAT
 

@@ -72,7 +72,8 @@ def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
 def test_every_column_pass_and_id_is_in_the_format_page() -> None:
     from synth3dlanes.dataset.columns import SCHEMA
     from synth3dlanes.dataset.index import ADDED
-    from synth3dlanes.scene.settings import PASSES, SEMANTIC_IDS
+    from synth3dlanes.scene.settings import PASSES
+    from synth3dlanes.scene.things import SEMANTIC_IDS
 
     text = re.sub(r"```.*?```", "", (DOCS / "format.md").read_text(), flags=re.DOTALL)
     named = set(re.findall(r"`([^`]+)`", text))

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from synth3dlanes.scene.things import SEMANTIC_IDS as SEMANTIC_IDS
 from synth3dlanes.system.errors import InputError
 
 # Passes with the image's pixels, and all passes: these and the height map over the road plane.

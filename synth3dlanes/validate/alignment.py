@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding

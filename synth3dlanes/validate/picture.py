@@ -16,7 +16,7 @@ from scipy.ndimage import binary_dilation, binary_opening
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.scene.instance_ids import numbers_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.bodies import may_show_objects, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Measure, Result, judged

@@ -14,7 +14,7 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import gradient_at
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world import meshes
 from synth3dlanes.world.ground import Ground

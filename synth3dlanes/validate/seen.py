@@ -15,7 +15,7 @@ from jaxtyping import Bool, Integer
 
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.instance_ids import numbers_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.validate.bodies import BODIES, grown, inside
 from synth3dlanes.validate.evidence import Evidence, Seen

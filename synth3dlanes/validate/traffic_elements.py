@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.scene.instance_ids import thing_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2
 from synth3dlanes.validate.boxes import MIN_SEEN, SideLimit, against_box, by_pixels, check_seen_box
 from synth3dlanes.validate.evidence import Evidence

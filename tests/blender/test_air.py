@@ -10,7 +10,8 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.scene import Car, Tree
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed, hill

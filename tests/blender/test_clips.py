@@ -18,7 +18,8 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import Shots, clips
 from synth3dlanes.production.recipe import Recipe, make_sample
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 
 pytestmark = pytest.mark.render
 

@@ -6,7 +6,8 @@ import pytest
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.world.world import World
 
 pytestmark = pytest.mark.render

@@ -11,7 +11,8 @@ from synth3dlanes.dataset.rectify import bent_pixels, rectified_image, remap
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world.camera import rays_of_pixels
 from synth3dlanes.world.world import resolve

@@ -14,7 +14,8 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed

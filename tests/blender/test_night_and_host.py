@@ -18,7 +18,8 @@ from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.roadside import Building, Post
 from synth3dlanes.scene.scene import Car, Tree
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint

@@ -19,7 +19,8 @@ from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.instance_ids import instance_id, numbers_of
 from synth3dlanes.scene.scene import Car, Tree
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill

@@ -10,7 +10,8 @@ from synth3dlanes.blender.render import with_object_visibility
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.instance_ids import instance_id, numbers_of
 from synth3dlanes.scene.roadside import Building, Crossing, Post, Rail, Roadside
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world.world import resolve

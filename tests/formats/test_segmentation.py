@@ -16,7 +16,7 @@ from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.formats.yolo import document as settings_of_yolo
 from synth3dlanes.formats.yolo import outline
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.errors import InputError
 from tests.formats.problems import problems
 from tests.thorough import first

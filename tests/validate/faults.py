@@ -29,7 +29,7 @@ from synth3dlanes.dataset.format import (
 from synth3dlanes.labels import labels as labels_module
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.world.world import resolve
 from tests.validate.sealing import Members, describe, seal
 

@@ -26,7 +26,7 @@ from synth3dlanes.dataset.format import (
 from synth3dlanes.labels import labels as labels_module
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from tests.validate.faults import with_shares
 from tests.validate.sealing import Members
 

@@ -30,7 +30,7 @@ from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels import labels as labels_module
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.scene.instance_ids import instance_id, numbers_of
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from tests.validate.faults import Fault, in_samples, of_image, of_json, of_pass, of_passes, swapped, with_shares
 from tests.validate.sealing import Members
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.bias import TESTS, RunningMean, judge
 from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets

@@ -14,7 +14,8 @@ from synth3dlanes.production.recipe import make_image
 from synth3dlanes.scene.assets.catalogue import BUILT_IN
 from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding

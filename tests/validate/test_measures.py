@@ -16,7 +16,7 @@ from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.params.params import load_params
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car, Scene
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.validate.bodies import CUT_DEPTH_M, ahead, corners_world, covers
 from synth3dlanes.validate.evidence import Evidence

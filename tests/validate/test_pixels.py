@@ -20,7 +20,8 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
 from synth3dlanes.scene.instance_ids import instance_id, numbers_of, thing_of
 from synth3dlanes.scene.scene import from_json
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.paint import WorldPaint

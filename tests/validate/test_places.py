@@ -10,7 +10,7 @@ from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.assets.catalogue import BUILT_IN
-from synth3dlanes.scene.settings import SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Seen
 from synth3dlanes.validate.paint import WorldPaint

@@ -14,7 +14,8 @@ from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.scene import from_json
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from tests.validate.sealing import Members, check, read_members, seal
 
 pytestmark = [pytest.mark.render, pytest.mark.thorough]

@@ -11,7 +11,8 @@ from synth3dlanes.labels.labels import Labels
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Scene, Symbol
-from synth3dlanes.scene.settings import SEMANTIC_IDS, RenderSettings
+from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
