@@ -55,6 +55,8 @@ MIN_LEFT, BRIGHTER = 0.22, 1.6
 # The mean of the channels of paint, of 1 for white.
 BRIGHTNESS: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.54}
 MAX_DROPS = 0.3
+# The surface of a road is looked at this far on both sides of a line.
+ACROSS_M = 0.05
 
 
 def _albedo(scene: Scene) -> float:
@@ -109,9 +111,15 @@ class WorldPaint:
         points_world = transform(camera.world_from_cam, points_cam)
         steps = np.gradient(points_cam, axis=0)
         along = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-        slope = gradient_at(self.world.scene.terrain, points_world[:, :2])
-        up = np.column_stack([-slope, np.ones(len(slope))]) @ camera.world_from_cam[:3, :3]
-        across = np.cross(along, up)
+        curve = self._curves.get(lane.id)
+        s = None if curve is None else places(self.world.ground, points_world[:, :2]).station(curve)
+        if curve is not None and s is not None and curve.is_measured:
+            # Roads of maps may be banked.
+            aside = np.full(len(s), ACROSS_M)
+            across = (curve.points_beside(s, aside) - curve.points_beside(s, -aside)) @ camera.world_from_cam[:3, :3]
+        else:
+            slope = gradient_at(self.world.scene.terrain, points_world[:, :2])
+            across = np.cross(along, np.column_stack([-slope, np.ones(len(slope))]) @ camera.world_from_cam[:3, :3])
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         half_m = self.width_m(lane.id) / 2
         left, right, behind, ahead = (
@@ -119,7 +127,7 @@ class WorldPaint:
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
         )
         side, course = right - left, ahead - behind
-        painted_m = self._painted_m(lane.id, points_world)
+        painted_m = np.zeros(len(points_cam)) if s is None else self._painted_m(lane.id, s)
         height_px = np.abs(course[:, 1]) / 0.02 * painted_m
         width_px = np.abs(side[:, 0] * course[:, 1] - side[:, 1] * course[:, 0]) / np.hypot(*course.T)
         resolved = (height_px >= RESOLVED_PX) & (width_px >= RESOLVED_PX)
@@ -152,11 +160,8 @@ class WorldPaint:
         ]
         return np.min(of_stripes, axis=0)
 
-    def _painted_m(self, id_: str, points_world: Points3) -> Scalars:
-        """Length of the shortest stripe's painted stretch at each point; 0 where not all are painted."""
-        if id_ not in self._curves:
-            return np.zeros(len(points_world))
-        s = places(self.world.ground, points_world[:, :2]).station(self._curves[id_])
+    def _painted_m(self, id_: str, s: Scalars) -> Scalars:
+        """Length of the shortest stripe's painted stretch at stations of a line; 0 where not all are painted."""
         return np.min([_length(stretches, s) for stretches in self._stretches[id_]], axis=0)
 
 

@@ -9,11 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.geometry.frames import invert, project, transform
 from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car, Scene
 from synth3dlanes.scene.things import SEMANTIC_IDS
@@ -24,6 +27,7 @@ from synth3dlanes.validate.findings import BAND_NAMES, Finding, Measure, RangeHi
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.world.world import resolve
+from tests.maps import files
 from tests.scenes import FLAT, changed, flat_road_places
 from tests.validate.examining import findings, measures, reasons, seen
 
@@ -62,6 +66,21 @@ def test_across_is_to_the_right_and_the_normal_up():
     strip = WorldPaint(resolve(FLAT)).strip(labels.camera, lane, lane.xyz_cam)
     assert (strip.across_cam[:, 0] > 0.99).all()
     assert (strip.normal_cam[:, 2] > 0.99).all()
+
+
+def test_across_lies_on_a_banked_road():
+    bank = '<lateralProfile><superelevation s="0" a="0.3" b="0" c="0" d="0"/></lateralProfile>'
+    level = '<elevationProfile><elevation s="0" a="0" b="0" c="0" d="0"/></elevationProfile>'
+    road = files.road(files.plan(("<line/>", 400.0)), profile=level + bank)
+    given = read_opendrive(files.opendrive(road), "x.xodr", "map x.xodr")
+    scenes = Scenes(load_params("tiny", ("cars.n=0", "trees.n=0")), map=MapPlace(given, read_place(given, "1:100:-1")))
+    world = sample_world(scenes, 0)
+    labels = label(world, world.view)
+    for lane in (lane for lane in labels.lanes if lane.kind == "delimiter"):
+        across = WorldPaint(world).strip(labels.camera, lane, lane.xyz_cam).across_cam
+        right, _, up = (across @ labels.camera.world_from_cam[:3, :3].T).T
+        np.testing.assert_allclose(up, -np.tan(0.3) * right, atol=1e-6)
+        assert (right > 0.9).all()
 
 
 def painted_picture(scene: Scene, aside_m: float, paint: float, noise: float) -> np.ndarray:
