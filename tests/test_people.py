@@ -1,5 +1,7 @@
 """People and riders: they touch nothing, stand on what is built, cross when they may, and change nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -11,12 +13,20 @@ from synth3dlanes.scene.assets.catalogue import THINGS
 from synth3dlanes.scene.scene import Scene, to_json
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.world import World
+from tests.golden.frozen import ROWS, scenes_of
 from tests.thorough import first
 from tests.town_checks import bodies
 
 MANY = ("people.per_100_m=20", "people.crossing=4", "riders.cyclists=8", "riders.motorcyclists=3")
 NONE = ("people.per_100_m=0", "people.crossing=0", "riders.cyclists=0", "riders.motorcyclists=0")
-WALKWAYS = ("town.walkway_m=2.6", "town.crosswalks=true", "town.host_place=before", "town.host_m=25")
+WALKWAYS = (
+    "town.n_more=0",
+    "trees.n=0",
+    "town.walkway_m=2.6",
+    "town.crosswalks=true",
+    "town.host_place=before",
+    "town.host_m=25",
+)
 CLIP = Shots(frames=25, fps=5.0)
 
 
@@ -125,27 +135,26 @@ def test_feet_are_on_the_mesh_of_walkways_or_crosswalks() -> None:
         assert foot[2] == pytest.approx(mesh_height(world, foot[:2]), abs=0.02)
 
 
-def test_who_crosses_has_red_lights_for_traffic_and_no_vehicle_near() -> None:
-    """People on the pavement of traffic; on towns' crosswalks before signals, where many others wait."""
-    crossed = 0
-    for index in range(6):
-        own = "town.junction=crossing", "town.control=signals", "town.traffic=0.6", "people.per_100_m=0"
-        world = town(index, *own, "riders.cyclists=0", "town.host_m=10", "town.n_lanes=1", "town.fronts=0")
-        scene, lanes = world.scene, world.network.lanes
-        assert scene.map is not None
-        areas = [shapely.Polygon(at.outline) for at in scene.map.paint if at.kind == "crosswalk"]
-        governed = {name for signal in scene.roadside.signals for name in signal.lanes}
-        found = {name: world.network.lane_lines(lanes[name], np.zeros(2), 200.0) for name in governed}
-        lines = {name: shapely.LineString(at[0][:, :2]) for name, at in found.items() if at is not None}
-        for body in thing_bodies(world):
-            for area in (area for area in areas if area.buffer(-0.5).contains(body.centroid)):
-                over = {name for name, line in lines.items() if line.intersects(area)}
-                lights = [at.state_at(0.0) for at in scene.roadside.signals if over & {*at.lanes}]
-                assert lights
-                assert {*lights} == {"red"}
-                assert min(body.distance(vehicle) for vehicle in bodies(world)) > 0.5
-                crossed += 1
-    assert crossed > 4
+@pytest.mark.parametrize("index", first(1, [4, 5, 0, 6, 7]))
+def test_who_crosses_has_red_lights_for_traffic_and_no_vehicle_near(index: int) -> None:
+    """People on the pavement of traffic, on crosswalks before signals, where many others wait."""
+    own = "town.junction=crossing", "town.control=signals", "town.traffic=0.6", "people.per_100_m=0"
+    world = town(index, *own, "riders.cyclists=0", "town.host_m=10", "town.n_lanes=1", "town.fronts=0")
+    scene, lanes, crossed = world.scene, world.network.lanes, 0
+    assert scene.map is not None
+    areas = [shapely.Polygon(at.outline) for at in scene.map.paint if at.kind == "crosswalk"]
+    governed = {name for signal in scene.roadside.signals for name in signal.lanes}
+    found = {name: world.network.lane_lines(lanes[name], np.zeros(2), 200.0) for name in governed}
+    lines = {name: shapely.LineString(at[0][:, :2]) for name, at in found.items() if at is not None}
+    for body in thing_bodies(world):
+        for area in (area for area in areas if area.buffer(-0.5).contains(body.centroid)):
+            over = {name for name, line in lines.items() if line.intersects(area)}
+            lights = [at.state_at(0.0) for at in scene.roadside.signals if over & {*at.lanes}]
+            assert lights
+            assert {*lights} == {"red"}
+            assert min(body.distance(vehicle) for vehicle in bodies(world)) > 0.5
+            crossed += 1
+    assert crossed > 0
 
 
 def test_people_change_nothing_else_and_are_the_same_each_time() -> None:
@@ -225,3 +234,15 @@ def test_motorcyclists_of_streets_touch_nothing() -> None:
             pairs = shapely.STRtree([*things, *bodies(now)]).query(things, predicate="intersects").T.tolist()
             assert [(i, j) for i, j in pairs if i != j] == []
     assert ridden > 3
+
+
+def test_riders_keep_off_roads_below_others() -> None:
+    """On a map with a bridge, where the height of the ground is that of the deck."""
+    own = load_params("streets", ("riders.cyclists=30", "riders.motorcyclists=10", "cars.n=0"))
+    world = draw_world(replace(scenes_of(ROWS["map of bridge"]), params=own), 0)
+    places = np.array([(thing.x_m, thing.y_m) for thing in world.scene.things])
+    lanes = world.network.lanes.values()
+    middles = np.concatenate([world.network.lane_lines(lane, np.zeros(2), 900.0)[0][:, :2] for lane in lanes])  # type: ignore[index]
+    assert world.ground.is_stacked(middles).any()
+    assert len(places) > 10
+    assert not world.ground.is_stacked(places).any()

@@ -80,7 +80,7 @@ class Bodies:
     """The host, the cars and the things of a scene at instants, and what stands there."""
 
     def __init__(self, scene: Scene, ground: Ground) -> None:
-        self.scene, self.network = scene, ground.network
+        self.scene, self.ground, self.network = scene, ground, ground.network
         duration_s = scene.shot.duration_s
         self.times_s = np.linspace(0.0, duration_s, 1 + int(np.ceil(duration_s / CHECK_EVERY_S)))
         driven = np.unique([0.0, duration_s / 2, duration_s])
@@ -103,7 +103,10 @@ class Bodies:
         return placement.footprint(*motion.at(self.times_s), *sizes)
 
     def join(self, motion: Motion, model: ThingModel, scale: float, room_m: tuple[float, float]) -> bool:
-        """Add a thing if it touches nothing at any instant; whether it does not."""
+        """Add a thing if it touches nothing at any instant, and no road is over or below another there; whether
+        it was added."""
+        if self.ground.is_stacked(motion.xy_world).any():
+            return False
         if not self.is_free(self.footprints(motion, model, scale, room_m)):
             return False
         own = self.footprints(motion, model, scale, (ROOM_M, ROOM_M))

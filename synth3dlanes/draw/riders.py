@@ -85,7 +85,7 @@ def _places(
     """Places on lanes: on a map near the host, on the paper's road at the stations of its cars."""
     network = bodies.network
     if scene.map is not None:
-        lanes = [at for at in map_lanes(network, bodies, kind == "cyclist")]
+        lanes = list(map_lanes(network, bodies, kind == "cyclist"))
         for lane, at, aside in rng.random((TRIES if lanes else 0, 3)).tolist():
             chosen, offset_m = lanes[int(lane * len(lanes))]
             way = network.way_through(_onward(network, chosen))
@@ -103,8 +103,8 @@ def _places(
 
 
 def map_lanes(network: Network, bodies: Bodies, beside_kerb: bool) -> Iterator[tuple[NetworkLane, float]]:
-    """The lanes near the host outside junctions, and the offset to the right of their middle that a cyclist keeps; with
-    `beside_kerb` those that are the outermost of their direction."""
+    """The lanes near the host outside junctions, and the offset to the driver's right of their middle that a cyclist
+    keeps; with `beside_kerb` those that are the outermost of their direction."""
     for lane in network.lanes.values():
         if lane.junction is not None or lane.width_m < LEAST_LANE_M:
             continue
@@ -119,7 +119,9 @@ def map_lanes(network: Network, bodies: Bodies, beside_kerb: bool) -> Iterator[t
         outside = kinds.get(number + (1 if number > 0 else -1), "none")
         if not beside_kerb or outside != "driving":
             room_m = PARKED_M if outside in ("parking", "none") else KERB_M
-            yield lane, lane.width_m / 2 - room_m
+            # Where traffic keeps left, kerbs are on the left.
+            side = 1 if (number < 0) == lane.ascends else -1
+            yield lane, side * (lane.width_m / 2 - room_m)
 
 
 def _onward(network: Network, lane: NetworkLane) -> list[NetworkLane]:
