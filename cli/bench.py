@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.command(cls=JobCommand)
 @click.option("--n", type=CountRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
 @job_options(
-    *("params", "set", "assets", "workers", "device", "quality", "samples", "passes", "frames"),
+    *("params", "set", "assets", "workers", "device", "quality", "samples", "passes", "views_per_scene", "frames"),
     workers=RENDERERS,
     frames="Time clips of this many frames, not pictures.",
 )
@@ -48,7 +48,8 @@ def bench(n: int, reference: bool, naive: bool, against: Path | None, as_json: b
 
     job = Job(split="bench", **given(fields))
     source = str(job.params)
-    stored = measuring.read_bench(against, source, job.settings.samples, job.frames) if against else None
+    wanted = source, job.settings.samples, job.frames, job.views_per_scene
+    stored = measuring.read_bench(against, *wanted) if against else None
     recipe, slots = resolve_device(job.recipe(warn))
     with output_console(stderr=True).status("warming up") as status:
         found = measuring.bench(source, recipe, n, job.workers or slots.workers, list(slots.masks), status.update)
@@ -71,7 +72,8 @@ def _print(found: "Bench") -> None:
         "stage",
         "seconds",
         "of the floor",
-        title=f"{found.params}{f', clips of {found.frames} frames' * (found.frames > 1)}: "
+        title=f"{found.params}{f', clips of {found.frames} frames' * (found.frames > 1)}"
+        f"{f', {found.views} views of each world' * (found.views > 1)}: "
         f"{counted(found.scenes, 'image')}, {counted(found.workers, 'worker')}",
     )
     for name, seconds in found.stages.items():

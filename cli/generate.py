@@ -19,8 +19,8 @@ from .options import LINE_EVERY_S, JobCommand, OutputFile, given, job_options, j
 # The options that are fields of Job, in the order of the help.
 FIELDS = (
     *("n", "out", "split", "splits", "seed", "params", "set", "like", "spreads", "map", "at", "where", "tries"),
-    *("camera", "rig", "assets", "frames", "fps", "workers", "device", "quality", "samples", "passes", "lidar"),
-    *("image_format", "executor", "address", "part"),
+    *("camera", "rig", "assets", "views_per_scene", "frames", "fps", "workers", "device", "quality", "samples"),
+    *("passes", "lidar", "image_format", "executor", "address", "part"),
 )
 # Columns of a terminal that has room for a bar beside the numbers.
 WIDE = 100

@@ -23,7 +23,9 @@ from .options import CountRange, JobCommand, given, job_options, set_option, war
     default=1,
     help="Number of samples, starting at --index; one JSON document per line.",
 )
-@job_options("seed", "split", "params", "set", "map", "at", "camera", "rig", "assets", "frames", "fps")
+@job_options(
+    "seed", "split", "params", "set", "map", "at", "camera", "rig", "assets", "views_per_scene", "frames", "fps"
+)
 def sample(index: int, n: int, **fields: Any) -> None:
     """Draw random scenes and print them as scene.json, without rendering. Blender is needed only to check --assets."""
     from synth3dlanes.draw.sample import scene_texts

@@ -136,6 +136,8 @@ def _shots(description: Mapping[str, Any]) -> Iterator[str]:
     """What a sample shows of its scene, as text; "" for a single picture by the camera of the parameters."""
     shots = description.get("shots", {})
     frames, n_cameras = shots.get("frames", 1), len(shots.get("cameras", ()))
+    if shots.get("views", 1) > 1:
+        yield f"Each world is seen from {shots['views']} places, one after the other."
     if frames > 1:
         yield f"Scenes are clips of {frames} frames, one sample each."
     if n_cameras > 1:

@@ -66,8 +66,9 @@ def index_row(
     digest of all bytes of the sample in the tar, from its first header to its last block. `numbers` are those of the
     clip, the frame and the camera of a sample without a scene."""
     row: dict[str, Any] = {"key": key, "index": int(key), "sha256": sha256}
-    if scene is not None and scene.shot.n_frames * scene.shot.n_cameras > 1:
-        numbers = scene.index, scene.shot.frame, scene.shot.camera
+    if scene is not None and scene.shot.n_frames * scene.shot.n_cameras * scene.shot.n_views > 1:
+        # Views of a world are counted as frames are.
+        numbers = scene.index, scene.shot.frame + scene.shot.view, scene.shot.camera
     row |= dict(zip(SHOT_COLUMNS, numbers, strict=True)) if numbers else {}
     for member, (offset, size) in places.items():
         column = COLUMN_OF_MEMBER[member]

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 
 from synth3dlanes.dataset.format import member_names
+from synth3dlanes.scene.host import MAX_VIEWS
 from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SHARD_SIZE, SPLIT_NAME
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.schema import DocumentPart, Seed, parse
@@ -40,12 +41,13 @@ class RenderPart(DocumentPart):
 
 
 class ShotsPart(DocumentPart):
-    """The number of frames and of cameras that see each scene. `sources.Provenance` reads the rest."""
+    """The number of frames, of cameras and of views that see each scene. `scenes.Provenance` reads the rest."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
     frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     cameras: list[Any] = Field(default_factory=list)
+    views: Annotated[int, Field(ge=1, le=MAX_VIEWS)] = 1
 
 
 class Description(DocumentPart):
@@ -96,7 +98,8 @@ def clip_of(description: Mapping[str, Any]) -> tuple[int, float]:
 
 def pictures_per_scene(description: Mapping[str, Any]) -> int:
     """The number of samples that show one scene, from the contents of `dataset.json`."""
-    return clip_of(description)[0] * max(1, len(description.get("shots", {}).get("cameras", ())))
+    shots = description.get("shots", {})
+    return int(shots.get("views", 1)) * clip_of(description)[0] * max(1, len(shots.get("cameras", ())))
 
 
 def drive_of(description: Mapping[str, Any]) -> str | None:

@@ -16,6 +16,7 @@ from synth3dlanes.draw.paper import paper_roads
 from synth3dlanes.draw.things import draw_things
 from synth3dlanes.draw.town.draw import town_roads
 from synth3dlanes.draw.trees import draw_trees
+from synth3dlanes.draw.views import first_view, seen_from
 from synth3dlanes.params.groups import NO_JUNCTION
 from synth3dlanes.params.lidars import LidarSpec
 from synth3dlanes.params.params import Params
@@ -62,25 +63,28 @@ def sample_world(scenes: Scenes, index: int) -> World:
     """Draw and resolve the scene that sample `index` shows."""
     place = scenes.shots.place(index)
     draw = draw_world if scenes.shots.per_scene == 1 else _latest
-    return world_in_shot(draw(scenes, place.scene), scenes.shots, place)
+    return world_in_shot(scenes, draw(scenes, place.scene), place)
 
 
 def world_again(scenes: Scenes, scene: Scene) -> World:
     """Draw and resolve the scene anew that `scene`, a sample of any split of this seed, was drawn for."""
-    index = scenes.shots.index(ShotNumbers(scene.index, scene.shot.frame, scene.shot.camera))
+    index = scenes.shots.index(ShotNumbers(scene.index, scene.shot.frame, scene.shot.camera, scene.shot.view))
     return sample_world(replace(scenes, split=scene.split), index)
 
 
-def world_in_shot(world: World, shots: Shots, place: ShotNumbers) -> World:
-    """A drawn world as one frame and one camera see it."""
+def world_in_shot(scenes: Scenes, world: World, place: ShotNumbers) -> World:
+    """A drawn world as one view, one frame and one camera see it."""
+    scene, shots = world.scene, scenes.shots
     if shots == SINGLE:
         return world
-    scene = world.scene
+    if place.view:
+        scene = seen_from(_draws(scenes, scene.index), world, place.view)
     shot = scene.shot.model_copy(update={"frame": place.frame, "camera": place.camera})
     camera = scene.camera
     if shots.cameras:
         # A user's camera, at the host's place.
-        own = shots.cameras[place.camera].drawn(scene.stream(f"camera/{place.camera}").random)
+        of_view = f"/view/{place.view}" if place.view else ""
+        own = shots.cameras[place.camera].drawn(scene.stream(f"camera/{place.camera}{of_view}").random)
         camera = Camera(lane=camera.lane, y_m=camera.y_m, offset_m=camera.offset_m, **own)
     return world.seen_in(with_lidar(scene.model_copy(update={"camera": camera, "shot": shot}), shots.lidar))
 
@@ -104,7 +108,13 @@ def draw_world(scenes: Scenes, index: int) -> World:
     scene = scene.model_copy(update={"cars": roads.drive(scene, ground)})
     trees = roads.grow(scene, ground, draw_trees(scene, ground, of, roads.has_to_fit))
     scene = scene.model_copy(update={"trees": trees, "symbols": roads.paint(scene, ground)})
-    return world_on(surfaces, scene.model_copy(update={"things": draw_things(scene, ground, of)}))
+    scene = scene.model_copy(update={"things": draw_things(scene, ground, of)})
+    if scenes.shots.views == 1:
+        return world_on(surfaces, scene)
+    # The same world as with one view, on a ground that is fine wherever the host may be.
+    views = first_view(scene.camera, roads.network, scene.map is not None, scenes.shots.views)
+    scene = scene.model_copy(update={"shot": scene.shot.model_copy(update={"views": views})})
+    return world_on(surfaces_of(scene, roads.network), scene)
 
 
 def _draws(scenes: Scenes, index: int) -> DrawsOf:

@@ -251,6 +251,8 @@ def _place(scene: Scene) -> Facts:
     side = "right" if camera.offset_m > 0 else "left"
     if shot.n_cameras > 1:
         facts["camera"] = f"{camera.name}, number {shot.camera} of 0 to {shot.n_cameras - 1}, {_mount(camera)}"
+    if shot.views is not None:
+        facts["view"] = f"{shot.view} of 0 to {shot.n_views - 1} of its world"
     if shot.n_frames > 1:
         facts["frame"] = (
             f"{shot.frame} of 0 to {shot.n_frames - 1}, {shot.time_s:.2f} s and {host_driven(shot, shot.time_s):.1f} m "

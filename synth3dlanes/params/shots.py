@@ -1,33 +1,44 @@
 """The pictures of a scene: the frames of a clip, the cameras of a rig, and the samples that show them."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from synth3dlanes.params.cameras import CameraSpec
 from synth3dlanes.params.groups import Group
 from synth3dlanes.params.lidars import LidarSpec
-from synth3dlanes.scene.host import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
+from synth3dlanes.scene.host import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES, MAX_VIEWS
 from synth3dlanes.system.errors import InputError
-from synth3dlanes.system.schema import validation_problems
+from synth3dlanes.system.schema import is_none, validation_problems
+from synth3dlanes.system.words import counted
 
 
 class ShotNumbers(NamedTuple):
-    """The numbers of the scene, the frame and the camera that a sample shows."""
+    """The numbers of the scene, the frame, the camera and the view that a sample shows."""
 
     scene: int
     frame: int
     camera: int
+    view: int = 0
 
 
 class Shots(Group):
     """How each scene is seen: in `frames` frames, `fps` a second, by each camera of `cameras`. Without `cameras`, the
-    camera of the parameters is used. With a `lidar`, every sample has its sweep."""
+    camera of the parameters is used. With a `lidar`, every sample has its sweep. With `views`, the host has so many
+    places in each scene, one after the other, and each is a picture by all cameras."""
 
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
     fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
     cameras: Annotated[tuple[CameraSpec, ...], Field(max_length=MAX_CAMERAS)] = ()
-    lidar: Annotated[LidarSpec | None, Field(exclude_if=lambda lidar: lidar is None)] = None
+    lidar: Annotated[LidarSpec | None, Field(exclude_if=is_none)] = None
+    views: Annotated[int, Field(ge=1, le=MAX_VIEWS, exclude_if=lambda views: views == 1)] = 1
+
+    @model_validator(mode="after")
+    def _is_no_clip(self) -> Self:
+        """Check that no clip has several views."""
+        if self.frames > 1 and self.views > 1:
+            raise ValueError(f"views_per_scene: expected 1 beside frames of 2 or more, got {self.views}")
+        return self
 
     @property
     def n_cameras(self) -> int:
@@ -43,20 +54,25 @@ class Shots(Group):
     @property
     def per_scene(self) -> int:
         """The number of samples that show one scene."""
-        return self.frames * self.n_cameras
+        return self.views * self.frames * self.n_cameras
 
     def place(self, index: int) -> ShotNumbers:
-        """The numbers of scene, frame and camera of sample `index`, where index = (scene x frames + frame) x cameras +
+        """The numbers that sample `index` has, where index = ((scene x views + view) x frames + frame) x cameras +
         camera."""
         of_frame, camera = divmod(index, self.n_cameras)
-        return ShotNumbers(*divmod(of_frame, self.frames), camera)
+        of_view, frame = divmod(of_frame, self.frames)
+        scene, view = divmod(of_view, self.views)
+        return ShotNumbers(scene, frame, camera, view)
 
     def index(self, place: ShotNumbers) -> int:
         """The index of the sample with these numbers: the inverse of `place`."""
-        return (place.scene * self.frames + place.frame) * self.n_cameras + place.camera
+        of_view = place.scene * self.views + place.view
+        return (of_view * self.frames + place.frame) * self.n_cameras + place.camera
 
     def text(self, n: int) -> str:
         """What `n` samples show, as text for a person; "" for single pictures."""
+        if self.views > 1:
+            return f"{counted(-(-n // self.per_scene), 'world')} of {self.views} views"
         if self.frames == 1:
             return ""
         n_frames = -(-n // self.n_cameras)
@@ -68,12 +84,10 @@ class Shots(Group):
 SINGLE = Shots()
 
 
-def clips(frames: int, fps: float, cameras: tuple[CameraSpec, ...] = ()) -> Shots:
-    """Clips of `frames` frames, or single pictures if `frames` is 1, taken by these cameras. Raises InputError for
-    numbers out of range."""
-    if frames == 1:
-        return Shots(cameras=cameras)
+def clips(frames: int, fps: float, cameras: tuple[CameraSpec, ...] = (), views: int = 1) -> Shots:
+    """Clips of `frames` frames, or `views` single pictures of each scene if `frames` is 1, taken by these cameras.
+    Raises InputError for numbers out of range."""
     try:
-        return Shots(frames=frames, fps=fps, cameras=cameras)
+        return Shots(cameras=cameras, views=views, **({"frames": frames, "fps": fps} if frames != 1 else {}))
     except ValidationError as error:
         raise InputError(*(line.removeprefix(": ") for line in validation_problems(error, ""))) from None

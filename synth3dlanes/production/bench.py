@@ -59,8 +59,8 @@ class DefaultTiming:
 
 @dataclass(frozen=True)
 class Bench:
-    """The result of `bench`. Seconds are those of one worker for one image, which is one of `frames` of a clip.
-    `memory_mib` is the mean of each quarter of the run."""
+    """The result of `bench`. Seconds are those of one worker for one image, which is one of `frames` of a clip or one of
+    `views` of a world. `memory_mib` is the mean of each quarter of the run."""
 
     params: str
     frames: int
@@ -80,6 +80,7 @@ class Bench:
     memory_mib: list[float]
     quality: Quality | None = None
     naive: DefaultTiming | None = None
+    views: int = 1
 
     def document(self) -> dict[str, Any]:
         """The result as JSON values."""
@@ -135,6 +136,7 @@ def bench(
         stages,
         max(sample.peak_bytes for sample in timed) / 2**20,
         [float(quarter.mean()) for quarter in quarters if quarter.size],
+        views=recipe.scenes.shots.views,
     )
 
 
@@ -237,6 +239,7 @@ class StoredBench(BaseModel):
 
     params: str = ""
     frames: int = 1
+    views: int = 1
     samples: int
     ratio: PositiveFloat
     seconds_per_image: PositiveFloat
@@ -251,20 +254,22 @@ class StoredRows(BaseModel):
     rows: list[StoredBench]
 
 
-def read_bench(path: Path, params: str, samples: int, frames: int) -> StoredBench:
-    """A stored `Bench.document`, or of `rows` of these the one with these parameters, samples and frames; raise
+def read_bench(path: Path, params: str, samples: int, frames: int, views: int = 1) -> StoredBench:
+    """A stored `Bench.document`, or of `rows` of these the one with these parameters, samples, frames and views; raise
     FormatError with a line for each problem."""
     data, what = read_bounded(path, MAX_BYTES), "a result of bench --json"
     if b'"rows"' not in data:
         return parse(StoredBench, data, str(path), what)
     rows = parse(StoredRows, data, str(path), what).rows
-    found = [row for row in rows if (row.params, row.samples, row.frames) == (params, samples, frames)]
-    if not found:
-        among = "; ".join(f"{row.params}, {counted(row.samples, 'sample')}, frames {row.frames}" for row in rows)
-        raise FormatError(
-            f"{path}: expected a row of {params}, {counted(samples, 'sample')}, frames {frames}, found {among}"
-        )
-    return found[0]
+    wanted = params, samples, frames, views
+    among = {(row.params, row.samples, row.frames, row.views): row for row in reversed(rows)}
+    if wanted not in among:
+        told = [
+            f"{name}, {counted(n, 'sample')}, frames {of_clip}{f', views {of_world}' * (of_world > 1)}"
+            for name, n, of_clip, of_world in (wanted, *reversed(among))
+        ]
+        raise FormatError(f"{path}: expected a row of {told[0]}, found {'; '.join(told[1:])}")
+    return among[wanted]
 
 
 def compare(now: Bench, stored: StoredBench) -> list[tuple[str, float, float]]:

@@ -40,9 +40,9 @@ class Condition:
                 raise InputError(f"where {self.query}: expected columns of scenes and labels, got {name} of pictures")
 
     def fits(self, scenes: Scenes, drawn: World) -> bool:
-        """Whether a drawn scene fits, as its first frame by its first camera shows it. Raises InputError for a query
-        that cannot be read."""
-        world = world_in_shot(drawn, scenes.shots, ShotNumbers(drawn.scene.index, 0, 0))
+        """Whether a drawn scene fits, as its first view and frame by its first camera shows it. Raises InputError for a
+        query that cannot be read."""
+        world = world_in_shot(scenes, drawn, ShotNumbers(drawn.scene.index, 0, 0))
         row = {"key": "0", "index": 0, **numbers_of(world.scene, label(world, world.view))}
         found = table([row])
         known = [name for name in found.column_names if name not in (*OF_FILES, *OF_PICTURES)]

@@ -107,8 +107,8 @@ def _worst(scores: StoredEvaluation) -> list[str]:
 
 def _check(scene: Scene, params: Params, assets: Assets, where: str, own_camera: bool) -> None:
     """Raise InputError unless these parameters draw the scene, in pictures such as its own."""
-    shots = clips(scene.shot.n_frames, scene.shot.fps)
-    index = shots.index(ShotNumbers(scene.index, scene.shot.frame, 0))
+    shots = clips(scene.shot.n_frames, scene.shot.fps, views=scene.shot.n_views)
+    index = shots.index(ShotNumbers(scene.index, scene.shot.frame, 0, scene.shot.view))
     again = sample_scene(Scenes(params, scene.seed, scene.split, assets=assets, shots=shots), index)
     # Lidars and rigs are no parameters.
     kept = {name: getattr(scene.shot, name) for name in ("camera", "n_cameras", "behind_m")}

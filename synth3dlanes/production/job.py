@@ -47,7 +47,7 @@ from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import RunReport, total
 from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.scene.host import MAX_CAMERAS, MAX_FRAMES
+from synth3dlanes.scene.host import MAX_CAMERAS, MAX_FRAMES, MAX_VIEWS
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SEED, PASSES, QUALITY_SAMPLES, TRIES, RenderSettings
 from synth3dlanes.system.errors import InputError
@@ -295,6 +295,14 @@ class Job(DocumentPart):
             "Frames of each scene: with 20, samples 0 to 19 are a clip of scene 0 (docs/clips.md).", ge=1, le=MAX_FRAMES
         ),
     ] = 1
+    views_per_scene: Annotated[
+        int,
+        number(
+            "Pictures of each scene from several places of the host, in other light (docs/views.md).",
+            ge=1,
+            le=MAX_VIEWS,
+        ),
+    ] = 1
     fps: Annotated[float, number("Frames per second of clips.", gt=0, le=1000)] = 10.0
     workers: Annotated[
         int,
@@ -361,6 +369,8 @@ class Job(DocumentPart):
         problems += [
             f"{name}: expected none without {of}" for name, of in NEEDED.items() if name in given and of not in given
         ]
+        if self.frames > 1 and self.views_per_scene > 1:
+            problems.append("views_per_scene: expected none beside frames of 2 or more")
         if "fps" in given and self.frames == 1:
             problems.append("fps: expected none without frames of 2 or more")
         if "address" in given and self.executor != "ray":
@@ -487,7 +497,7 @@ class Job(DocumentPart):
     def _shots(self) -> Shots:
         rig = load_rig(self.rig) if isinstance(self.rig, str) else self.rig
         camera = load_camera(self.camera) if isinstance(self.camera, str) else self.camera
-        shots = clips(self.frames, self.fps, rig if camera is None else (camera,))
+        shots = clips(self.frames, self.fps, rig if camera is None else (camera,), self.views_per_scene)
         return shots.model_copy(update={"lidar": self.lidar_spec})
 
     def _like(self, params: Params, library: Library, own_camera: bool) -> Neighbourhood | None:
@@ -562,6 +572,7 @@ def pictures_of(made: Provenance) -> dict[str, Any]:
         "rig": shots.cameras,
         "lidar": shots.lidar,
         **({"frames": shots.frames, "fps": shots.fps} if shots.frames > 1 else {}),
+        **({"views_per_scene": shots.views} if shots.views > 1 else {}),
     }
 
 

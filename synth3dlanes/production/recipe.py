@@ -46,7 +46,7 @@ class Recipe:
         if self.where is None:
             return sample_world(self.scenes, index)
         place = self.scenes.shots.place(index)
-        return world_in_shot(fitting_world(self.scenes, self.where, place.scene), self.scenes.shots, place)
+        return world_in_shot(self.scenes, fitting_world(self.scenes, self.where, place.scene), place)
 
     def scene(self, index: int) -> Scene:
         """The scene of sample `index`."""

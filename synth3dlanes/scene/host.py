@@ -11,10 +11,21 @@ from pydantic import AfterValidator, Field, model_validator
 
 from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.scene.road_map import Station
-from synth3dlanes.system.schema import AHEAD_DEG, MAX_PX, DocumentPart, Metres, Name, Number, Positive, Unit, is_empty
+from synth3dlanes.system.schema import (
+    AHEAD_DEG,
+    MAX_PX,
+    DocumentPart,
+    Metres,
+    Name,
+    Number,
+    Positive,
+    Unit,
+    is_empty,
+    is_none,
+)
 
-# Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
-MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
+# Frames of a clip, cameras of a rig, views of a world, and how far behind the host lanes may be labelled.
+MAX_FRAMES, MAX_CAMERAS, MAX_VIEWS, MAX_BEHIND_M = 1000, 64, 64, 110.0
 MAX_BEAMS = 256
 Seconds = Annotated[float, Field(ge=0, le=1e6)]
 Driven = Annotated[float, Field(ge=0, le=1e6)]
@@ -65,6 +76,25 @@ class Camera(DocumentPart):
         return abs(math.degrees(self.yaw_rad)) <= AHEAD_DEG
 
 
+class Views(DocumentPart):
+    """Which of the `n` places that the host has in turn in one world a scene shows: the one of number `view`. The world
+    is built from the first of these places, given as in `Camera`, to `reach_m` ahead of it."""
+
+    view: Annotated[int, Field(ge=0, lt=MAX_VIEWS)]
+    n: Annotated[int, Field(ge=2, le=MAX_VIEWS)]
+    lane: Annotated[int, Field(ge=1, le=8)]
+    y_m: Station
+    offset_m: Metres
+    reach_m: Annotated[float, Field(ge=0, le=1000)]
+
+    @model_validator(mode="after")
+    def _is_one_of_them(self) -> "Views":
+        """Check that the view is among them."""
+        if self.view >= self.n:
+            raise ValueError(f"view: expected less than {self.n}, got {self.view}")
+        return self
+
+
 class Shot(DocumentPart):
     """Which picture of the world a scene describes: frame `frame` of a clip of `n_frames` frames at `fps` frames per
     second, by camera `camera` of a rig of `n_cameras`. In a clip the host keeps its lane and drives at `speed_m_s`; on
@@ -79,15 +109,28 @@ class Shot(DocumentPart):
     n_cameras: Annotated[int, Field(ge=1, le=MAX_CAMERAS)] = 1
     behind_m: Annotated[float, Field(ge=0, le=MAX_BEHIND_M)] = 0.0
     track: DrivenTrack = ()
+    views: Annotated[Views | None, Field(exclude_if=is_none)] = None
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> "Shot":
-        """Check that the frame and the camera are among those of the shot."""
+        """Check that the frame and the camera are among those of the shot, and that views are no clips."""
+        if self.views is not None and self.n_frames > 1:
+            raise ValueError(f"views: expected none of a clip, got {self.views.n}")
         for name in ("frame", "camera"):
             number, count = getattr(self, name), getattr(self, f"n_{name}s")
             if number >= count:
                 raise ValueError(f"{name}: expected less than {count}, got {number}")
         return self
+
+    @property
+    def view(self) -> int:
+        """The number of the view; 0 where a world has one."""
+        return 0 if self.views is None else self.views.view
+
+    @property
+    def n_views(self) -> int:
+        """How many views the world has."""
+        return 1 if self.views is None else self.views.n
 
     @property
     def time_s(self) -> float:

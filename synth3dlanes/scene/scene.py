@@ -373,11 +373,22 @@ class Scene(DocumentPart):
     def picture_stream(self, name: str) -> np.random.Generator:
         """Random numbers for what differs between the pictures of one world, such as `sensor_noise`."""
         frame, camera = self.shot.frame, self.shot.camera
-        return self.stream(f"{name}/{frame}/{camera}" if frame or camera else name)
+        return self.stream(self._of_view(f"{name}/{frame}/{camera}" if frame or camera else name))
 
     def glass_stream(self, name: str) -> np.random.Generator:
         """Random numbers for what differs between cameras but not between frames, such as `dirt`."""
-        return self.stream(f"{name}/{self.shot.camera}" if self.shot.camera else name)
+        return self.stream(self._of_view(f"{name}/{self.shot.camera}" if self.shot.camera else name))
+
+    def _of_view(self, name: str) -> str:
+        return f"{name}/view/{self.shot.view}" if self.shot.view else name
+
+    @property
+    def start(self) -> Camera:
+        """The camera at the place around which the world is built: the host's own, or that of its first view."""
+        views = self.shot.views
+        if views is None:
+            return self.camera
+        return self.camera.model_copy(update={"lane": views.lane, "y_m": views.y_m, "offset_m": views.offset_m})
 
     @model_validator(mode="after")
     def _has_its_models(self) -> "Scene":

@@ -187,6 +187,11 @@ def _plain(word: str) -> str:
     return re.sub(r"[\W_]", "", word.lower())
 
 
+def is_none(value: object) -> bool:
+    """Whether a field that may be left out is left out."""
+    return value is None
+
+
 def is_empty(value: tuple[object, ...]) -> bool:
     """Whether a field that may be left out is left out."""
     return not value

@@ -57,7 +57,7 @@ ASIDE_M = 0.5
 def signed_values(evidence: Evidence) -> Iterator[Signed]:
     """The signed values of paint of this sample, of a clip those of its first frame: its frames are alike, and the
     tests over the data set take samples as independent. `surface_above_m` is measured where points are (`points`)."""
-    if evidence.scene.shot.frame:
+    if evidence.scene.shot.frame or evidence.scene.shot.view:
         return
     network, labels = evidence.world.network, evidence.labels
     views = line_views(evidence.paint, labels)

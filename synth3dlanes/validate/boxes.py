@@ -253,7 +253,7 @@ OFF_AXIS = 0.15
 def instant(evidence: Evidence) -> Iterator[Instant]:
     """What a picture of a clip or a rig tells of its objects."""
     scene, items = evidence.scene, evidence.labels.objects
-    if items and scene.shot.n_frames * scene.shot.n_cameras > 1:
+    if items and scene.shot.n_frames * scene.shot.n_cameras * scene.shot.n_views > 1:
         world_from_cam = evidence.camera.world_from_cam
         objects = {item.id: _object(world_from_cam, item) for item in items}
         yield Instant(f"{scene.split}:{scene.index}", scene.shot.time_s, objects)

@@ -103,7 +103,7 @@ class Origin(Provenance):
         world = draw_world(scenes, number)
         if not condition.fits(scenes, world):
             raise InputError(f"expected a scene where {condition.query}, got another")
-        return world_in_shot(world, scenes.shots, place).scene
+        return world_in_shot(scenes, world, place).scene
 
 
 def read_origin(description: Mapping[str, Any]) -> Origin:

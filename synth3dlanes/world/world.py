@@ -215,7 +215,7 @@ class World:
         return View(scene, self.ground, camera, world_from_host(self.network, camera), bonnet)
 
     def seen_in(self, scene: Scene) -> "World":
-        """Another picture of the same site: the scene differs in camera, shot and lidar alone."""
+        """Another picture of the same site: the scene differs in camera, shot, lidar, light and sky alone."""
         return World(scene, self.site)
 
     def paint(self, view: View, all_round: bool = True) -> dict[str, Mesh]:
@@ -265,9 +265,10 @@ def world_on(surfaces: Surfaces, scene: Scene) -> World:
 
 def surfaces_of(scene: Scene, network: Network) -> Surfaces:
     """The surfaces of a scene around its host, whatever stands and drives there."""
-    shot, camera = scene.shot, scene.camera
+    shot, camera = scene.shot, scene.start
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
+    driven_m = driven_m if shot.views is None else shot.views.reach_m
     place = driven_m, shot.behind_m > 0
     # Nothing else asks for the kind of a ground.
     if scene.map is not None:
@@ -280,5 +281,5 @@ def surfaces_of(scene: Scene, network: Network) -> Surfaces:
 def scene_network(scene: Scene) -> Network:
     """The roads of a scene."""
     if scene.map is not None:
-        return map_network(scene.map, scene.terrain, scene.camera.y_m)
+        return map_network(scene.map, scene.terrain, scene.start.y_m)
     return paper_network(scene.paper_road, scene.terrain)
