@@ -43,7 +43,7 @@ def seen_from(of: DrawsOf, world: World, view: int) -> Scene:
     given = of.like.given(of.drawn[-1]) if of.like else of.drawn
     n_skies = len(scene.assets.skies)
     changes: dict[str, Any] = {
-        "camera": _placed(of, world, draw_camera(of("camera", f"camera/{name}"), views.lane, views.y_m), name),
+        "camera": _placed(of, world, name, stream(*given, f"place/{name}")),
         "light": of("light", f"light/{name}").part(Light),
         "sky": 1 + int(stream(*given, f"sky/{name}").random() * n_skies) if n_skies else 0,
         "shot": scene.shot.model_copy(update={"views": views.model_copy(update={"view": view})}),
@@ -51,11 +51,12 @@ def seen_from(of: DrawsOf, world: World, view: int) -> Scene:
     return scene.model_copy(update=changes)
 
 
-def _placed(of: DrawsOf, world: World, camera: Camera, name: str) -> Camera:
-    """The camera at a place that is clear of all objects, or at the first view's."""
-    scene, rng = world.scene, stream(*of.drawn, f"place/{name}")
-    views, cars = scene.shot.views, _footprints(world)
+def _placed(of: DrawsOf, world: World, name: str, rng: np.random.Generator) -> Camera:
+    """The camera of a view at a place that is clear of all objects, or at the first view's."""
+    scene, others = world.scene, _footprints(world)
+    views = scene.shot.views
     assert views is not None, "asked only of worlds with views"
+    camera = draw_camera(of("camera", f"camera/{name}"), views.lane, views.y_m)
     for _ in range(TRIES):
         u_station, u_lane = rng.random(2).tolist()
         y_m, lane = round(views.y_m + views.reach_m * u_station, DECIMALS), 1

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Int
 
 from synth3dlanes.dataset.address import SAMPLE
+from synth3dlanes.dataset.description import clip_of
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.splits import readers, split_name
 from synth3dlanes.formats.writing import PARTS, Part
@@ -77,6 +78,7 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
         names = tuple(cameras) or (tuple(camera.name for camera in reader.cameras) if takes_rigs else ())
         taken = reader.taken_by(names) if moment is None else _of_moment(reader, moment, names)
         firsts = taken[np.unique(reader.scene_of[taken], return_index=True)[1]]
+        starts = taken[_starts(reader, taken)]
         step, every = FRAMES_PER_CHUNK, taken
         if is_per_scene:
             step, taken = max(1, step * len(firsts) // max(len(taken), 1)), firsts
@@ -84,7 +86,7 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
             places = taken[start : start + step]
             made_of = every[np.isin(reader.scene_of[every], reader.scene_of[places])] if is_per_scene else places
             mark = f"{split.name}-{reader.key(int(places[0]))}-{_digest(reader, made_of)}.jsonl"
-            here = frozenset(np.intersect1d(places, firsts).tolist())
+            here = frozenset(np.intersect1d(places, starts).tolist())
             chunks.append(Chunk(folder, split, parts, tuple(places.tolist()), mark, names, here))
     return chunks
 
@@ -112,6 +114,14 @@ def open_reader(url: str) -> Reader:
 
 def _part(name: str) -> Part:
     return next((part for part in PARTS if name.startswith(part)), "train")
+
+
+def _starts(reader: Reader, taken: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
+    """Which samples come first of their clip, or, where there are no clips, of their moment: each view of a world is
+    one."""
+    of_clip = reader.scene_of[taken]
+    frames = np.zeros(len(taken), int) if clip_of(reader.description)[0] > 1 else reader.frame_of[taken]
+    return np.asarray(np.unique(np.stack([of_clip, frames]), axis=1, return_index=True)[1])
 
 
 def _of_moment(reader: Reader, moment: list[int], names: Sequence[str]) -> Int[np.ndarray, " n"]:

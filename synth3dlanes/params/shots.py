@@ -1,6 +1,6 @@
 """The pictures of a scene: the frames of a clip, the cameras of a rig, and the samples that show them."""
 
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, NamedTuple
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -34,7 +34,7 @@ class Shots(Group):
     views: Annotated[int, Field(ge=1, le=MAX_VIEWS, exclude_if=lambda views: views == 1)] = 1
 
     @model_validator(mode="after")
-    def _is_no_clip(self) -> Self:
+    def _is_no_clip(self) -> "Shots":
         """Check that no clip has several views."""
         if self.frames > 1 and self.views > 1:
             raise ValueError(f"views_per_scene: expected 1 beside frames of 2 or more, got {self.views}")

@@ -59,7 +59,7 @@ class DefaultTiming:
 
 @dataclass(frozen=True)
 class Bench:
-    """The result of `bench`. Seconds are those of one worker for one image, which is one of `frames` of a clip or one of
+    """The result of `bench`. Seconds are those of one worker for one image: of `frames` of a clip, or one of the
     `views` of a world. `memory_mib` is the mean of each quarter of the run."""
 
     params: str

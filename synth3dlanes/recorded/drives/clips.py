@@ -27,6 +27,8 @@ def read_clip(reader: Reader, scene: int, camera: str = "") -> Drive:
     names = [spec.name for spec in reader.cameras] or [""]
     if camera and camera not in names:
         raise FormatError(f"{reader.url}: expected a camera of {', '.join(names) or 'none'}, got {camera[:40]}")
+    if reader.description.get("shots", {}).get("views", 1) > 1:
+        raise FormatError(f"{reader.url}: expected clips (generate --frames), got several views of each world")
     positions = reader.clip(scene, names.index(camera) if camera else 0)
     first = reader.labels(positions[0])
     if first.lidar is None or not reader.has_lidar:
