@@ -48,7 +48,8 @@ def test_every_command_and_option_is_explained() -> None:
     for name, command in commands():
         assert command.help, name
         assert f"`{name}" in readme, f"{name} is missing in README.md"
-        options = [option for option in command.params if isinstance(option, click.Option)]
+        known = command.get_params(click.Context(command))
+        options = [option for option in known if isinstance(option, click.Option)]
         assert not [option.opts for option in options if not option.help], f"{name}: these have no help"
 
 
