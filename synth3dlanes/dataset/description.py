@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field
 
 from synth3dlanes.dataset.format import member_names
-from synth3dlanes.scene.host import MAX_VIEWS
-from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SHARD_SIZE, SPLIT_NAME
+from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SHARD_SIZE, MAX_VIEWS, SPLIT_NAME
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.schema import DocumentPart, Seed, parse
 

@@ -7,7 +7,8 @@ from pydantic import Field, ValidationError, model_validator
 from synth3dlanes.params.cameras import CameraSpec
 from synth3dlanes.params.groups import Group
 from synth3dlanes.params.lidars import LidarSpec
-from synth3dlanes.scene.host import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES, MAX_VIEWS
+from synth3dlanes.scene.host import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
+from synth3dlanes.scene.settings import MAX_VIEWS
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import is_none, validation_problems
 from synth3dlanes.system.words import counted

@@ -47,9 +47,9 @@ from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import RunReport, total
 from synth3dlanes.production.user_assets import open_library
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.scene.host import MAX_CAMERAS, MAX_FRAMES, MAX_VIEWS
+from synth3dlanes.scene.host import MAX_CAMERAS, MAX_FRAMES
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SEED, PASSES, QUALITY_SAMPLES, TRIES, RenderSettings
+from synth3dlanes.scene.settings import MAX_SAMPLES, MAX_SEED, MAX_VIEWS, PASSES, QUALITY_SAMPLES, TRIES, RenderSettings
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.files import write
 from synth3dlanes.system.schema import DocumentPart, problem_line, shown, unknown_key

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.scene.road_map import Station
+from synth3dlanes.scene.settings import MAX_VIEWS
 from synth3dlanes.system.schema import (
     AHEAD_DEG,
     MAX_PX,
@@ -24,8 +25,8 @@ from synth3dlanes.system.schema import (
     is_none,
 )
 
-# Frames of a clip, cameras of a rig, views of a world, and how far behind the host lanes may be labelled.
-MAX_FRAMES, MAX_CAMERAS, MAX_VIEWS, MAX_BEHIND_M = 1000, 64, 64, 110.0
+# Frames of a clip, cameras of a rig, and how far behind the host lanes may be labelled.
+MAX_FRAMES, MAX_CAMERAS, MAX_BEHIND_M = 1000, 64, 110.0
 MAX_BEAMS = 256
 Seconds = Annotated[float, Field(ge=0, le=1e6)]
 Driven = Annotated[float, Field(ge=0, le=1e6)]

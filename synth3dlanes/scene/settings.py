@@ -13,6 +13,8 @@ JPEG_QUALITY = 95
 # Legal names of splits, and the most samples of a split and of a shard: keys have eight digits.
 MAX_SEED = 2**128
 SPLIT_NAME, MAX_SAMPLES, MAX_SHARD_SIZE = "[A-Za-z0-9_-]+", 100_000_000, 1_000_000
+# The most views of a world.
+MAX_VIEWS = 64
 # The scenes of a split that may be drawn for one sample until one fits a condition; the numbers of all scenes.
 SCENES_OF_ONE = 100_000
 # Of those, how many are drawn before the sample is given up, by default.
