@@ -18,7 +18,7 @@ from synth3dlanes.system.arrays import Ids, Passes, Points3, RgbImage, Scalars
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.bodies import BODIES, Boxes
 from synth3dlanes.validate.integrity import Entry
-from synth3dlanes.validate.paint import WorldPaint
+from synth3dlanes.validate.paint import WorldPaint, beyond_symbols
 from synth3dlanes.validate.pixels import MAX_PIXELS, luma, some_pixels
 from synth3dlanes.validate.places import AnyPlaces, places
 from synth3dlanes.world.world import World
@@ -83,7 +83,7 @@ class Seen:
         firm = self.at(self.places.is_firm())
         return firm.at(firm.places.is_fine(FINE_M)) if self.is_lidar else firm
 
-    @property
+    @cached_property
     def on_road(self) -> "Seen":
         """Points that float over the road, moved along the line of sight onto it, where this is reliable."""
         sight = self.points_world - self.eye_world
@@ -98,6 +98,11 @@ class Seen:
         moved = self.points_world + way_m[:, None] * sight
         ids = {name: values[on] for name, values in self.ids.items()}
         return Seen(self.world, self.eye_world, moved[on], self.range_m[on], ids, self.pixels_at(on))
+
+    @cached_property
+    def beyond_symbols_m(self) -> Float[np.ndarray, "m n"]:
+        """Distances of points on the road outside the paint of each symbol, negative inside."""
+        return beyond_symbols(self.world, self.places)
 
     def pixels_at(self, which: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> Int[np.ndarray, "k 2"] | None:
         """The rows and columns of some of the points."""

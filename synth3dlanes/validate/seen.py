@@ -20,7 +20,6 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.validate.bodies import BODIES, grown, inside
 from synth3dlanes.validate.evidence import Evidence, Seen
 from synth3dlanes.validate.findings import PROOF_M, Measure, Result, counted, judged
-from synth3dlanes.validate.paint import beyond_symbols
 from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.standing import mesh_height, terrain_height
@@ -50,6 +49,7 @@ MARGIN_M, LINE_M = 0.04, 0.15
 MAX_RANGE_M, MAX_BEND_M, ONE_SURFACE, BEAMS, BEAMS_SHARE = 0.01, 0.003, 0.02, 20, 0.02
 
 PAVEMENT = ("road", "shoulder")
+PAINTED = (*PAVEMENT, "marking", "symbol")
 _IDS_TOO = frozenset({"depth", "semantic", "instance"})
 
 
@@ -278,13 +278,13 @@ def _paint(evidence: Evidence, seen: Seen) -> Iterator[Part]:
 
 
 def _strays(evidence: Evidence, seen: Seen) -> Iterator[Part]:
-    """Outside the symbol's own paint, or that of any without instance ids; a scene may have none."""
+    """Pixels outside their symbol's paint, or that of any without instance ids; a scene may have none."""
     on = seen.on_road
-    own, beyond_m = on.number("symbol"), np.maximum(beyond_symbols(evidence.world, on.places), 0)
-    of_any, nowhere = beyond_m.min(axis=0, initial=np.inf), np.full(len(on), np.inf)
-    for i in np.unique(own).tolist():
-        apart_m = of_any if i < 0 else beyond_m[i] if i < len(beyond_m) else nowhere
-        yield Part(f"symbol {i}" if i >= 0 else "symbols", apart_m[own == i])
+    shown, of_each = on.ids["semantic"] == SEMANTIC_IDS["symbol"], on.beyond_symbols_m
+    own, of_any = on.number("symbol"), of_each.min(axis=0, initial=np.inf)
+    for i in np.unique(own[shown]).tolist():
+        beyond_m = of_any if i < 0 else of_each[i] if i < len(of_each) else np.full(len(on), np.inf)
+        yield Part(f"symbol {i}" if i >= 0 else "symbols", np.maximum(beyond_m, 0)[shown & (own == i)])
 
 
 def _gaps(evidence: Evidence, seen: Seen) -> Iterator[Part]:
@@ -292,7 +292,7 @@ def _gaps(evidence: Evidence, seen: Seen) -> Iterator[Part]:
     on = seen.on_road
     margin_m = np.where(on.ids["semantic"] == SEMANTIC_IDS["marking"], LINE_M, MARGIN_M)
     is_symbol = on.ids["semantic"] == SEMANTIC_IDS["symbol"]
-    for i, beyond_m in enumerate(beyond_symbols(evidence.world, on.places)):
+    for i, beyond_m in enumerate(on.beyond_symbols_m):
         shown = on.number("symbol") == i if "instance" in on.ids else is_symbol
         yield Part(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
 
@@ -355,11 +355,11 @@ ROWS = (
         most=0, share=0.05, layer="semantic", needs=_IDS_TOO,
     ),
     Row(
-        "symbols", "symbols.strays", ("symbol",), _strays, "{what} of {whose} within its paint",
-        most=MARGIN_M, share=0.05, within_m=PROOF_M, needs=_IDS_TOO - {"instance"},
+        "symbols", "symbols.strays", PAINTED, _strays, "{what} of {whose} within its paint",
+        most=MARGIN_M, share=0.05, within_m=PROOF_M,
     ),
     Row(
-        "symbols", "symbols.gaps", (*PAVEMENT, "marking", "symbol"), _gaps, "{what} of {whose} in all of its paint",
+        "symbols", "symbols.gaps", PAINTED, _gaps, "{what} of {whose} in all of its paint",
         most=0, share=0.05, within_m=PROOF_M,
     ),
 )  # fmt: skip

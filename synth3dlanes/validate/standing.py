@@ -127,17 +127,26 @@ def check_roadside(evidence: Evidence) -> Iterator[Result]:
     poles = [item for item in roadside.free_elements if item.has_pole]
     items = (*roadside.rails, *roadside.posts, *roadside.crossings, *roadside.buildings, *poles)
     # Bodies of decks, heads and faces follow.
-    for number, (item, body) in enumerate(zip(items, world.site.structures, strict=False)):
-        if isinstance(item, Crossing) or getattr(item, "side", "") == "median":
-            continue
-        is_building = isinstance(item, Building)
-        feet = _outline(body) if is_building else body.feet_world[:, :2]
-        place = places(world.ground, feet)
-        inside_m = -(place.outside() if is_building else place.off_carriageways())
-        inside_m[world.ground.is_stacked(feet)] = -np.inf
-        reason = f"structure {number} ({body.kind}): expected it beside the pavement, got {{wrong}} of {{n}} places"
-        up_to = f" up to {inside_m.max(initial=0):.2f} m on it"
-        yield from counted("roadside", inside_m > ROOM_M, reason + up_to, single=0)
+    asked = [
+        (number, _outline(body) if isinstance(item, Building) else body.feet_world[:, :2], isinstance(item, Building))
+        for number, (item, body) in enumerate(zip(items, world.site.structures, strict=False))
+        if not isinstance(item, Crossing) and getattr(item, "side", "") != "median"
+    ]
+    if not asked:
+        return
+    n_places = [len(places_xy) for _, places_xy, _ in asked]
+    feet = np.concatenate([places_xy for _, places_xy, _ in asked])
+    numbers, is_building = (np.repeat([row[i] for row in asked], n_places) for i in (0, 2))
+    place = places(world.ground, feet)
+    inside_m = -np.where(is_building, place.outside(), place.off_carriageways())
+    inside_m[world.ground.is_stacked(feet)] = -np.inf
+    for number in np.unique(numbers[inside_m > ROOM_M]).tolist():
+        own_m = inside_m[numbers == number]
+        whose = f"structure {number} ({world.site.structures[number].kind})"
+        reason = (
+            f"{whose}: expected it beside the pavement, got {{wrong}} of {{n}} places up to {own_m.max():.2f} m on it"
+        )
+        yield from counted("roadside", own_m > ROOM_M, reason, single=0)
 
 
 def _outline(body: Body) -> Points2:
