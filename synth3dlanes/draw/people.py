@@ -59,7 +59,7 @@ def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
     found = 0
     for crosswalk in _crosswalks(scene, bodies) if n_crossing else ():
         for _ in range(n_crossing):
-            thing = _at_crosswalk(scene, bodies, walkways, crosswalk, (own, _person(scene, looks)))
+            thing = _at_crosswalk(scene, bodies, crosswalk, (own, _person(scene, looks)))
             if thing is not None:
                 found += 1
                 yield thing
@@ -108,29 +108,23 @@ def _on_walkway(
     return None
 
 
-def _at_crosswalk(
-    scene: Scene, bodies: Bodies, walkways: Walkways, crosswalk: Crosswalk, who: tuple[Draw, Person]
-) -> Thing | None:
+def _at_crosswalk(scene: Scene, bodies: Bodies, crosswalk: Crosswalk, who: tuple[Draw, Person]) -> Thing | None:
     """Somebody who crosses, or waits for it; None without room."""
     (own, person), rng = who, who[0].rng
     speed_m_s, times_s = own("speed_m_s"), track_times(scene.shot)
-    for side, across, start, forward, phase in rng.random((TRIES, 5)).tolist():
+    for side, across, start, _, phase in rng.random((TRIES, 5)).tolist():
         near, far = (crosswalk.near, crosswalk.far) if side < 0.5 else (crosswalk.far, crosswalk.near)
         share = 0.15 + 0.7 * across
         kerb, beyond = near[0] + share * (near[1] - near[0]), far[0] + share * (far[1] - far[0])
         ahead = (beyond - kerb) / np.linalg.norm(beyond - kerb)
         width_m, before_m = float(np.linalg.norm(beyond - kerb)), BEFORE_M
         first, last = kerb - before_m * ahead, beyond + before_m * ahead
-        points = [np.stack([first, kerb, beyond, last])]
+        route = WalkedLine.through(np.stack([first, kerb, beyond, last]))
         need_m = speed_m_s * scene.shot.duration_s
-        if (at := walkways.nearest(last)) is not None:
-            points += walkways.onward(at, forward < 0.5, (BEFORE_M, OUTSIDE_M), need_m)
-            points[1] = points[1][1:]
-        route = WalkedLine.through(np.concatenate(points))
-        gone_m = start * (width_m + before_m)
-        if route.length_m >= gone_m + need_m and _may_cross(
-            scene, bodies, crosswalk, route, (gone_m, width_m), speed_m_s
-        ):
+        # In a clip nobody steps over a kerb, where the height of feet would jump from one frame to the next.
+        low_m, high_m = (before_m, before_m + width_m - need_m) if need_m else (0.0, before_m + width_m)
+        gone_m = low_m + start * (high_m - low_m)
+        if high_m > low_m and _may_cross(scene, bodies, crosswalk, route, (gone_m, width_m), speed_m_s):
             xy, yaw = route.at(gone_m + speed_m_s * times_s)
             motion = Motion(times_s, xy, yaw, np.full(len(xy), speed_m_s))
         else:

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.roads.network import Network
@@ -78,14 +77,6 @@ class Walkways:
             away_m = np.linalg.norm(strip.middle[:, None] - places, axis=2).min(axis=1)
             found += [(k, i) for i in np.flatnonzero(away_m < reach_m).tolist()]
         return found
-
-    def nearest(self, xy_world: Float[np.ndarray, "2"]) -> tuple[int, int] | None:
-        """The strip and the number of its point nearest to a place; None without any near it."""
-        away_m = [np.linalg.norm(strip.middle - xy_world, axis=1) for strip in self.strips]
-        if not away_m or min(map(np.min, away_m)) > 3.0:
-            return None
-        k = int(np.argmin([own.min() for own in away_m]))
-        return k, int(away_m[k].argmin())
 
     def onward(
         self, start: tuple[int, int], forward: bool, aside: tuple[float, float], length_m: float
