@@ -68,7 +68,9 @@ def small(words: list[str]) -> list[str]:
             words[i + 1] = "2"
         if word == "--model":
             words[i + 1] = "tiny"
-    if words[1] == "generate":
+    # A job file has its own parameters.
+    is_of_job = words[2].endswith((".yaml", ".json")) if len(words) > 2 else False
+    if words[1] == "generate" and not is_of_job:
         height_px = 54 if "apollo_camera" in words else 72
         size = {"camera.width_px": 96, "camera.height_px": height_px}
         changes = {**({} if {"--camera", "--rig"} & {*words} else size), "trees.n": 4, "cars.n": 1}
@@ -76,7 +78,7 @@ def small(words: list[str]) -> list[str]:
         words += [word for name, value in changes.items() if name not in given for word in ("--set", f"{name}={value}")]
     if words[1] in ("generate", "twins"):
         words += ["--workers", "1"]
-    if words[1] in ("generate", "render") and "--quality" not in words:
+    if words[1] in ("generate", "render") and "--quality" not in words and not is_of_job:
         words += ["--samples", "1"]
     if words[1] == "train":
         words += ["--epochs", "1", "--batch", "1"]
