@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.interpolate import PchipInterpolator
 
 from synth3dlanes.draw.draws import DECIMALS
 from synth3dlanes.draw.roadside import floor_plan
@@ -65,7 +65,9 @@ class Motion(NamedTuple):
         """Places and unit headings at times, as a scene's things go along their tracks."""
         values = np.column_stack([self.xy_world, np.unwrap(self.yaw_rad)])
         if len(self.times_s) > 1:
-            values = PchipInterpolator(self.times_s, values)(np.clip(times_s, self.times_s[0], self.times_s[-1]))
+            values = scipy.interpolate.PchipInterpolator(self.times_s, values)(
+                np.clip(times_s, self.times_s[0], self.times_s[-1])
+            )
         else:
             values = np.repeat(values, len(times_s), axis=0)
         return values[:, :2], np.stack([-np.sin(values[:, 2]), np.cos(values[:, 2])], -1)
@@ -189,7 +191,7 @@ def driven_after(track: tuple[tuple[float, float], ...], speed_m_s: float, times
     if len(track) < 2:
         return speed_m_s * times_s
     instants_s, lengths_m = np.array(track).T
-    within = PchipInterpolator(instants_s, lengths_m)(np.minimum(times_s, instants_s[-1]))
+    within = scipy.interpolate.PchipInterpolator(instants_s, lengths_m)(np.minimum(times_s, instants_s[-1]))
     last_m_s = (lengths_m[-1] - lengths_m[-2]) / (instants_s[-1] - instants_s[-2])
     return np.asarray(within + last_m_s * np.maximum(times_s - instants_s[-1], 0.0))
 

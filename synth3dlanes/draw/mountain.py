@@ -43,7 +43,7 @@ GROUND_STEP_M = 8.0
 GRAY = (0.36, 0.37, 0.38)
 
 
-class Stretch(NamedTuple):
+class LegOrBend(NamedTuple):
     """A leg or a bend: its length, whether it bends to the left (+1), to the right (-1) or not (0), the side of the
     valley, and whether a lay-by lies on its right."""
 
@@ -70,27 +70,27 @@ def mountain_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     def stand(scene: Scene, ground: Ground) -> Roadside:
         return _beside(stretches, rail)
 
-    return map_roads(of, roads, camera, first_shot(shots, of("motion")), stand, ground_step_m=GROUND_STEP_M)
+    return map_roads(of, roads, camera, first_shot(shots, of("motion")), stand, GROUND_STEP_M)
 
 
-def lay_out(draw: Draw, is_yellow: bool) -> tuple[MapRoad, list[Stretch]]:
+def lay_out(draw: Draw, is_yellow: bool) -> tuple[MapRoad, list[LegOrBend]]:
     """The road, and its legs and bends. The middle of the road is at the origin."""
     n, side = draw("n_bends"), 1 if draw("first_left") else -1
     lane_m, widening_m, has_lay_by = draw("lane_width_m"), draw("widening_m"), draw("lay_by")
-    parts, stretches, grades = list[list[tuple[float, float, float]]](), list[Stretch](), list[float]()
+    parts, stretches, grades = list[list[tuple[float, float, float]]](), list[LegOrBend](), list[float]()
     for i in range(n + 1):
         length_m = END_LEG_M if i in (0, n) else draw("leg_m")
         # The next leg is higher and on the side to which the road bends next.
         valley: Literal["left", "right"] = "right" if side > 0 else "left"
         parts.append([(length_m, 0.0, 0.0)])
-        stretches.append(Stretch(length_m, 0, valley, has_lay_by and i == n // 2 and length_m > _lay_by_length()))
+        stretches.append(LegOrBend(length_m, 0, valley, has_lay_by and i == n // 2 and length_m > _lay_by_length()))
         grades.append(draw("grade"))
         if i < n:
             radius_m, turn_rad = draw("radius_m"), draw("turn_deg")
             arc_m = turn_rad * radius_m - SPIRAL_M
             curvature = side / radius_m
             parts.append([(SPIRAL_M, 0.0, curvature), (arc_m, curvature, curvature), (SPIRAL_M, curvature, 0.0)])
-            stretches.append(Stretch(arc_m + 2 * SPIRAL_M, side, valley))
+            stretches.append(LegOrBend(arc_m + 2 * SPIRAL_M, side, valley))
             side = -side
     flat = [part for of_one in parts for part in of_one]
     start = PlanPose(0.0, 0.0, 0.0)
@@ -106,11 +106,11 @@ def lay_out(draw: Draw, is_yellow: bool) -> tuple[MapRoad, list[Stretch]]:
     return MapRoad(id=ROAD, plan=plan, sections=sections, heights=heights), stretches
 
 
-def _pairs(stretches: list[Stretch]) -> Iterator[tuple[int, int]]:
+def _pairs(stretches: list[LegOrBend]) -> Iterator[tuple[int, int]]:
     return pairwise(range(len(stretches)))
 
 
-def _stations(stretches: list[Stretch]) -> list[float]:
+def _stations(stretches: list[LegOrBend]) -> list[float]:
     return list(accumulate((at.length_m for at in stretches), initial=0.0))
 
 
@@ -134,7 +134,7 @@ def _heights(stations: list[float], grades: list[float]) -> Iterator[Polynomial]
         yield piece.model_copy(update={"a": round(piece.a - middle_z, 9), "c": round(piece.c, 12)})
 
 
-def _lanes(at: Stretch, lane_m: float, widening_m: float, is_yellow: bool) -> Iterator[MapLane]:
+def _lanes(at: LegOrBend, lane_m: float, widening_m: float, is_yellow: bool) -> Iterator[MapLane]:
     """The lanes of a stretch from the left: lanes are wider in bends, whose dividing line is solid."""
     wide, edge = _widths(at.length_m, lane_m, lane_m + widening_m * abs(at.bend), SPIRAL_M), MapMark(kind="solid")
     shoulder = (Polynomial(s_m=0.0, a=SHOULDER_M),)
@@ -177,7 +177,7 @@ def _widths(length_m: float, start_m: float, wide_m: float, taper_m: float) -> t
     )
 
 
-def _beside(stretches: list[Stretch], kind: str) -> Roadside:
+def _beside(stretches: list[LegOrBend], kind: str) -> Roadside:
     """Rails or posts on the valley side of legs and around the outside of bends."""
     stations, rails, posts = _stations(stretches), list[Rail](), list[Post]()
     # A leg and the bend at its end have the valley on one side.

@@ -31,7 +31,6 @@ from synth3dlanes.scene.host import Camera, Shot
 from synth3dlanes.scene.road_map import LaneName, MapRoad, RoadMap
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Scene, Tree
-from synth3dlanes.scene.town import Town
 from synth3dlanes.system.streams import stream
 from synth3dlanes.world import placement
 from synth3dlanes.world.ground import Ground
@@ -50,8 +49,6 @@ def map_roads(
     camera: Camera,
     shot: Shot,
     stand: Stand,
-    *,
-    town: Town | None = None,
     ground_step_m: float = STEP_M,
 ) -> Roads:
     """A map with the host on its route, on a terrain that meets the heights of the map's roads. In a clip the host
@@ -61,7 +58,7 @@ def map_roads(
     if shot.speed_m_s and not shot.track:
         speed_m_s = _allowed(network.way, camera.y_m, shot.speed_m_s, shot.duration_s)
         shot = shot.model_copy(update={"speed_m_s": speed_m_s})
-    fields = {"terrain": terrain, "road": None, "map": roads, "town": town, "camera": camera, "shot": shot}
+    fields = {"terrain": terrain, "road": None, "map": roads, "camera": camera, "shot": shot}
     return Roads(network, fields, stand, drive=lambda scene, ground: cars_on_map(scene, network, of))
 
 

@@ -74,7 +74,7 @@ class PaintPixels(NamedTuple):
     tree: cKDTree
 
 
-class Surface(NamedTuple):
+class SurfaceErrors(NamedTuple):
     """What pixels show at points: the points' distances, and how far the rendered surface is beyond them in depth and
     below them along its normal."""
 
@@ -189,7 +189,7 @@ def _may_be_hidden(
     return hidden
 
 
-def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes, is_single: Bool[np.ndarray, " n"]) -> Surface:
+def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes, is_single: Bool[np.ndarray, " n"]) -> SurfaceErrors:
     """How far the rendered surface is beyond each visible point, as far as pixels tell."""
     between, y_m = depth_between(passes["depth"], uv), lane.xyz_cam[:, 1]
     across_m = np.abs((strip.points_cam * strip.normal_cam).sum(axis=1))
@@ -206,7 +206,7 @@ def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes, is_single: B
             smooth &= raised.all(axis=0) | ~raised.any(axis=0)
             smooth &= ~(semantic == SEMANTIC_IDS["terrain"]).any(axis=0)
     smooth &= np.isfinite(error)
-    return Surface(y_m[smooth], error[smooth] * y_m[smooth], error[smooth] * across_m[smooth])
+    return SurfaceErrors(y_m[smooth], error[smooth] * y_m[smooth], error[smooth] * across_m[smooth])
 
 
 def _scale(evidence: Evidence) -> Iterator[Result]:

@@ -13,23 +13,23 @@ from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference
 # Columns of cells are cut out a little wider; lines of grids keep off corners of areas by hairs.
 ASIDE_M, HAIR_M = 0.01, 1e-5
 
-Indices = Int[np.ndarray, " _"]
-Places = Float[np.ndarray, "_ 2"]
+CellIndices = Int[np.ndarray, " _"]
+PlanPlaces = Float[np.ndarray, "_ 2"]
 # The corners of faces from above; a triangle has its last one twice.
-Quads = Float[np.ndarray, "_ 4 2"]
+PlanQuads = Float[np.ndarray, "_ 4 2"]
 
 
-class Cells(NamedTuple):
+class CutCells(NamedTuple):
     """What an area covers of a grid: the columns and rows of the cells that are wholly in it, those of the cells that
     its border cuts, and the faces in these that are in the area, and outside, if they were asked for."""
 
     whole: Int[np.ndarray, "2 _"]
     cut: Int[np.ndarray, "2 _"]
-    inside: Quads
-    outside: Quads
+    inside: PlanQuads
+    outside: PlanQuads
 
 
-def cut_cells(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, outside: bool = True) -> Cells:
+def cut_cells(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, outside: bool = True) -> CutCells:
     """The cells of a grid that an area covers, no corner of which is on a line of the grid (`beside`)."""
     n_columns, n_rows = len(xs) - 1, len(ys) - 1
     runs = _runs(xs, ys, area)
@@ -42,7 +42,7 @@ def cut_cells(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, outs
     plain, odd = which[is_one], cut[~is_one]
     cells, parts = _odd_parts(xs, ys, area, odd % n_columns, odd // n_columns)
     rest = [_faces(runs, plain, is_in=False), triangles_of(_differences(cells, parts))] if outside else []
-    return Cells(
+    return CutCells(
         _whole(xs, ys, area, cut),
         np.stack([cut % n_columns, cut // n_columns]),
         np.concatenate([_faces(runs, plain, is_in=True), triangles_of(parts)]),
@@ -56,12 +56,12 @@ class _Runs(NamedTuple):
     where it begins and ends, 0 below, then on to the right of that. `n_left` is how many corners of the cell are on the
     left of the run, in the area. `divides` says that the run has a cell in two parts."""
 
-    xy: Places
-    first: Indices
-    last: Indices
+    xy: PlanPlaces
+    first: CellIndices
+    last: CellIndices
     cell: Int[np.ndarray, "_ 2"]
     sides: Int[np.ndarray, "2 _"]
-    n_left: Indices
+    n_left: CellIndices
     divides: Bool[np.ndarray, " _"]
     corners: Float[np.ndarray, "_ 4 2"]
 
@@ -118,7 +118,7 @@ def _runs(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry) -> _Runs
     return _Runs(xy, first, last, cell, sides, n_left, divides, corners)
 
 
-def _faces(runs: _Runs, which: Indices, is_in: bool) -> Quads:
+def _faces(runs: _Runs, which: CellIndices, is_in: bool) -> PlanQuads:
     """The faces on the left of runs, in the area, or on their right, outside."""
     end, n_left, n_points = runs.sides[int(is_in)][which], runs.n_left[which], runs.last[which] - runs.first[which] + 1
     n_corners = n_left if is_in else 4 - n_left
@@ -143,9 +143,9 @@ def _faces(runs: _Runs, which: Indices, is_in: bool) -> Quads:
 
 
 def _odd_parts(
-    xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, column: Indices, row: Indices
+    xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, column: CellIndices, row: CellIndices
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cells that the border crosses in more than one run, or lies in, and the parts of an area in them."""
+    """CutCells that the border crosses in more than one run, or lies in, and the parts of an area in them."""
     cells, parts = shapely.box(xs[column], ys[row], xs[column + 1], ys[row + 1]), list[BaseGeometry]()
     order = np.argsort(column, kind="stable")
     for some in np.split(order, np.flatnonzero(np.diff(column[order])) + 1):
@@ -158,7 +158,7 @@ def _odd_parts(
     return cells[order], np.array(parts)
 
 
-def _whole(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, cut: Indices) -> Int[np.ndarray, "2 _"]:
+def _whole(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, cut: CellIndices) -> Int[np.ndarray, "2 _"]:
     """The cells that are wholly in an area, by their middles: its border passes through the cells `cut` alone."""
     if area.is_empty:
         return np.zeros((2, 0), dtype=int)
@@ -183,7 +183,7 @@ def _differences(cells: np.ndarray, parts: np.ndarray) -> np.ndarray:
         return np.array([difference(cell, part) for cell, part in zip(cells, parts, strict=True)])
 
 
-def triangles_of(parts: np.ndarray) -> Quads:
+def triangles_of(parts: np.ndarray) -> PlanQuads:
     """The triangles of areas, as quads whose last corner is there twice. They have all corners of the areas, and no
     others: triangles of areas beside each other share these."""
     pieces = shapely.get_parts(shapely.get_parts(parts))
@@ -223,14 +223,14 @@ def beside(axis: Scalars, places: Float[np.ndarray, " m"]) -> Scalars:
 
 
 class Merged(NamedTuple):
-    """Quads from above that share their corners, facing up."""
+    """PlanQuads from above that share their corners, facing up."""
 
     xy: Float[np.ndarray, "_ 2"]
     faces: Int[np.ndarray, "_ 4"]
 
 
-def merged(quads: Quads) -> Merged:
-    """Quads with each corner once."""
+def merged(quads: PlanQuads) -> Merged:
+    """PlanQuads with each corner once."""
     corners = quads.reshape(-1, 2)
     x, y = np.rint(corners * 1e6).astype(int).T
     # As one number each: sorted by rows, they take longer.

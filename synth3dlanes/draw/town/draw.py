@@ -84,8 +84,8 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
         return (*street_trees(town_map, ground, scene.roadside, *draws), *trees)
 
     shot = _shot_of(town, traffic, shot, hills)
-    roads = map_roads(of, town_map.road_map(host.lanes), camera, shot, stand, town=town_map.town)
-    return replace(roads, drive=drive, grow=grow)
+    roads = map_roads(of, town_map.road_map(host.lanes), camera, shot, stand)
+    return replace(roads, fields=roads.fields | {"town": town_map.town}, drive=drive, grow=grow)
 
 
 def town_of(draw: Draw) -> Town:
