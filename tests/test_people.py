@@ -28,6 +28,7 @@ WALKWAYS = (
     "town.host_m=25",
 )
 CLIP = Shots(frames=25, fps=5.0)
+SEEN = Scenes(load_params("town"), shots=CLIP)
 
 
 def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
@@ -85,7 +86,7 @@ def test_nobody_is_in_a_body_at_any_instant_of_a_clip(index: int, own: tuple[str
     assert kinds.count("pedestrian") > 15
     step = 8 if index == 0 else 1
     for frame in range(0, CLIP.frames, step):
-        assert overlaps(world_in_shot(world, CLIP, CLIP.place(frame))) == []
+        assert overlaps(world_in_shot(SEEN, world, CLIP.place(frame))) == []
 
 
 def test_planted_people_in_bodies_are_found() -> None:
@@ -184,7 +185,7 @@ def test_umbrellas_are_for_rain() -> None:
 def test_people_walk_ahead_at_their_speed() -> None:
     """Not sideways or backwards, and each as fast in all frames."""
     world = town(0, "people.standing=0.3", "people.speed_m_s=[1.2, 1.3]", shots=CLIP)
-    views = [world_in_shot(world, CLIP, CLIP.place(frame)).view for frame in (5, 6)]
+    views = [world_in_shot(SEEN, world, CLIP.place(frame)).view for frame in (5, 6)]
     stood = walked = 0
     for thing, before, after in zip(world.scene.things, *(view.world_from_things for view in views), strict=True):
         if thing.kind == "pedestrian":
@@ -229,7 +230,7 @@ def test_motorcyclists_of_streets_touch_nothing() -> None:
         world = draw_world(Scenes(params, 8, shots=shots), index)
         ridden += len(world.scene.things)
         for frame in range(0, shots.frames, 2):
-            now = world_in_shot(world, shots, shots.place(frame))
+            now = world_in_shot(Scenes(params, 8, shots=shots), world, shots.place(frame))
             things = thing_bodies(now)
             pairs = shapely.STRtree([*things, *bodies(now)]).query(things, predicate="intersects").T.tolist()
             assert [(i, j) for i, j in pairs if i != j] == []

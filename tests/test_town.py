@@ -19,6 +19,7 @@ from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, ord
 
 TOWN = load_params("town")
 CLIP = Shots(frames=16, fps=5.0)
+SEEN = Scenes(TOWN, shots=CLIP)
 
 
 def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
@@ -197,7 +198,7 @@ def clip_problems(world: World):  # type: ignore[no-untyped-def]
     scene = world.scene
     places, headings, lanes = [], [], []
     for frame in range(CLIP.frames):
-        now = world_in_shot(world, CLIP, CLIP.place(frame))
+        now = world_in_shot(SEEN, world, CLIP.place(frame))
         shapes = bodies(now)
         yield from (f"frame {frame}: bodies {i} and {j} touch" for i, j in touching(shapes))
         places.append([shape.centroid.coords[0] for shape in shapes])
@@ -244,7 +245,7 @@ def _reds(scene: Scene, lanes: list[list[tuple[str, float, float]]]):  # type: i
 def test_the_host_of_a_clip_drives_its_track() -> None:
     world = town(3, "town.host_place=before", "town.host_m=15", "town.control=priority", shots=CLIP)
     shot = world.scene.shot
-    ways = [world_in_shot(world, CLIP, CLIP.place(frame)).view.world_from_host[:3, 3] for frame in (0, 15)]
+    ways = [world_in_shot(SEEN, world, CLIP.place(frame)).view.world_from_host[:3, 3] for frame in (0, 15)]
     # The way is no shorter than the chord, and no car is faster than a town allows.
     driven_m = host_driven(shot, shot.duration_s)
     assert float(np.linalg.norm(ways[1] - ways[0])) <= driven_m + 0.05 <= 15 * shot.duration_s

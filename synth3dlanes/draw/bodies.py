@@ -65,9 +65,8 @@ class Motion(NamedTuple):
         """Places and unit headings at times, as a scene's things go along their tracks."""
         values = np.column_stack([self.xy_world, np.unwrap(self.yaw_rad)])
         if len(self.times_s) > 1:
-            values = scipy.interpolate.PchipInterpolator(self.times_s, values)(
-                np.clip(times_s, self.times_s[0], self.times_s[-1])
-            )
+            within_s = np.clip(times_s, self.times_s[0], self.times_s[-1])
+            values = scipy.interpolate.PchipInterpolator(self.times_s, values)(within_s)
         else:
             values = np.repeat(values, len(times_s), axis=0)
         return values[:, :2], np.stack([-np.sin(values[:, 2]), np.cos(values[:, 2])], -1)

@@ -53,7 +53,7 @@ PAINTED = (*PAVEMENT, "marking", "symbol")
 _IDS_TOO = frozenset({"depth", "semantic", "instance"})
 
 
-class SeenPart(NamedTuple):
+class PartSeen(NamedTuple):
     """Points of one thing: its words, how far each is from where the world has it, and the lane to name."""
 
     whose: str
@@ -70,7 +70,7 @@ class Row(NamedTuple):
     check: str
     name: str
     classes: tuple[str, ...]
-    parts: Callable[[Evidence, Seen], Iterator[SeenPart]]
+    parts: Callable[[Evidence, Seen], Iterator[PartSeen]]
     expected: str
     most: float
     share: float = 0.0
@@ -183,85 +183,85 @@ def _against_passes(evidence: Evidence, swept: Seen) -> Iterator[Result]:
 # -- parts: how far points are from where the world has them
 
 
-def _height(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _height(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Over the road and over its ramp, which may have few pixels."""
     firm = seen.firm
     on_ramp = firm.places.raised() > 0
-    yield SeenPart("the road", firm.above_m[~on_ramp])
-    yield SeenPart("the ramp", firm.above_m[on_ramp])
+    yield PartSeen("the road", firm.above_m[~on_ramp])
+    yield PartSeen("the ramp", firm.above_m[on_ramp])
 
 
-def _scale(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _scale(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     firm = seen.firm.at(seen.firm.range_m < PROOF_M)
-    yield SeenPart("the road", -firm.above_m / firm.below_eye_m)
+    yield PartSeen("the road", -firm.above_m / firm.below_eye_m)
 
 
-def _near_mesh(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _near_mesh(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Along the pixels' rays from the very mesh that is rendered."""
     at = np.flatnonzero((seen.firm.range_m > 0) & (seen.firm.range_m < NEAR_ROAD_M))
     near = seen.firm.at(at[:: 1 + len(at) // MAX_NEAR])
     z, surfaces = near.points_world[:, 2], evidence.world.site.surfaces
     above_m = z - mesh_height(surfaces.pavement, near.points_world[:, :2], z + SAME_M)
     slant = near.up_world[:, 2] * near.range_m / near.below_eye_m
-    yield SeenPart("the near road", (-above_m * slant)[np.abs(above_m) < SAME_M])
+    yield PartSeen("the near road", (-above_m * slant)[np.abs(above_m) < SAME_M])
 
 
-def _turn(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _turn(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Normals, which are smoothed where an exit leaves the road; a ramp has others."""
     firm = seen.firm
     level = firm.at(~firm.places.on_slope())
     assert level.pixels is not None, "beams have no normals"
     found = evidence.passes["normal"][tuple(level.pixels.T)] @ evidence.camera.world_from_cam[:3, :3].T
-    yield SeenPart("the road", np.linalg.norm(found - level.up_world, axis=1))
+    yield PartSeen("the road", np.linalg.norm(found - level.up_world, axis=1))
 
 
-def _edges(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
-    yield SeenPart("pavement", np.maximum(seen.firm.places.outside(), 0))
+def _edges(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
+    yield PartSeen("pavement", np.maximum(seen.firm.places.outside(), 0))
 
 
-def _plan(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _plan(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     firm = seen.firm
     expected = firm.places.surface(MAX_ASIDE_M)
     for name in PAVEMENT:
         at = expected == SEMANTIC_IDS[name]
-        yield SeenPart(name, np.where(firm.ids["semantic"] == expected, 0, np.inf)[at])
+        yield PartSeen(name, np.where(firm.ids["semantic"] == expected, 0, np.inf)[at])
 
 
-def _hills(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _hills(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     ground, xy = evidence.world.ground, seen.points_world[:, :2]
     raised_m = EMBANKMENT_SLOPE * max([road.ramp.height_m for road in ground.network.roads if road.ramp], default=0.0)
     is_open = ground.clearance(xy) > VERGES * VERGE_M * ground.cell_scale(xy) + raised_m
     slope = gradient_at(evidence.scene.terrain, xy[is_open])
     above_m = seen.points_world[is_open, 2] - terrain_height(ground, xy[is_open])
-    yield SeenPart("terrain", above_m / np.sqrt(1 + (slope**2).sum(axis=1)))
+    yield PartSeen("terrain", above_m / np.sqrt(1 + (slope**2).sum(axis=1)))
 
 
-def _through(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _through(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Below a deck, and over a tunnel, the ground goes on."""
     ground, xy = evidence.world.ground, seen.points_world[:, :2]
     may_be = ground.is_grass(xy, INSIDE_M) | ground.is_stacked(xy)
-    yield SeenPart("terrain", np.where(may_be, 0, np.maximum(-ground.clearance(xy), 0)))
+    yield PartSeen("terrain", np.where(may_be, 0, np.maximum(-ground.clearance(xy), 0)))
 
 
-def _body(kind: str, evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _body(kind: str, evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     own, boxes = seen.number(kind), evidence.bodies[kind]
     boxes = boxes if kind == "structure" else grown(boxes)
     apart_m = np.where(inside(boxes, seen.points_world, own), 0, np.inf)
     for i in np.unique(own).tolist():
-        yield SeenPart(f"{kind} {i}" if i >= 0 else f"a {kind}", apart_m[own == i])
+        yield PartSeen(f"{kind} {i}" if i >= 0 else f"a {kind}", apart_m[own == i])
 
 
-def _faces(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _faces(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """A pole's is not a sign's."""
     boxes, own = evidence.bodies["structure"], seen.number("structure")
     surface = np.concatenate([np.zeros(0, int), *(body.surface for body in evidence.world.site.structures)])
     for number, name in enumerate(SURFACES):
         at = (seen.ids["semantic"] == SEMANTIC_IDS[name]) & (own >= 0)
         found = inside(boxes.at(surface == number), seen.points_world[at], own[at])
-        yield SeenPart(name, np.where(found, 0, np.inf))
+        yield PartSeen(name, np.where(found, 0, np.inf))
 
 
-def _paint(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _paint(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Outside the paint of their line, or of any line without instance ids; lines beyond the labels are unnamed."""
     paint = evidence.paint
     on = seen.on_road
@@ -273,28 +273,28 @@ def _paint(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
         beyond_m[at] = np.minimum(beyond_m[at], paint.beyond_m(id_, on.places.at(at)))
     beyond_m = np.maximum(beyond_m, 0)
     for i, id_ in enumerate(labelled if has_ids else []):
-        yield SeenPart("the line", beyond_m[own == i], id_)
-    yield SeenPart("a line", beyond_m[(own < 0) | (own >= len(labelled))])
+        yield PartSeen("the line", beyond_m[own == i], id_)
+    yield PartSeen("a line", beyond_m[(own < 0) | (own >= len(labelled))])
 
 
-def _strays(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _strays(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Pixels outside their symbol's paint, or that of any without instance ids; a scene may have none."""
     on = seen.on_road
     shown, of_each = on.ids["semantic"] == SEMANTIC_IDS["symbol"], on.beyond_symbols_m
     own, of_any = on.number("symbol"), of_each.min(axis=0, initial=np.inf)
     for i in np.unique(own[shown]).tolist():
         beyond_m = of_any if i < 0 else of_each[i] if i < len(of_each) else np.full(len(on), np.inf)
-        yield SeenPart(f"symbol {i}" if i >= 0 else "symbols", np.maximum(beyond_m, 0)[shown & (own == i)])
+        yield PartSeen(f"symbol {i}" if i >= 0 else "symbols", np.maximum(beyond_m, 0)[shown & (own == i)])
 
 
-def _gaps(evidence: Evidence, seen: Seen) -> Iterator[SeenPart]:
+def _gaps(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Ground inside a symbol that does not show it."""
     on = seen.on_road
     margin_m = np.where(on.ids["semantic"] == SEMANTIC_IDS["marking"], LINE_M, MARGIN_M)
     is_symbol = on.ids["semantic"] == SEMANTIC_IDS["symbol"]
     for i, beyond_m in enumerate(on.beyond_symbols_m):
         shown = on.number("symbol") == i if "instance" in on.ids else is_symbol
-        yield SeenPart(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
+        yield PartSeen(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
 
 
 def _of_body(kind: str, classes: tuple[str, ...]) -> Row:

@@ -185,9 +185,9 @@ def run(tmp_path: Path, *args: str) -> tuple[int, str]:
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (["--at", "r 1:3:-1"], "--at has no effect without --map"),
-        (["--map", "M.xodr", "--set", "road.n_lanes=3"], "road.n_lanes=3 has no effect with --map"),
-        (["--map", "M.xodr", "--set", "camera.y_m=-20"], "camera.y_m=-20 has no effect with --map"),
+        (["--at", "r 1:3:-1"], "--at: expected none without --map"),
+        (["--map", "M.xodr", "--set", "road.n_lanes=3"], "road.n_lanes=3: no effect with --map"),
+        (["--map", "M.xodr", "--set", "camera.y_m=-20"], "camera.y_m=-20: no effect with --map"),
         (["--map", "M.xodr", "--at", "r 2:3:-1"], "expected a road of m.xodr, got 'r 2'; did you mean r 1?"),
         (["--map", "M.xodr", "--at", "r 1:3:7"], "expected a driving lane of road r 1 there (2, 1, -1, -2), got 7"),
     ],
