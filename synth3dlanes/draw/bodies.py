@@ -86,7 +86,7 @@ class Bodies:
         self.times_s = np.linspace(0.0, duration_s, 1 + int(np.ceil(duration_s / CHECK_EVERY_S)))
         driven = np.unique([0.0, duration_s / 2, duration_s])
         self.host_places = vehicle_places(scene, self.network, driven, only_host=True)[0].mean(axis=1)
-        self.moving = vehicle_places(scene, self.network, self.times_s, self.host_places)
+        self.moving = vehicle_places(scene, self.network, self.times_s)
         self.standing = np.array(list(_standing(scene, ground))).reshape(-1, 4, 2)
         self.radii_m = np.linalg.norm(self.standing - self.standing.mean(axis=1, keepdims=True), axis=2).max(axis=1)
 
