@@ -627,13 +627,13 @@ def _beside(path: Path, name: str) -> str:
     return os.path.normpath(path.parent / name)
 
 
-def _moved(document: Mapping[str, Any], move: Callable[[str], str]) -> dict[str, Any]:
+def _moved(document: Mapping[str, Any], to: Callable[[str], str]) -> dict[str, Any]:
     """The fields of a job with each relative path changed; names of what is ready, and URLs, stay."""
     moved = dict(document)
     for name in (*FILES, *NAMES):
         value = moved.get(name)
         if isinstance(value, str) and (name in FILES or value.endswith((".yaml", ".yml"))):
-            moved[name] = value if os.path.isabs(value) or "://" in value else move(value)
+            moved[name] = value if os.path.isabs(value) or "://" in value else to(value)
     if isinstance(params := moved.get("params"), dict) and str(params.get(BASE, "")).endswith((".yaml", ".yml")):
-        moved["params"] = {**params, BASE: move(params[BASE])}
+        moved["params"] = {**params, BASE: to(params[BASE])}
     return moved

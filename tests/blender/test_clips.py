@@ -99,12 +99,12 @@ def test_objects_of_the_ground_stay_and_others_are_those_of_the_frame():
     counts, kept = [], []
     for index in (3, 4, 5, 3):
         make_sample(RECIPE, index)
-        names = {name: list(bpy.data.collections[name].objects) for name in ("ground", "trees", "structures", "cars")}
+        names = {name: list(bpy.data.collections[name].objects) for name in ("ground", "structures")}
         counts.append((len(bpy.data.objects), len(bpy.data.meshes)))
         kept.append([item.data.as_pointer() for name in ("ground", "structures") for item in names[name]])
     assert len(set(counts)) == 1
     assert kept[0] == kept[1] == kept[2] == kept[3]
-    scene, cars = RECIPE.scene(3), bpy.data.collections["cars"].objects
+    scene, cars = RECIPE.scene(3), bpy.data.collections["objects"].objects
     poses = RECIPE.world(3).view.world_from_cars
     assert len(cars) == len(scene.cars) == 4
     for item, pose in zip(cars, poses, strict=True):

@@ -176,7 +176,7 @@ def test_traffic_and_successors_are_those_of_the_lane_graph(road):
                 assert abs(gap @ along) < 0.5
                 assert np.linalg.norm(gap - (gap @ along) * along) < 0.04
             found.add((segment(incoming, link.get("from")), segment(after.get("elementId"), out)))
-    graph = world.network.graph([])
+    graph = world.network.graph([path.id for path in world.network.paths])
     expected = {(a, b) for a, after in graph.successors.items() for b in after}
     if road["topology"] > 1 and not road.get("median_m"):
         expected |= {(f"oncoming_{i}",) * 2 for i in range(1, road.get("n_oncoming", 0) + 1)}
