@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import click
 import psutil
 import pytest
 from click.testing import CliRunner
@@ -79,5 +80,6 @@ def test_workers_mean_one_thing_everywhere(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"workers: expected (0|auto) .*, got -1"):
             call()
     for command in ("export", "validate", "generate", "twins", "benchmark", "bench"):
-        (option,) = (option for option in main.commands[command].params if option.name == "workers")
+        params = main.commands[command].get_params(click.Context(main.commands[command]))
+        (option,) = (option for option in params if option.name == "workers")
         assert (option.default, option.metavar) == ("auto", "N|auto")
