@@ -116,7 +116,7 @@ class RunningMean:
         """Whether the mean exceeds `least` and differs significantly from 0."""
         if self.n < MIN_SAMPLES or abs(self.mean) <= least:
             return False
-        return abs(self.t) > float(stdtrit(self.n - 1, 1 - CHANCE / 2))
+        return bool(abs(self.t) > stdtrit(self.n - 1, 1 - CHANCE / 2))
 
     def summary(self, least: float) -> dict[str, float | bool | None]:
         """The test's numbers, for JSON."""

@@ -22,7 +22,7 @@ def test_a_folder_of_own_assets_from_check_to_picture(run: Run, in_tmp_path: Pat
 
     (in_tmp_path / "mine" / "notes.txt").touch()
     drawn = run("sample", "--params", "tiny", "--set", "cars.n=1", "--assets", "mine")
-    assert drawn.stderr == "--assets mine: notes.txt: not used: unknown name or suffix\n"
+    assert drawn.stderr == "assets mine: notes.txt: not used: unknown name or suffix\n"
     scene = json.loads(drawn.stdout)
     assert [car["name"] for car in scene["assets"]["cars"]] == ["box"]
     (in_tmp_path / "scene.json").write_text(drawn.stdout)

@@ -86,7 +86,7 @@ def space_of(scene, name):
 
 def feet_of(vertices, scene, name):
     """Where cars (four corners below four others) and trees (after 8 vertices of the crown, those of a trunk) stand."""
-    if name == "cars":
+    if name == "objects":
         return vertices.reshape(-1, 8, 3)[:, :4].reshape(-1, 3)
     return vertices.reshape(-1, 16, 3)[:, 8:12].mean(axis=1)
 
@@ -124,7 +124,7 @@ def test_every_car_and_tree_of_the_space_stands_on_ground_that_is_shown():
         scene = sample_scene(Scenes(params, 3, "train"), index)
         groups = spaces(scene)
         surfaces = [groups["terrain"], groups["road"]]
-        for name in ("cars", "trees"):
+        for name in ("objects", "trees"):
             feet = feet_of(groups[name][0], scene, name)
             n_near += len(feet)
             heights = np.stack([heights_of(*surface, feet[:, :2]) for surface in surfaces])

@@ -141,7 +141,8 @@ def test_middles_of_lanelets_are_the_lanes_in_3d_in_the_direction_of_traffic(nam
     for lane in (lane for lane in file.lanes if SEGMENT in lane.tags):
         own = world.network.lanes[lane.tags[SEGMENT]]
         road = world.network.road(own.road).stretch_of(own)
-        s = np.linspace(max(own.start_m, -250), min(own.end_m, 250), 20_000)[:: 1 if own.ascends else -1]
+        ends = np.nan_to_num([own.start_m, own.end_m], neginf=-250, posinf=250)
+        s = np.linspace(*ends, 20_000)[:: 1 if own.ascends else -1]
         apart_m, at = cKDTree(road.points(s, own.middle(s))).query(file.middle(lane)[1:-1] if len(file.middle(lane)) > 2
                                                                   else file.middle(lane))  # fmt: skip
         assert apart_m.max(initial=0.0) < (0.02 if len(file.middle(lane)) > 2 else 0.2), lane

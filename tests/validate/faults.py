@@ -112,7 +112,8 @@ def with_shares(change: Callable[[list[float]], list[float]]) -> Callable[[dict[
 
     def of_labels(document: dict[str, Any]) -> None:
         document["car_visible_fraction"] = change(document["car_visible_fraction"])
-        for item, share in zip(document["objects"], document["car_visible_fraction"], strict=True):
+        # Behind the cars are people, riders and road works.
+        for item, share in zip(document["objects"], document["car_visible_fraction"], strict=False):
             item["visible_fraction"] = share
 
     return of_labels

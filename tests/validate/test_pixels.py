@@ -225,12 +225,12 @@ ONE_SAMPLE: dict[str, tuple[Callable[[Evidence], Evidence], str]] = {
     ),
     "road and paint swapped": (
         lambda s: without(with_pass(s, "semantic", lambda ids: swapped(ids, ROAD, MARKING)), "instance"),
-        "semantic: expected paint where the line is painted",
+        "semantic: expected paint where a line is painted",
     ),
     "all passes 1 px to the right": (all_to_the_right, "instance: expected paint where the line is painted"),
     "depth 0.5 % too large": (
         lambda s: with_pass(s, "depth", lambda depth: depth * np.float32(1.005)),
-        "depth: expected the road at the scene's distance, got it 1.005",
+        "depth: expected the road's distances as the scene's, got them 0.005",
     ),
     "sky hit": (
         lambda s: with_pass(s, "depth", lambda depth: np.where(np.isfinite(depth), depth, np.float32(1e10))),
