@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from synth3dlanes.dataset.address import SAMPLE
+from synth3dlanes.dataset.description import clip_of
 from synth3dlanes.dataset.format import encode_image
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.figures import colors
@@ -52,7 +53,8 @@ def sample_recording(where: str) -> bytes:
     memory = recording.memory_recording()
     recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     _log_still(rr, recording, reader, i)
-    for position in reader.clip(int(reader.scene_of[i])):
+    is_clip = clip_of(reader.description)[0] > 1
+    for position in reader.clip(int(reader.scene_of[i])) if is_clip else reader.rig(i):
         labels = reader.labels(position)
         recording.set_time("time", duration=labels.time_s or 0.0)
         _log_camera(rr, recording, labels, reader.image(position))

@@ -263,11 +263,7 @@ class Job(DocumentPart):
     ] = ""
     tries: Annotated[int, number("With --where: most scenes to draw for a sample.", ge=1)] = TRIES
     camera: Annotated[
-        Annotated[
-            Text | Annotated[CameraSpec, either("a name, a file, or keys of a camera", CameraSpec, dict), Tag("keys")],
-            BY_KIND,
-        ]
-        | None,
+        Annotated[Text | OwnCamera, BY_KIND] | None,
         told(
             "Your camera instead of that of the parameters: a YAML file, also of OpenCV or Kalibr, or the name of a "
             "ready one (`list cameras`, docs/camera.md)."
@@ -284,8 +280,7 @@ class Job(DocumentPart):
         OptionForm("FILE|NAME", presets="rigs"),
     ] = ()
     assets: Annotated[
-        Annotated[Text | Annotated[InstanceOf[Library], either("a folder of assets", Library), Tag("keys")], BY_KIND]
-        | None,
+        Annotated[Text | OpenAssets, BY_KIND] | None,
         told("Folder of your own cars, trees, textures and skies (docs/assets.md)."),
         OptionForm("DIR"),
     ] = None
@@ -330,11 +325,7 @@ class Job(DocumentPart):
         OptionForm("NAMES"),
     ] = ()
     lidar: Annotated[
-        Annotated[
-            Text | Annotated[LidarSpec, either("a name, a file, or keys of a lidar", LidarSpec, dict), Tag("keys")],
-            BY_KIND,
-        ]
-        | None,
+        Annotated[Text | OwnLidar, BY_KIND] | None,
         told("Lidar on the host: a YAML file or the name of a ready one (`list lidars`, docs/lidar.md)."),
         OptionForm("FILE", presets="lidars"),
     ] = None

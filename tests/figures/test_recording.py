@@ -85,6 +85,18 @@ def test_a_lens_has_its_image_alone_and_the_lidar_all_its_points(reader, recordi
     assert len(read(recording, "/world/lidar", 1)["Position3D"]) == len(reader.lidar(2).points().range_m)
 
 
+def test_of_several_views_of_a_scene_a_recording_has_the_one_asked_for(tmp_path):
+    recipe = fake_samples.recipe(shots=Shots(views=2))
+    plan = Plan(str(tmp_path / "data"), 2, recipe, 1, maker=fake_samples.make_labelled)
+    assert not generate(plan, lambda event: None).problem
+    reader, path = Reader(f"{tmp_path}/data/train"), tmp_path / "view.rrd"
+    for i in range(2):
+        path.write_bytes(sample_recording(f"{reader.url}:0000000{i}"))
+        camera = read(rr.dataframe.load_recording(path), "/world/cameras/camera", 0)
+        place = reader.labels(i).camera.world_from_cam[:3, 3]
+        np.testing.assert_allclose(camera["Translation3D"][0], place, atol=1e-4)
+
+
 def test_what_is_no_sample_is_refused(tmp_path):
     with pytest.raises(InputError, match="expected a sample of a data set"):
         sample_recording(str(tmp_path / "scene.json"))
