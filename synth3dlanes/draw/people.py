@@ -18,11 +18,12 @@ from synth3dlanes.scene.scene import Scene, Thing
 from synth3dlanes.system.arrays import Points2
 from synth3dlanes.world import placement
 
-# People are this near to a place of the host in its clip; at most so many; draws of a place for each.
+# Greatest distance of people from the host's places in its clip, the most people, and draws of a place for each.
 NEAR_M, MOST, TRIES = 55.0, 120, 5
 # They keep this far from the kerb, where poles stand, and from the walkway's other edge; those who wait are nearer.
 ASIDE_M, OUTSIDE_M, WAIT_M = 0.8, 0.4, 0.75
-# Those who cross come from so far behind the kerb at most. Vehicles are apart from them by this, and by these times.
+# Those who cross come from at most this distance behind the kerb; their least distance from vehicles, and the time
+# between them.
 BEFORE_M, VEHICLE_ROOM_M, APART_S = 1.4, 0.8, 1.0
 WITH_UMBRELLA = "umbrella"
 

@@ -24,7 +24,7 @@ ROOM_M: dict[str, tuple[float, float]] = {"cyclist": (0.8, 0.2), "motorcyclist":
 KERB_M, PARKED_M, LEAST_LANE_M = 0.30, 0.55, 2.5
 # Motorcyclists keep this far from the middle of their lane at most.
 MIDDLE_M = 0.4
-# Riders stop so far before the end of a street, where crosswalks and lines are, with this deceleration.
+# Distance before the end of a street, where crosswalks and lines are, at which riders stop, and their deceleration.
 LINE_M, DECELERATION = 7.5, 1.5
 
 

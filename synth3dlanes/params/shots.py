@@ -25,8 +25,8 @@ class ShotNumbers(NamedTuple):
 
 class Shots(Group):
     """How each scene is seen: in `frames` frames, `fps` a second, by each camera of `cameras`. Without `cameras`, the
-    camera of the parameters is used. With a `lidar`, every sample has its sweep. With `views`, the host has so many
-    places in each scene, one after the other, and each is a picture by all cameras."""
+    camera of the parameters is used. With a `lidar`, every sample has its sweep. With `views`, the host has this number
+    of places in each scene, and each is a picture by all cameras."""
 
     frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)] = 1
     fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
