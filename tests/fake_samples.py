@@ -19,7 +19,7 @@ from synth3dlanes.labels.object_labels import as_seen
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import SINGLE, Shots
 from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.recipe import PackedSample, Recipe
+from synth3dlanes.production.recipe import EncodedSample, Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.host import Shot
@@ -57,7 +57,7 @@ def image(index: int) -> np.ndarray:
     return np.random.default_rng(index).integers(0, 256, (16, 24, 3), dtype=np.uint8)
 
 
-def make(recipe: Recipe, index: int) -> PackedSample:
+def make(recipe: Recipe, index: int) -> EncodedSample:
     camera = FLAT.camera.model_copy(update={"width_px": 24, "height_px": 16})
     place, shots = recipe.scenes.shots.place(index), recipe.scenes.shots
     shot = Shot(n_frames=shots.frames, fps=shots.fps, frame=place.frame, n_cameras=shots.n_cameras, camera=place.camera)
@@ -65,18 +65,18 @@ def make(recipe: Recipe, index: int) -> PackedSample:
     scene = FLAT.model_copy(update={**world, "camera": camera})
     time_s = shot.time_s if shots.frames > 1 else None
     members = encode(Picture(image(index), labels(index, time_s)), scene_module.to_json(scene), recipe.image_format)
-    return PackedSample(members, {"fake": 0.0})
+    return EncodedSample(members, {"fake": 0.0})
 
 
-def make_labelled(recipe: Recipe, index: int) -> PackedSample:
+def make_labelled(recipe: Recipe, index: int) -> EncodedSample:
     """Scene and labels are true, the image is black."""
     world = recipe.world(index)
     black = np.zeros((world.scene.camera.height_px, world.scene.camera.width_px, 3), np.uint8)
     members = encode(Picture(black, label(world, world.view)), scene_module.to_json(world.scene), recipe.image_format)
-    return PackedSample(members, {"fake": 0.0})
+    return EncodedSample(members, {"fake": 0.0})
 
 
-def make_with_passes(recipe: Recipe, index: int) -> PackedSample:
+def make_with_passes(recipe: Recipe, index: int) -> EncodedSample:
     """Scene and labels are true; the image is blocks of grey, the depth that of a leaning wall, the cars of the
     passes are rectangles, and a lidar has a round wall with them as stripes."""
     world = sample_world(recipe.scenes, index)
@@ -97,7 +97,7 @@ def make_with_passes(recipe: Recipe, index: int) -> PackedSample:
     passes = {"depth": depth_m, "semantic": semantic, "instance": instance}
     wanted = {name: passes[name] for name in recipe.settings.passes if name in passes}
     members = encode(Picture(picture, found, wanted, sweep), scene_module.to_json(world.scene), recipe.image_format)
-    return PackedSample(members, {"fake": 0.0})
+    return EncodedSample(members, {"fake": 0.0})
 
 
 def _sweep(found: Labels) -> Sweep:
@@ -111,25 +111,25 @@ def _sweep(found: Labels) -> Sweep:
     return Sweep(lidar, range_m, semantic, instance)
 
 
-def sign(recipe: Recipe, index: int) -> PackedSample:
+def sign(recipe: Recipe, index: int) -> EncodedSample:
     """Note who made which sample."""
     time.sleep(0.05)
     (Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / f"{index}-{os.getpid()}").touch()
     return make(recipe, index)
 
 
-def make_slowly(recipe: Recipe, index: int) -> PackedSample:
+def make_slowly(recipe: Recipe, index: int) -> EncodedSample:
     time.sleep(0.15)
     return make(recipe, index)
 
 
-def crash_on_bad(recipe: Recipe, index: int) -> PackedSample:
+def crash_on_bad(recipe: Recipe, index: int) -> EncodedSample:
     if index == BAD:
         raise ValueError("this scene is bad")
     return make(recipe, index)
 
 
-def make_what_no_reader_takes(recipe: Recipe, index: int) -> PackedSample:
+def make_what_no_reader_takes(recipe: Recipe, index: int) -> EncodedSample:
     made = make(recipe, index)
     if index != BAD:
         return made
@@ -138,11 +138,11 @@ def make_what_no_reader_takes(recipe: Recipe, index: int) -> PackedSample:
     return replace(made, members={**made.members, LABELS: json.dumps(document).encode()})
 
 
-def always_crash(recipe: Recipe, index: int) -> PackedSample:
+def always_crash(recipe: Recipe, index: int) -> EncodedSample:
     raise ValueError(f"no scene is good, nor is {index}")
 
 
-def hang_on_bad_and_spin_on_the_next(recipe: Recipe, index: int) -> PackedSample:
+def hang_on_bad_and_spin_on_the_next(recipe: Recipe, index: int) -> EncodedSample:
     if index == BAD:
         time.sleep(1000)
     while index == BAD + 1:
@@ -150,18 +150,18 @@ def hang_on_bad_and_spin_on_the_next(recipe: Recipe, index: int) -> PackedSample
     return make(recipe, index)
 
 
-def eat_memory_on_bad(recipe: Recipe, index: int) -> PackedSample:
+def eat_memory_on_bad(recipe: Recipe, index: int) -> EncodedSample:
     if index == BAD:
         eaten = np.ones(1 << 28)
         time.sleep(1000 * float(eaten[0]))
     return make(recipe, index)
 
 
-def miss_a_library(recipe: Recipe, index: int) -> PackedSample:
+def miss_a_library(recipe: Recipe, index: int) -> EncodedSample:
     raise ImportError("libmissing.so.1: cannot open shared object file")
 
 
-def be_killed_once(recipe: Recipe, index: int) -> PackedSample:
+def be_killed_once(recipe: Recipe, index: int) -> EncodedSample:
     mark = Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / str(index)
     if not mark.exists():
         mark.touch()
@@ -169,7 +169,7 @@ def be_killed_once(recipe: Recipe, index: int) -> PackedSample:
     return make(recipe, index)
 
 
-def find_the_disk_full(recipe: Recipe, index: int) -> PackedSample:
+def find_the_disk_full(recipe: Recipe, index: int) -> EncodedSample:
     """As long as there is a ballast. Sample 1 says so late."""
     if (Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / "ballast").exists():
         time.sleep(3.0 * (index == 1))
@@ -178,7 +178,7 @@ def find_the_disk_full(recipe: Recipe, index: int) -> PackedSample:
     return make(recipe, index)
 
 
-def insist_on_one_core(recipe: Recipe, index: int) -> PackedSample:
+def insist_on_one_core(recipe: Recipe, index: int) -> EncodedSample:
     assert len(os.sched_getaffinity(0)) == 1
     return make(recipe, index)
 

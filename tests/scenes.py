@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.scene.assets.catalogue import THINGS
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Air, Gaussian, Light, Markings, PaperRoad, Scene, Sensor, Surface, Terrain, Thing
 from synth3dlanes.world.world import World
 
@@ -43,7 +43,7 @@ FLAT = Scene(
     ),
     cars=(),
     trees=(),
-    camera=Camera(
+    camera=HostCamera(
         lane=2,
         y_m=-50,
         offset_m=0,

@@ -14,7 +14,7 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.params.groups import REPLACED
 from synth3dlanes.params.params import Params, load_params
 from synth3dlanes.params.params_text import params_yaml
-from synth3dlanes.scene.host import Host
+from synth3dlanes.scene.host import Bonnet
 from synth3dlanes.scene.scene import Weather, from_json, to_json
 from synth3dlanes.system.errors import InputError
 
@@ -228,7 +228,7 @@ def test_what_does_not_fit_the_weather_is_said_in_one_line(own, told):
 
 def test_a_scene_without_weather_has_none_in_its_file():
     plain = drawn(n=1, preset="appendix_i")[0]
-    assert (plain.weather, plain.host) == (Weather(), Host())
+    assert (plain.weather, plain.host) == (Weather(), Bonnet())
     assert from_json(to_json(plain), "scene.json") == plain
     scene = drawn("weather.rain=0.5", n=1)[0]
     assert (scene.weather.kind, scene.weather.rain) == ("any", 0.5)

@@ -4,14 +4,14 @@ import bpy
 import mathutils
 import numpy as np
 
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.system.arrays import Matrix4
 
 CAM_FROM_BLENDER = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 CLIP_M = (0.05, 2e4)
 
 
-def set_camera(camera_object: bpy.types.Object, camera: Camera, world_from_cam: Matrix4) -> None:
+def set_camera(camera_object: bpy.types.Object, camera: HostCamera, world_from_cam: Matrix4) -> None:
     """Set the camera's pose and intrinsics; unequal focal lengths are set as pixel aspect."""
     camera_object.matrix_world = mathutils.Matrix((world_from_cam @ CAM_FROM_BLENDER).tolist())
     lens = camera_object.data

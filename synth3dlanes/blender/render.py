@@ -35,7 +35,7 @@ LENS_BOUNCES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Rendering:
+class BlenderOutput:
     """The layers, the labels with `object_visible`, the sweep if the view has a lidar, and the seconds of each
     stage."""
 
@@ -60,7 +60,7 @@ def render(
     labels: Labels,
     settings: RenderSettings,
     library: Library = BUILT_IN,
-) -> Rendering:
+) -> BlenderOutput:
     """Render one view; equal arguments give equal pixels on one kind of machine."""
     clock = [time.perf_counter()]
     lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
@@ -89,7 +89,7 @@ def render(
     seen = replace(seen, objects=objects, traffic_elements=elements)
     clock.append(time.perf_counter())
     stages = ("build", "cycles", "passes", "occlusion")
-    return Rendering(layers, seen, sweep, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
+    return BlenderOutput(layers, seen, sweep, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
 
 
 def with_object_visibility(world: World, view: View, labels: Labels, placed: list[MeshInstance]) -> Labels:

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
 from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA, ARROW_TYPES, RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels.labels import Labels, Lane
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Air, Light, Markings, PaperRoad, Scene, Sensor, Surface
 from synth3dlanes.scene.things import ThingKind
 
@@ -25,7 +25,7 @@ PARTS: dict[str, type[BaseModel]] = {
     "road": PaperRoad,
     "markings": Markings,
     "surface": Surface,
-    "camera": Camera,
+    "camera": HostCamera,
     "light": Light,
     "air": Air,
     "sensor": Sensor,
@@ -81,7 +81,9 @@ def numbers_of(scene: Scene | None, labels: Labels) -> dict[str, Any]:
     camera and the lanes alone."""
     if scene is None:
         camera, k = labels.camera, labels.camera.img_from_cam
-        known = {name: value for name, value in vars(camera).items() if name in Camera.model_fields and name != "lens"}
+        known = {
+            name: value for name, value in vars(camera).items() if name in HostCamera.model_fields and name != "lens"
+        }
         known |= {"fx_px": float(k[0, 0]), "fy_px": -float(k[1, 2]), "cx_px": float(k[0, 1]), "cy_px": float(k[1, 1])}
         return {PREFIXES["camera"] + name: value for name, value in known.items()} | _summary(labels)
     row = {"n_gaussians": len(scene.terrain.gaussians), "n_cars": len(scene.cars), "n_trees": len(scene.trees)}

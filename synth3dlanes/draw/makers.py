@@ -11,7 +11,7 @@ from synth3dlanes.params.groups import MotionParams
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import Assets
-from synth3dlanes.scene.host import Camera, Shot
+from synth3dlanes.scene.host import HostCamera, Shot
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Gaussian, Scene, Symbol, Terrain, Tree
 from synth3dlanes.system.errors import InputError
@@ -57,11 +57,11 @@ def draw_hills(draw: Draw) -> Terrain:
     return Terrain(gaussians=tuple(gaussian() for _ in range(draw("n_gaussians"))))
 
 
-def draw_camera(draw: Draw, lane: int, y_m: float) -> Camera:
+def draw_camera(draw: Draw, lane: int, y_m: float) -> HostCamera:
     """The host in a lane at a station."""
     width_px, height_px = draw("width_px"), draw("height_px")
     focal_px = round(width_px / 2 / math.tan(draw("horizontal_fov_deg") / 2), DECIMALS)
-    return Camera(
+    return HostCamera(
         lane=lane,
         y_m=y_m,
         offset_m=draw("offset_m"),

@@ -27,7 +27,7 @@ from synth3dlanes.roads.maps.read import read_map
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.assets.catalogue import Assets
-from synth3dlanes.scene.host import Camera, Shot
+from synth3dlanes.scene.host import HostCamera, Shot
 from synth3dlanes.scene.road_map import LaneName, MapRoad, RoadMap
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Scene, Tree
@@ -46,7 +46,7 @@ LEFT_M, NARROW_M = 6.0, 2.2
 def map_roads(
     of: DrawsOf,
     roads: RoadMap,
-    camera: Camera,
+    camera: HostCamera,
     shot: Shot,
     stand: Stand,
     ground_step_m: float = STEP_M,

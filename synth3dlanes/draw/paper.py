@@ -11,7 +11,7 @@ from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import is_wide_enough, paper_network
 from synth3dlanes.scene.assets.catalogue import Assets
-from synth3dlanes.scene.host import Camera, Shot
+from synth3dlanes.scene.host import HostCamera, Shot
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import MIN_MEDIAN_M, PaperRoad, Scene
 from synth3dlanes.world.ground import Ground
@@ -51,7 +51,7 @@ def draw_road(draw: Draw) -> PaperRoad:
     return road if is_wide_enough(road) else road.model_copy(update={"n_oncoming": 0, "median_m": 0.0})
 
 
-def _on_its_road(network: Network, camera: Camera, shot: Shot) -> Camera:
+def _on_its_road(network: Network, camera: HostCamera, shot: Shot) -> HostCamera:
     """The host, in the lane beside its own if its own leads from its road within the clip."""
     lane = network.host_lane(camera.lane, camera.y_m)
     beside = [at for at in network.lanes_at(camera.y_m * network.onwards) if abs(at.number - lane.number) == 1]

@@ -22,7 +22,7 @@ from synth3dlanes.params.lidars import LidarSpec
 from synth3dlanes.params.params import Params
 from synth3dlanes.params.shots import SINGLE, ShotNumbers, Shots
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Assets
-from synth3dlanes.scene.host import Camera, Lidar
+from synth3dlanes.scene.host import HostCamera, Lidar
 from synth3dlanes.scene.scene import SCENE_VERSION, Scene, to_json
 from synth3dlanes.system.processes import process_pool
 from synth3dlanes.system.streams import stream
@@ -85,7 +85,7 @@ def world_in_shot(scenes: Scenes, world: World, place: ShotNumbers) -> World:
         # A user's camera, at the host's place.
         of_view = f"/view/{place.view}" if place.view else ""
         own = shots.cameras[place.camera].drawn(scene.stream(f"camera/{place.camera}{of_view}").random)
-        camera = Camera(lane=camera.lane, y_m=camera.y_m, offset_m=camera.offset_m, **own)
+        camera = HostCamera(lane=camera.lane, y_m=camera.y_m, offset_m=camera.offset_m, **own)
     return world.seen_in(with_lidar(scene.model_copy(update={"camera": camera, "shot": shot}), shots.lidar))
 
 

@@ -9,7 +9,7 @@ from synth3dlanes.draw.draws import DECIMALS, DrawsOf
 from synth3dlanes.draw.makers import draw_camera
 from synth3dlanes.draw.rules import lane_of_host
 from synth3dlanes.roads.network import Network
-from synth3dlanes.scene.host import Camera, Views
+from synth3dlanes.scene.host import HostCamera, Views
 from synth3dlanes.scene.scene import Light, Scene
 from synth3dlanes.system.streams import stream
 from synth3dlanes.world.camera import world_from_host
@@ -24,7 +24,7 @@ LEFT_M = 60.0
 TRIES = 30
 
 
-def first_view(camera: Camera, network: Network, is_map: bool, n: int) -> Views:
+def first_view(camera: HostCamera, network: Network, is_map: bool, n: int) -> Views:
     """The first of `n` views: the place that was drawn, around which the world is built."""
     left_m = network.host_way(camera).end_m - LEFT_M - camera.y_m if is_map else REACH_M
     reach_m = round(min(REACH_M, max(left_m, 0.0)), DECIMALS)
@@ -51,7 +51,7 @@ def seen_from(of: DrawsOf, world: World, view: int) -> Scene:
     return scene.model_copy(update=changes)
 
 
-def _placed(of: DrawsOf, world: World, name: str, rng: np.random.Generator) -> Camera:
+def _placed(of: DrawsOf, world: World, name: str, rng: np.random.Generator) -> HostCamera:
     """The camera of a view at a place that is clear of all objects, or at the first view's."""
     scene, others = world.scene, _footprints(world)
     views = scene.shot.views

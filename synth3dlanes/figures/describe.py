@@ -15,7 +15,7 @@ from synth3dlanes.geometry.lens import Lens, width_rad
 from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.labels.object_labels import ObjectLabel
-from synth3dlanes.scene.host import Camera, Host
+from synth3dlanes.scene.host import Bonnet, HostCamera
 from synth3dlanes.scene.scene import PaperRoad, Scene, Weather
 from synth3dlanes.system.words import counted
 from synth3dlanes.world.motion import host_driven, host_speed
@@ -71,7 +71,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
             "motion blur": f"{scene.sensor.motion_blur_m:.2f} m",
             "noise": f"{scene.sensor.noise:.1f} levels at middle gray",
         },
-        **({} if (scene.weather, scene.host) == (Weather(), Host()) else {"weather": _weather(scene)}),
+        **({} if (scene.weather, scene.host) == (Weather(), Bonnet()) else {"weather": _weather(scene)}),
         "objects": {
             "cars": _counted([scene.assets.car_models[car.model - 1].name for car in scene.cars]),
             **({"people, riders, works": _counted([thing.kind for thing in scene.things])} if scene.things else {}),
@@ -287,7 +287,7 @@ def _turn(name: str, angle_rad: float, positive: str, negative: str) -> str:
     return f"{abs(angle_deg):.2f}° {positive if angle_deg > 0 else negative}" if angle_deg else f"no {name}"
 
 
-def _mount(camera: Camera) -> str:
+def _mount(camera: HostCamera) -> str:
     aside, along = camera.right_m, camera.forward_m
     sides = "right of" if aside > 0 else "left of", "ahead of" if along > 0 else "behind"
     return f"{abs(aside):.2f} m {sides[0]} and {abs(along):.2f} m {sides[1]} the host's middle"

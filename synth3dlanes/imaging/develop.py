@@ -11,7 +11,7 @@ from synth3dlanes.imaging.glass import add_dirt, add_drops
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.layers import Layers
 from synth3dlanes.imaging.sensor import add_noise, gain, motion_blur
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import KINDS
 from synth3dlanes.world.camera import rays_of_pixels
@@ -62,7 +62,7 @@ def develop(
     return tonemap(linear)
 
 
-def _is_seen(camera: Camera) -> Bool[np.ndarray, "h w"]:
+def _is_seen(camera: HostCamera) -> Bool[np.ndarray, "h w"]:
     """Which pixels are in the field of the camera's lens."""
     if camera.lens.is_pinhole:
         return np.ones((camera.height_px, camera.width_px), bool)

@@ -3,12 +3,12 @@
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.camera import rays, rays_of_pixels
 
 
-def cosines(camera: Camera, direction_cam: Float[np.ndarray, "3"]) -> Float[np.ndarray, "h w"]:
+def cosines(camera: HostCamera, direction_cam: Float[np.ndarray, "3"]) -> Float[np.ndarray, "h w"]:
     """The cosines of the angles between the rays of all pixels and a unit vector; NaN where the lens has no picture."""
     right, ahead, up = direction_cam
     if not camera.lens.is_pinhole:
@@ -17,7 +17,7 @@ def cosines(camera: Camera, direction_cam: Float[np.ndarray, "3"]) -> Float[np.n
     return np.asarray((ahead + right * x + up * z[:, None]) / np.sqrt(1 + x * x + (z * z)[:, None]))
 
 
-def azimuths(camera: Camera, world_from_cam: Matrix4) -> Float[np.ndarray, "h w"]:
+def azimuths(camera: HostCamera, world_from_cam: Matrix4) -> Float[np.ndarray, "h w"]:
     """The azimuths (world, radians) of the rays of all pixels; of a pinhole one row, that of its principal point."""
     if camera.lens.is_pinhole:
         x, _ = _tangents(camera)
@@ -28,7 +28,9 @@ def azimuths(camera: Camera, world_from_cam: Matrix4) -> Float[np.ndarray, "h w"
     return np.asarray(np.arctan2(rays_world[..., 1], rays_world[..., 0]))
 
 
-def points(camera: Camera, uv: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
+def points(
+    camera: HostCamera, uv: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
     """The points in the camera frame that pixels see at depths y."""
     if camera.lens.is_pinhole:
         return points_away(camera, uv, depth_m)
@@ -37,7 +39,7 @@ def points(camera: Camera, uv: Float[np.ndarray, "n 2"], depth_m: Float[np.ndarr
 
 
 def points_away(
-    camera: Camera, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
+    camera: HostCamera, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
     """The points in the camera frame that pixels see at distances from the eye, of a pinhole at depths y."""
     if not camera.lens.is_pinhole:
@@ -46,7 +48,7 @@ def points_away(
     return np.asarray(np.column_stack(found) * away_m[:, None])
 
 
-def _tangents(camera: Camera) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, " h"]]:
+def _tangents(camera: HostCamera) -> tuple[Float[np.ndarray, " w"], Float[np.ndarray, " h"]]:
     """x/y of each column and z/y of each row of a pinhole, at the pixels' centres."""
     x = (np.arange(camera.width_px) + 0.5 - camera.cx_px) / camera.fx_px
     z = (camera.cy_px - np.arange(camera.height_px) - 0.5) / camera.fy_px

@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.imaging.film import MIDDLE_GRAY, levels_per_radiance
 from synth3dlanes.imaging.lens import points
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.system.arrays import LinearImage
 from synth3dlanes.world.camera import project
 
@@ -28,7 +28,7 @@ def gain(linear: LinearImage, is_seen: Bool[np.ndarray, "h w"], metering: float)
 
 
 def motion_blur(
-    linear: LinearImage, depth_m: Float[np.ndarray, "h w"], camera: Camera, driven_cam: Float[np.ndarray, "3"]
+    linear: LinearImage, depth_m: Float[np.ndarray, "h w"], camera: HostCamera, driven_cam: Float[np.ndarray, "3"]
 ) -> LinearImage:
     """The mean picture over an exposure during which the camera moves by `driven_cam`, half before the labels' instant
     and half after it. Each pixel averages along its own motion; pixels with infinite depth are unchanged."""
@@ -50,7 +50,7 @@ def motion_blur(
 
 def _mean_along(
     channels: Float[np.ndarray, "3 h w"],
-    camera: Camera,
+    camera: HostCamera,
     points_cam: Float[np.ndarray, "n 3"],
     driven_cam: Float[np.ndarray, "3"],
     n_taps: int,

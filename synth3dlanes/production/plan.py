@@ -15,7 +15,7 @@ from synth3dlanes.params.cameras import black_pictures
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import Forecast, forecast
 from synth3dlanes.production.measured import measured
-from synth3dlanes.production.recipe import PackedSample, Recipe, make_sample
+from synth3dlanes.production.recipe import EncodedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.scene.settings import MAX_SAMPLES, SPLIT_NAME
 from synth3dlanes.system.errors import InputError
@@ -39,7 +39,7 @@ class Plan:
     limits: Limits | None = None
     slots: WorkerSlots = field(default_factory=WorkerSlots)
     shard_size: int = SHARD_SIZE
-    maker: Callable[[Recipe, int], PackedSample] = make_sample
+    maker: Callable[[Recipe, int], EncodedSample] = make_sample
 
     def __post_init__(self) -> None:
         (part, parts), split = self.part, self.recipe.scenes.split

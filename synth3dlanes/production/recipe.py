@@ -85,15 +85,8 @@ class Recipe:
         return member_names(self.image_format, self.settings.passes)
 
 
-@dataclass(frozen=True, eq=False)
-class TimedPicture(Picture):
-    """A picture, and the seconds of each stage."""
-
-    timings: dict[str, float] = field(default_factory=dict)
-
-
 @dataclass(frozen=True)
-class PackedSample:
+class EncodedSample:
     """The bytes of a sample's members by name, and the seconds of each stage."""
 
     members: dict[str, bytes]
@@ -110,27 +103,32 @@ def require_blender() -> None:
         )
 
 
-def make_sample(recipe: Recipe, index: int) -> PackedSample:
+def make_sample(recipe: Recipe, index: int) -> EncodedSample:
     """Draw, label, render and encode sample `index`."""
     start = time.perf_counter()
     world = recipe.world(index)
     seconds = time.perf_counter() - start
     made = make_image(world, recipe.settings, recipe.image_format, recipe.library)
-    return PackedSample(made.members, {"sample": seconds, **made.timings})
+    return EncodedSample(made.members, {"sample": seconds, **made.timings})
 
 
-def make_image(world: World, settings: RenderSettings, image_format: str, library: Library) -> PackedSample:
+def make_image(world: World, settings: RenderSettings, image_format: str, library: Library) -> EncodedSample:
     """Take a world's picture and encode it with its labels."""
-    shot = take_picture(world, settings, library)
+    picture, timings = _timed_picture(world, settings, library)
     start = time.perf_counter()
     text = scene_module.to_json(world.scene)
     quality = world.scene.sensor.jpeg_quality
-    members = encode(shot, text, image_format, quality)
-    return PackedSample(members, {**shot.timings, "encode": time.perf_counter() - start})
+    members = encode(picture, text, image_format, quality)
+    return EncodedSample(members, {**timings, "encode": time.perf_counter() - start})
 
 
-def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> TimedPicture:
+def take_picture(world: World, settings: RenderSettings, library: Library = BUILT_IN) -> Picture:
     """Label, render and develop a world as its scene's camera sees it."""
+    return _timed_picture(world, settings, library)[0]
+
+
+def _timed_picture(world: World, settings: RenderSettings, library: Library) -> tuple[Picture, dict[str, float]]:
+    """The picture of a world, and the seconds of each stage."""
     # Loaded here: only processes that render may load Blender, and scipy would slow the start of all others.
     from synth3dlanes.blender.render import render
     from synth3dlanes.imaging.develop import develop
@@ -145,7 +143,7 @@ def take_picture(world: World, settings: RenderSettings, library: Library = BUIL
     image = develop(world.scene, view, light, rendering.layers, world.site.street_lamps)
     passes = _passes(world, view, rendering.layers, settings.passes)
     seconds = {"labels": labelled - start, "light": lit - labelled, "develop": time.perf_counter() - rendered}
-    return TimedPicture(image, rendering.labels, passes, rendering.sweep, {**seconds, **rendering.timings})
+    return Picture(image, rendering.labels, passes, rendering.sweep), {**seconds, **rendering.timings}
 
 
 def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -158,7 +156,7 @@ def _passes(world: World, view: View, layers: Layers, names: Sequence[str]) -> d
 
 
 def make_part(
-    maker: Callable[[Recipe, int], PackedSample], recipe: Recipe, shard: Shard, index: int
+    maker: Callable[[Recipe, int], EncodedSample], recipe: Recipe, shard: Shard, index: int
 ) -> dict[str, float | dict[str, float]]:
     """In a worker: make one sample and store it. Returns its bytes and the seconds of each stage."""
     start = time.perf_counter()

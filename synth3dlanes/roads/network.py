@@ -16,7 +16,7 @@ from synth3dlanes.roads.line_table import APART_M, LineTable
 from synth3dlanes.roads.road_table import RoadIndex, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Car, Terrain
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.system.errors import InputError
@@ -155,18 +155,18 @@ class Network:
         s = driven_m * self.onwards
         return self.way.lane_at(s) if self.way.lanes else self.lanes_at(s)[number - 1]
 
-    def host_way(self, camera: Camera) -> LaneCurve:
+    def host_way(self, camera: HostCamera) -> LaneCurve:
         """The centre line that the host drives on: of its route, or of the lane that it keeps."""
         return self.way if self.way.lanes else self.path(self.host_lane(camera.lane, camera.y_m).id)
 
-    def host_points(self, camera: Camera, ahead_m: AnyScalars) -> AnyPoints3:
+    def host_points(self, camera: HostCamera, ahead_m: AnyScalars) -> AnyPoints3:
         """Points on the host's way, its offset from its lane included, at stations ahead of its place."""
         way = self.host_way(camera)
         return way.points_beside(
             self.stations(camera.y_m + ahead_m), np.full(ahead_m.shape, camera.offset_m * way.rightward)
         )
 
-    def up(self, camera: Camera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    def up(self, camera: HostCamera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """The unit normal at the host's place: of its route's surface, or of the terrain."""
         if not self.way.lanes:
             ((dx, dy),) = gradient_at(self.terrain, foot_world[None, :2])
@@ -177,14 +177,14 @@ class Network:
         normal = cross(right - left, ahead - behind)
         return np.asarray(normal / np.linalg.norm(normal))
 
-    def host_lines(self, camera: Camera) -> list[str]:
+    def host_lines(self, camera: HostCamera) -> list[str]:
         """The centre lines that the host drives along, from its place on."""
         if not self.way.lanes:
             return [self.host_way(camera).id]
         lanes = self.way.lanes[self.way.lane_number_at(camera.y_m) :]
         return list(dict.fromkeys(self.path(lane.id).id for lane in lanes))
 
-    def host_on(self, camera: Camera, driven_m: float) -> Camera:
+    def host_on(self, camera: HostCamera, driven_m: float) -> HostCamera:
         """The host at another station of its way; raise InputError where the lane that it keeps leaves its road."""
         if self.way.lanes:
             return camera.model_copy(update={"y_m": driven_m})
@@ -217,7 +217,7 @@ class Network:
 
     # -- labels
 
-    def in_range(self, camera: Camera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def in_range(self, camera: HostCamera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of the points of every line in range of the host. Lines that share the stations of roads have
         them at these lengths of their road ahead of the host, and at their ends between these, in driving order; others
         as `LineTable.in_range` says."""
@@ -228,7 +228,7 @@ class Network:
         driven_m = {name: self.stations_along(road, camera.y_m, lengths_m) for name, road in roads.items()}
         return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
 
-    def known(self, camera: Camera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
+    def known(self, camera: HostCamera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
         """The ids of the lines that are in range of the host at any of some stations, each ahead of the one before."""
         if self.stretches is not None:
             seen = (self.line_table.known(*at, lengths_m) for at in self._host_at(camera, places_m))
@@ -257,7 +257,7 @@ class Network:
         return self.line_table.xy_along(lines, stations)
 
     def _host_at(
-        self, camera: Camera, places_m: Scalars
+        self, camera: HostCamera, places_m: Scalars
     ) -> Iterator[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]]:
         """The place of the host and the unit vector of its way, from above, at stations as it drives."""
         steps = np.array([-TANGENT_M, TANGENT_M])

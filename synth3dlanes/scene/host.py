@@ -46,12 +46,15 @@ DrivenTrack = Annotated[
 ]
 
 
-class Camera(DocumentPart):
-    """The host's place and its camera. The host: `lane` is counted from the left in driving direction, station `y_m`
-    (at the start of a clip), lateral offset positive to the right; on a map, lane 1 and the length `y_m` along its
-    route. The camera: `right_m` and `forward_m` are relative
-    to the host's place in the host's road frame, `height_m` is over the plane of that frame; yaw is positive
-    counter-clockwise seen from above, roll about the viewing axis is positive clockwise as the driver sees it."""
+class HostCamera(DocumentPart):
+    """The host's place and its camera.
+
+    The host: `lane` is counted from the left in driving direction, `y_m` is its station (at the start of a clip), the
+    lateral offset is positive to the right; on a map, lane 1 and the length `y_m` along its route. The camera:
+    `right_m` and `forward_m` are relative to the host's place in the host's road frame, `height_m` is over the plane
+    of that frame; yaw is positive counter-clockwise seen from above, roll about the viewing axis is positive clockwise
+    as the driver sees it.
+    """
 
     lane: Annotated[int, Field(ge=1, le=8)]
     y_m: Station
@@ -79,7 +82,7 @@ class Camera(DocumentPart):
 
 class Views(DocumentPart):
     """Which of the `n` places that the host has in turn in one world a scene shows: the one of number `view`. The world
-    is built from the first of these places, given as in `Camera`, to `reach_m` ahead of it."""
+    is built from the first of these places, given as in `HostCamera`, to `reach_m` ahead of it."""
 
     view: Annotated[int, Field(ge=0, lt=MAX_VIEWS)]
     n: Annotated[int, Field(ge=2, le=MAX_VIEWS)]
@@ -171,7 +174,7 @@ class Lidar(DocumentPart):
         return self
 
 
-class Host(DocumentPart):
+class Bonnet(DocumentPart):
     """The host's own bonnet: the share of the image's height that it covers (0 for none), its gray value and its
     gloss."""
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 
 from synth3dlanes.scene.assets.catalogue import AssetKind, Assets
-from synth3dlanes.scene.host import Camera, DrivenTrack, Host, Lidar, Seconds, Shot
+from synth3dlanes.scene.host import Bonnet, DrivenTrack, HostCamera, Lidar, Seconds, Shot
 from synth3dlanes.scene.instance_ids import most_of
 from synth3dlanes.scene.road_map import LaneName, RoadMap, Station
 from synth3dlanes.scene.roadside import Roadside
@@ -349,12 +349,12 @@ class Scene(DocumentPart):
     surface: Surface
     cars: Annotated[tuple[Car, ...], Field(max_length=1000)]
     trees: Annotated[tuple[Tree, ...], Field(max_length=10_000)]
-    camera: Camera
+    camera: HostCamera
     light: Light
     air: Air = Air()
     sensor: Sensor = Sensor()
     weather: Weather = Weather()
-    host: Host = Host()
+    host: Bonnet = Bonnet()
     sky: Annotated[int, Field(ge=0, le=MAX_ASSETS)] = 0
     assets: Assets = Assets()
     symbols: Annotated[tuple[Symbol, ...], Field(max_length=MAX_SYMBOLS)] = ()
@@ -383,7 +383,7 @@ class Scene(DocumentPart):
         return f"{name}/view/{self.shot.view}" if self.shot.view else name
 
     @property
-    def start(self) -> Camera:
+    def start(self) -> HostCamera:
         """The camera at the place around which the world is built: the host's own, or that of its first view."""
         views = self.shot.views
         if views is None:

@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.truth.element_truth import label_elements
@@ -98,7 +98,7 @@ def label(world: World, view: View) -> Labels:
     )
 
 
-def _stations(world: World, host: Camera) -> dict[LaneCurve, Scalars]:
+def _stations(world: World, host: HostCamera) -> dict[LaneCurve, Scalars]:
     """The stations of the points of every line that is in range of a host."""
     found = world.network.in_range(host, _lengths(world))
     return {curve: s for curve, s in found.items() if len(s) > 1}

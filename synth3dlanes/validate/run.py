@@ -26,7 +26,7 @@ from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_dat
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.params.cameras import black_pictures
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Passes
 from synth3dlanes.system.errors import FormatError, InputError
@@ -232,7 +232,7 @@ def world_digest(scene: Scene) -> str:
     return hashlib.sha256(document.encode()).hexdigest()
 
 
-def _sizes(pictures: Mapping[str, Shaped[np.ndarray, "h w *c"]], camera: Camera | CameraLabel) -> Iterator[Finding]:
+def _sizes(pictures: Mapping[str, Shaped[np.ndarray, "h w *c"]], camera: HostCamera | CameraLabel) -> Iterator[Finding]:
     """Findings for pictures that do not have the camera's size."""
     for name, pixels in pictures.items():
         rows, columns = height_map.SHAPE if name == "height" else (camera.height_px, camera.width_px)

@@ -6,7 +6,7 @@ Camera frame but for the height: x right, y ahead, z up from the bonnet's highes
 import numpy as np
 
 from synth3dlanes.geometry.frames import turned
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.system.arrays import Matrix4, Numbers
 from synth3dlanes.world.camera import rays
 from synth3dlanes.world.meshes import Mesh, grid
@@ -38,7 +38,7 @@ def bonnet() -> Mesh:
     return grid(points, points[..., :2], np.zeros(n_across - 1, dtype=int))
 
 
-def cam_from_bonnet(camera: Camera, share: float) -> Matrix4:
+def cam_from_bonnet(camera: HostCamera, share: float) -> Matrix4:
     """The pose at which the bonnet fills this share of the image's height in the middle of its width, or more of it in
     that of a wide lens: along the host's middle, whatever the camera's yaw and place."""
     y_m = np.linspace(FROM_M, TO_M, SHAPE[0])

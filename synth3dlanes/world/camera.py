@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.frames import from_axes
 from synth3dlanes.geometry.lens import width_rad
 from synth3dlanes.roads.network import Network
-from synth3dlanes.scene.host import Camera
+from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, Matrix4
 
 TANGENT_STEP_M = 1e-3
@@ -34,7 +34,7 @@ class Sector(NamedTuple):
         return np.asarray((to @ self.ahead_world >= np.cos(self.half_rad) * away_m) | (away_m < AROUND_EYE_M))
 
 
-def sector(camera: Camera, world_from_cam: Matrix4) -> Sector | None:
+def sector(camera: HostCamera, world_from_cam: Matrix4) -> Sector | None:
     """What a camera sees from above; None for one that sees on all sides, or straight up or down."""
     edge = np.linspace(0.0, 1.0, BORDER_STEPS)
     ends, size = np.repeat([0.0, 1.0], BORDER_STEPS), np.array([camera.width_px, camera.height_px])
@@ -52,7 +52,7 @@ def sector(camera: Camera, world_from_cam: Matrix4) -> Sector | None:
     )
 
 
-def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
+def img_from_cam(camera: HostCamera) -> Float[np.ndarray, "3 3"]:
     """The 3x3 projection matrix of the camera frame: u = cx + fx x/y, v = cy - fy z/y."""
     return np.array(
         [[camera.fx_px, camera.cx_px, 0], [0, camera.cy_px, -camera.fy_px], [0, 1, 0]],
@@ -60,18 +60,18 @@ def img_from_cam(camera: Camera) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def project(camera: Camera, points_cam: AnyPoints3) -> Float[np.ndarray, "*n 2"]:
+def project(camera: HostCamera, points_cam: AnyPoints3) -> Float[np.ndarray, "*n 2"]:
     """Pixels (u, v) of points through the lens; NaN for those that are not in its field."""
     return camera.lens.project(img_from_cam(camera), points_cam)
 
 
-def rays(camera: Camera, uv: Float[np.ndarray, "*n 2"]) -> AnyPoints3:
+def rays(camera: HostCamera, uv: Float[np.ndarray, "*n 2"]) -> AnyPoints3:
     """Unit vectors (camera frame) along which pixels look; NaN where the lens has no picture."""
     return camera.lens.rays(img_from_cam(camera), uv)
 
 
 @lru_cache(maxsize=2)
-def rays_with_border(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+def rays_with_border(camera: HostCamera) -> Float[np.ndarray, "h w 3"]:
     """`rays` of the centres of all pixels, and of those of a border of BORDER_PX around the picture."""
     columns, rows = (np.arange(-BORDER_PX, size + BORDER_PX) + 0.5 for size in (camera.width_px, camera.height_px))
     found = rays(camera, np.stack(np.meshgrid(columns, rows), axis=-1))
@@ -79,17 +79,17 @@ def rays_with_border(camera: Camera) -> Float[np.ndarray, "h w 3"]:
     return found
 
 
-def rays_of_pixels(camera: Camera) -> Float[np.ndarray, "h w 3"]:
+def rays_of_pixels(camera: HostCamera) -> Float[np.ndarray, "h w 3"]:
     """`rays` of the centres of all pixels."""
     return rays_with_border(camera)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
 
 
-def horizontal_fov_rad(camera: Camera) -> float:
+def horizontal_fov_rad(camera: HostCamera) -> float:
     """The angle that the image is wide (`lens.width_rad`)."""
     return width_rad(img_from_cam(camera), camera.lens, camera.width_px)
 
 
-def world_from_host(network: Network, camera: Camera) -> Matrix4:
+def world_from_host(network: Network, camera: HostCamera) -> Matrix4:
     """The pose of the road frame at the host: origin on the surface at its place, z the surface normal, y along the
     lane."""
     foot, behind, ahead = network.host_points(camera, np.array([0.0, -TANGENT_STEP_M, TANGENT_STEP_M]))

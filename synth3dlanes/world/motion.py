@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
-from synth3dlanes.scene.host import Camera, Shot
+from synth3dlanes.scene.host import HostCamera, Shot
 from synth3dlanes.scene.scene import Car, Scene, Thing
 
 STEP_M = 0.25
@@ -32,17 +32,17 @@ class MovedThing(NamedTuple):
     driven_m: float
 
 
-def host_at(network: Network, camera: Camera, driven_m: float) -> Camera:
+def host_at(network: Network, camera: HostCamera, driven_m: float) -> HostCamera:
     """The host after driving a distance along its lane; raise InputError where the lane leaves its road."""
     return camera if driven_m == 0 else network.host_on(camera, host_station(network, camera, driven_m))
 
 
-def host_station(network: Network, camera: Camera, driven_m: float) -> float:
+def host_station(network: Network, camera: HostCamera, driven_m: float) -> float:
     """The host's station, as it drives, after a distance along its lane."""
     return float(host_stations(network, camera, np.array([driven_m]))[0])
 
 
-def host_stations(network: Network, camera: Camera, driven_m: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
+def host_stations(network: Network, camera: HostCamera, driven_m: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
     """`host_station` for several distances."""
     if not driven_m.any():
         return np.full(driven_m.shape, camera.y_m)

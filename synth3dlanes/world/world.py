@@ -14,7 +14,7 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.map_roads import map_network
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import paper_network
-from synth3dlanes.scene.host import Camera, Lidar
+from synth3dlanes.scene.host import HostCamera, Lidar
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
@@ -47,7 +47,7 @@ class View:
 
     scene: Scene
     ground: Ground
-    camera: Camera
+    camera: HostCamera
     world_from_host: Matrix4
     bonnet: float = 0.0
 
