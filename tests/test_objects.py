@@ -17,8 +17,11 @@ from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.assets.catalogue import CARS, Assets, vehicle_class
 from synth3dlanes.scene.assets.folder import CarNotes
 from synth3dlanes.scene.scene import Car
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.truth.object_truth import rectangles, truncation
+from tests.golden.frozen import FILE as FROZEN
+from tests.golden.frozen import KEPT
 from tests.scenes import FLAT, changed
 from tests.thorough import first
 
@@ -200,6 +203,32 @@ def test_labels_read_back_are_the_same_text_and_older_ones_keep_their_shares():
     assert older.objects is None
     assert older.car_visible_fraction == (0.25, 1.0)
     assert ground_truth(with_cars(car("main_2", -20))).car_visible_fraction is None
+
+
+def test_older_objects_and_traffic_elements_are_read_and_written_as_they_were():
+    """Those of the frozen samples, in labels without lanes; lists of many lanes are thinned there."""
+    empty, n = json.loads(label_file.to_json(replace(ground_truth(FLAT), lanes=()))), 0
+    for row in json.loads(FROZEN.read_text()).values():
+        items = {name: row["labels"][name] for name in ("objects", "traffic_elements")}
+        items["traffic_elements"] = [item for item in items["traffic_elements"] if len(item["lanes"]) <= KEPT]
+        read = label_file.from_json(json.dumps({**empty, **items}), "")
+        again = json.loads(label_file.to_json(read))
+        for name, own in items.items():
+            assert again[name] == own
+            assert [list(item) for item in again[name]] == [list(item) for item in own], "in the same order"
+            n += len(own)
+    assert n > 300
+
+
+@pytest.mark.parametrize(
+    ("category", "problem"),
+    [("road_sign", "a kind and no truncation of a road_sign"), ("van", "a truncation and no kind of a van")],
+)
+def test_an_object_has_what_its_category_has(category, problem):
+    document = json.loads(label_file.to_json(ground_truth(with_cars(car("main_2", -20)))))
+    document["objects"][0] |= {"category": category, "truncation": 0.5 if category == "road_sign" else None}
+    with pytest.raises(FormatError, match=f"objects.0: category: expected {problem}"):
+        label_file.from_json(json.dumps(document), "labels.json")
 
 
 def test_classes_of_a_users_models_follow_from_names_or_sizes():

@@ -31,12 +31,13 @@ from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.world import resolve
 from tests.golden.make import GOLDEN
 from tests.scenes import changed
+from tests.signals import signals_scene
 from tests.thorough import presets
 
 DOCS, OLD = Path(__file__).parents[1] / "docs", Path(__file__).parent / "golden"
 WRONG = (None, True, -1, 1.5, 7, "none", "x y", [], {})
-# What only the reader can know: how long a mask must be, and how many coefficients a lens has.
-BY_COUNT = ("a value for each of", "coefficients: expected")
+# What only the reader can know: how long a mask must be, how many coefficients a lens has, what a category has.
+BY_COUNT = ("a value for each of", "coefficients: expected", "category: expected a")
 
 
 def schema(name: str) -> Draft202012Validator:
@@ -137,6 +138,7 @@ def small() -> Labels:
         lanes=tuple(replace(lane, **points, direction="oncoming") for lane in kinds.values()),
         horizon=label_file.RoadPlane(0.1, 1.5),
         objects=as_seen(labels.objects[:2], np.array([[0, 1], [2, 1]], np.uint16), np.array([1, 1], np.uint16)),
+        traffic_elements=ground_truth(signals_scene()).traffic_elements[:2],
         symbols=(SymbolLabel("gore", **points),),
     )
     return small.with_seen_shares((0.5, 1.0))

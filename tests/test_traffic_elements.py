@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.geometry.frames import rotation, transform
 from synth3dlanes.labels import labels as label_file
-from synth3dlanes.labels.element_labels import element_arrays
+from synth3dlanes.labels.object_labels import as_seen, stacked
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import Shots
@@ -20,8 +20,8 @@ from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.roadside import Crossing, Roadside
 from synth3dlanes.scene.scene import Scene, from_json, to_json
 from synth3dlanes.scene.traffic_elements import LaneSignal, Phase, SignKind, TrafficSign, TrafficSignal
-from synth3dlanes.truth.element_truth import meets_quads, seen_elements
 from synth3dlanes.truth.ground_truth import ground_truth, label
+from synth3dlanes.truth.object_truth import meets_quads, with_pixel_shares
 from synth3dlanes.world.sign_faces import SIGN_FACES
 from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed
@@ -124,13 +124,15 @@ def test_labels_stay_small():
 def test_arrays_have_what_labels_have():
     labels = ground_truth(signals_scene())
     segments = [segment.id for segment in labels.graph.segments]
-    arrays = element_arrays(labels.traffic_elements, segments)
+    arrays = stacked(labels.traffic_elements, segments)
     assert len(arrays) == 9
     for i, item in enumerate(labels.traffic_elements):
         assert [segments[k] for k in np.flatnonzero(arrays.governs[i])] == list(item.lanes)
-        np.testing.assert_allclose(arrays.cam_from_element[i][:3, :3], rotation(item.rotation_wxyz))
+        np.testing.assert_allclose(arrays.cam_from_object[i][:3, :3], rotation(item.rotation_wxyz))
         np.testing.assert_allclose(arrays.corners_cam[i], item.corners_cam)
+        np.testing.assert_allclose(arrays.normal_cam[i], item.normal_cam)
     assert np.isnan(arrays.visible_fraction).all()
+    assert np.isnan(arrays.truncation).all()
 
 
 def test_a_share_is_that_of_the_pixels_that_a_body_fills():
@@ -143,13 +145,13 @@ def test_a_share_is_that_of_the_pixels_that_a_body_fills():
     v, u = np.mgrid[: camera.height_px, : camera.width_px]
     rays = camera.rays(np.column_stack([u.ravel(), v.ravel()]) + 0.5)
     board = transform(
-        item.cam_from_element, item.size_m / 2 * np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]])
+        item.cam_from_object, item.size_m / 2 * np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]])
     )
     is_board = meets_quads(rays, board[None]).reshape(v.shape)
     is_left = u < 240
     for shown, share in ((is_board, 1.0), (is_board & is_left, 0.5), (is_board & False, 0.0)):
         instance = np.where(shown, item.id, 0).astype(np.uint16)
-        (seen,) = seen_elements((item,), world.site, camera, instance)
+        (seen,) = with_pixel_shares(as_seen((item,), instance), world.site, camera, instance)
         assert seen.visible_fraction == pytest.approx(share, abs=0.03)
         rows, columns = np.nonzero(shown)
         expected = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] if rows.size else None

@@ -25,7 +25,7 @@ from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.machine import usable_cores
-from synth3dlanes.truth.element_truth import seen_elements
+from synth3dlanes.truth.object_truth import with_pixel_shares
 from synth3dlanes.world.camera import rays_of_pixels
 from synth3dlanes.world.visibility import seen_over_ground
 from synth3dlanes.world.world import View, World
@@ -85,7 +85,8 @@ def render(
     clock.append(time.perf_counter())
     seen = with_object_visibility(world, view, labels, placed)
     objects = as_seen(seen.objects or (), layers.instance, None if sweep is None else sweep.points().instance)
-    elements = seen_elements(seen.traffic_elements or (), world.site, seen.camera, layers.instance)
+    elements = as_seen(seen.traffic_elements or (), layers.instance)
+    elements = with_pixel_shares(elements, world.site, seen.camera, layers.instance)
     seen = replace(seen, objects=objects, traffic_elements=elements)
     clock.append(time.perf_counter())
     stages = ("build", "cycles", "passes", "occlusion")

@@ -41,9 +41,8 @@ from synth3dlanes.dataset.listing import read_shards
 from synth3dlanes.dataset.nesting import inner_data_sets
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels import labels as labels_module
-from synth3dlanes.labels.element_labels import TrafficElements, element_arrays
 from synth3dlanes.labels.labels import Labels
-from synth3dlanes.labels.object_labels import Objects, stacked
+from synth3dlanes.labels.object_labels import ObjectLabel, Objects, stacked
 from synth3dlanes.params.cameras import CameraSpec
 from synth3dlanes.system.arguments import checked
 from synth3dlanes.system.errors import FormatError, InputError
@@ -123,20 +122,20 @@ class Reader:
     @checked
     def objects(self, i: int) -> Objects:
         """The objects of sample i as arrays; raise FormatError where its labels are older than objects."""
-        items = self.labels(i).objects
-        if items is None:
-            raise FormatError(f"{self._where(i)}: expected labels with objects, got older ones; generate them again")
-        return stacked(items)
+        return self._stacked(i, "objects")
 
     @checked
-    def traffic_elements(self, i: int) -> TrafficElements:
+    def traffic_elements(self, i: int) -> Objects:
         """The traffic elements of sample i as arrays; raise FormatError where its labels are older than these."""
+        return self._stacked(i, "traffic_elements")
+
+    def _stacked(self, i: int, name: str) -> Objects:
         labels = self.labels(i)
-        if labels.traffic_elements is None:
-            raise FormatError(
-                f"{self._where(i)}: expected labels with traffic elements, got older ones; generate them again"
-            )
-        return element_arrays(labels.traffic_elements, [segment.id for segment in labels.graph.segments])
+        items: tuple[ObjectLabel, ...] | None = getattr(labels, name)
+        if items is None:
+            wanted = f"labels with {name.replace('_', ' ')}"
+            raise FormatError(f"{self._where(i)}: expected {wanted}, got older ones; generate them again")
+        return stacked(items, [segment.id for segment in labels.graph.segments])
 
     @checked
     def passes(self, i: int) -> dict[str, Shaped[np.ndarray, "..."]]:

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.figures.colors import ELEMENT, OBJECT, Rgb
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel, Labels
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.system.arrays import Polyline2
@@ -31,27 +31,22 @@ FACE = np.array(
 )
 
 
-def elements_in_image(labels: Labels) -> Iterator[tuple[ElementLabel, list[Polyline2]]]:
-    """The traffic elements in the image with the edges of their faces, but for those that are hidden."""
-    for item in labels.traffic_elements or ():
-        if item.box_px is not None and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN):
-            yield item, list(_drawn(labels.camera, transform(item.cam_from_element, FACE * item.size_m / 2)))
-
-
 def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polyline2]]]:
-    """The objects in the image with the lines of their boxes, but for those that are hidden."""
-    for item in labels.objects or ():
+    """The objects, then the traffic elements in the image with their lines, but for those that are hidden."""
+    for item in (*(labels.objects or ()), *(labels.traffic_elements or ())):
         if item.box_px is not None and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN):
             yield item, list(lines_img(labels.camera, item))
 
 
+def color_of(item: ObjectLabel) -> Rgb:
+    """The colour of an object's lines."""
+    return ELEMENT if item.is_element else OBJECT
+
+
 def lines_img(camera: CameraLabel, item: ObjectLabel) -> Iterator[Polyline2]:
-    """The parts of a box's lines that are ahead of the camera and in its lens's field."""
-    yield from _drawn(camera, transform(item.cam_from_object, LINES * item.size_m / 2))
-
-
-def _drawn(camera: CameraLabel, lines_cam: Float[np.ndarray, "n 2 3"]) -> Iterator[Polyline2]:
-    for first, second in lines_cam:
+    """The parts of the lines of a box, or of the edges of an element's face, that are ahead of the camera and in its
+    lens's field."""
+    for first, second in transform(item.cam_from_object, (FACE if item.is_element else LINES) * item.size_m / 2):
         share = np.linspace(0, 1, (1 if camera.lens.is_pinhole else PIECES) + 1)[:, None]
         points_cam = first + share * (second - first)
         if camera.lens.is_pinhole:

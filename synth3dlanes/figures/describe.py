@@ -12,7 +12,6 @@ from synth3dlanes.figures.shape import bends, grades
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.lens import Lens, width_rad
-from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.host import Bonnet, HostCamera
@@ -102,7 +101,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
     }
 
 
-def _elements(items: Sequence[ElementLabel]) -> str:
+def _elements(items: Sequence[ObjectLabel]) -> str:
     """What the labelled signals show and signs say."""
     return _counted([f"{item.category} {item.state or item.kind}".replace("_", " ") for item in items])
 
@@ -158,19 +157,34 @@ def lane_row(lane: Lane) -> tuple[str, ...]:
 def object_row(item: ObjectLabel) -> tuple[str, ...]:
     """An object's row in `OBJECT_COLUMNS`; "-" for what is not known."""
     speed = "-" if item.velocity_cam is None else f"{3.6 * np.linalg.norm(item.velocity_cam):.0f} km/h"
-    seen = "-" if item.visible_fraction is None else f"{100 * item.visible_fraction:.0f} %"
     points = "-" if item.lidar_points is None else str(item.lidar_points)
     places = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m))
-    return (str(item.id), item.category, *places, speed, seen, f"{100 * item.truncation:.0f} %", points)
+    return (
+        str(item.id),
+        item.category,
+        *places,
+        speed,
+        _percent(item.visible_fraction),
+        _percent(item.truncation),
+        points,
+    )
 
 
-def element_row(item: ElementLabel) -> tuple[str, ...]:
+def element_row(item: ObjectLabel) -> tuple[str, ...]:
     """A traffic element's row in `ELEMENT_COLUMNS`; "-" for what is not known."""
-    seen = "-" if item.visible_fraction is None else f"{100 * item.visible_fraction:.0f} %"
-    shows = item.kind if item.state is None else f"{item.kind}: {item.state}"
     center, size = (", ".join(f"{value:.2f}" for value in values) for values in (item.center_cam, item.size_m[[0, 2]]))
     category = item.category.replace("_", " ")
-    return (str(item.id), category, shows.replace("_", " "), ", ".join(item.lanes) or "-", center, size, seen)
+    lanes = ", ".join(item.lanes) or "-"
+    return (str(item.id), category, shows(item), lanes, center, size, _percent(item.visible_fraction))
+
+
+def shows(item: ObjectLabel) -> str:
+    """What a traffic element shows, in words."""
+    return f"{item.kind}: {item.state}".removesuffix(": None").replace("_", " ")
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.0f} %"
 
 
 def scene_document(shown: ShownScene) -> dict[str, Any]:

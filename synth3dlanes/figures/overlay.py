@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
-from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
+from synth3dlanes.figures.boxes import color_of, objects_in_image
+from synth3dlanes.figures.colors import KINDS
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
 from synth3dlanes.system.arguments import checked
@@ -30,10 +30,8 @@ def draw_overlay(image: UInt8[np.ndarray, "h w 3"], labels: Labels) -> UInt8[np.
     scale = np.array([width_px / labels.camera.width_px, height_px / labels.camera.height_px])
     thickness_px = line_width_px((width_px, height_px))
     drawn = Image.fromarray(image)
-    boxes = [line * scale for _, lines in objects_in_image(labels) for line in lines]
-    draw_lines(drawn, boxes, OBJECT, thickness_px / 2)
-    faces = [line * scale for _, lines in elements_in_image(labels) for line in lines]
-    draw_lines(drawn, faces, ELEMENT, thickness_px / 2)
+    for item, lines in objects_in_image(labels):
+        draw_lines(drawn, [line * scale for line in lines], color_of(item), thickness_px / 2)
     for kind, color in KINDS.items():
         lanes = [lane for lane in labels.lanes if lane.kind == kind]
         stretches = [found for lane in lanes for found in stretches_img(labels.camera, lane)]

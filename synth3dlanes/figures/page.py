@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
+from synth3dlanes.figures.boxes import color_of, objects_in_image
 from synth3dlanes.figures.describe import (
     ELEMENT_COLUMNS,
     LANE_COLUMNS,
@@ -200,23 +200,19 @@ def _frame(number: int, labels: Labels, image: RgbImage) -> ClipFrame:
 
 def drawing(labels: Labels, image: RgbImage | None) -> Drawing:
     """An image with its lanes, its objects and its masks, as the macro `drawing` of `web/parts.html` shows them."""
-    color_of_objects, color_of_elements = (colors.hexadecimal(color) for color in (colors.OBJECT, colors.ELEMENT))
     return Drawing(
         labels.camera.width_px,
         labels.camera.height_px,
         None if image is None else _jpeg(image),
         [_lane(labels, lane) for lane in labels.lanes],
         [
-            *(
-                DrawnObject("object", f"{item.category} {item.id}", color_of_objects, [_points(line) for line in lines])
-                for item, lines in objects_in_image(labels)
-            ),
-            *(
-                DrawnObject(
-                    "element", " ".join(element_row(item)[:3]), color_of_elements, [_points(line) for line in lines]
-                )
-                for item, lines in elements_in_image(labels)
-            ),
+            DrawnObject(
+                "element" if item.is_element else "object",
+                " ".join(element_row(item)[:3]) if item.is_element else f"{item.category} {item.id}",
+                colors.hexadecimal(color_of(item)),
+                [_points(line) for line in lines],
+            )
+            for item, lines in objects_in_image(labels)
         ],
         [DrawnMask(_class(name), color, _dots(labels, name)) for name, color in colors.MASKS.items()],
     )
@@ -255,14 +251,12 @@ def _switches(labels: Iterable[Labels]) -> list[Switch]:
         ),
         Switch(".lane .hidden", "hidden parts", "currentColor", is_on=True),
         *(
-            [Switch(".object", "objects", colors.hexadecimal(colors.OBJECT), is_on=True)]
-            if any(True for one in labels for _ in objects_in_image(one))
-            else []
-        ),
-        *(
-            [Switch(".element", "traffic elements", colors.hexadecimal(colors.ELEMENT), is_on=True)]
-            if any(True for one in labels for _ in elements_in_image(one))
-            else []
+            Switch(selector, words, colors.hexadecimal(color), is_on=True)
+            for selector, words, color, is_element in (
+                (".object", "objects", colors.OBJECT, False),
+                (".element", "traffic elements", colors.ELEMENT, True),
+            )
+            if any(item.is_element == is_element for one in labels for item, _ in objects_in_image(one))
         ),
         *(Switch(f".mask.{_class(name)}", f"points {name}", color, is_on=False) for name, color in masks.items()),
     ]

@@ -15,14 +15,14 @@ from synth3dlanes.dataset.description import clip_of
 from synth3dlanes.dataset.format import encode_image
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
+from synth3dlanes.figures.boxes import color_of, objects_in_image
+from synth3dlanes.figures.describe import shows
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.space import triangles
 from synth3dlanes.geometry.frames import invert, quaternion, rotation, transform
 from synth3dlanes.imaging.sweep import Sweep
-from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel, Labels
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.scene import from_json
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     import rerun
 
 # What does not move is recorded without a time.
+# Names of what has boxes: that which is no traffic element, and that which is.
+GROUPS = ("objects", "traffic_elements")
 STILL = ("terrain", "road", "paint", "trees", "structures")
 LANE_RADIUS_M, POINT_RADIUS_M, IMAGE_PLANE_M = 0.06, 0.04, 3.0
 # The viewer's camera: x right, y down, z along the viewing direction.
@@ -104,10 +106,11 @@ def _log_camera(rr: ModuleType, recording: "rerun.RecordingStream", labels: Labe
         lanes = [lane for lane in labels.lanes if lane.kind == kind]
         seen = [line for lane in lanes for is_seen, line in stretches_img(camera, lane) if is_seen]
         recording.log(f"{name}/image/{kind}s", rr.LineStrips2D(seen, colors=color))
-    boxes = [line for _, lines in objects_in_image(labels) for line in lines]
-    faces = [line for _, lines in elements_in_image(labels) for line in lines]
-    recording.log(f"{name}/image/objects", rr.LineStrips2D(boxes, colors=colors.OBJECT))
-    recording.log(f"{name}/image/traffic_elements", rr.LineStrips2D(faces, colors=colors.ELEMENT))
+    drawn = [(item, line) for item, lines in objects_in_image(labels) for line in lines]
+    for is_element, group in enumerate(GROUPS):
+        own = [(item, line) for item, line in drawn if item.is_element == is_element]
+        strips = rr.LineStrips2D([line for _, line in own], colors=[color_of(item) for item, _ in own])
+        recording.log(f"{name}/image/{group}", strips)
 
 
 def _log_labels(rr: ModuleType, recording: "rerun.RecordingStream", labels: Labels) -> None:
@@ -119,28 +122,19 @@ def _log_labels(rr: ModuleType, recording: "rerun.RecordingStream", labels: Labe
         ids = [lane.id for lane in lanes]
         strips = rr.LineStrips3D(lines, colors=color, radii=LANE_RADIUS_M, labels=ids, show_labels=False)
         recording.log(f"world/{kind}s", strips)
-    objects, elements = labels.objects or (), labels.traffic_elements or ()
-    kinds = [item.category for item in objects]
-    recording.log("world/objects", _boxes(rr, world_from_cam, objects, kinds, colors.OBJECT))
-    shown = [f"{item.kind} {item.state or ''}".rstrip() for item in elements]
-    recording.log("world/traffic_elements", _boxes(rr, world_from_cam, elements, shown, colors.ELEMENT))
+    for group, items in zip(GROUPS, (labels.objects, labels.traffic_elements), strict=True):
+        recording.log(f"world/{group}", _boxes(rr, world_from_cam, items or ()))
 
 
-def _boxes(
-    rr: ModuleType,
-    world_from_cam: Matrix4,
-    items: Sequence[ObjectLabel | ElementLabel],
-    words: Sequence[str],
-    color: colors.Rgb,
-) -> "rerun.Boxes3D":
-    """The boxes of labels, each with its words."""
+def _boxes(rr: ModuleType, world_from_cam: Matrix4, items: Sequence[ObjectLabel]) -> "rerun.Boxes3D":
+    """The boxes of labels, each with its class, or what it shows."""
     turns = [quaternion(world_from_cam[:3, :3] @ rotation(item.rotation_wxyz)) for item in items]
     return rr.Boxes3D(
         centers=transform(world_from_cam, np.array([item.center_cam for item in items]).reshape(-1, 3)),
         half_sizes=np.array([item.size_m / 2 for item in items]).reshape(-1, 3),
         quaternions=np.roll(np.array(turns).reshape(-1, 4), -1, axis=1),
-        colors=[color] * len(items),
-        labels=words,
+        colors=[color_of(item) for item in items],
+        labels=[shows(item) if item.is_element else item.category for item in items],
         show_labels=False,
     )
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
 
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.boxes import elements_in_image, objects_in_image
+from synth3dlanes.figures.boxes import color_of, objects_in_image
 from synth3dlanes.figures.overlay import stretches_img
 from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import AHEAD_M, SceneView, frustum
@@ -39,12 +39,9 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
         axes.text(width_px / 2, 14, "not rendered", ha="center", va="top", color=colors.FAINT)
     else:
         axes.imshow(image, extent=(0, width_px, height_px, 0))
-    for _, lines in objects_in_image(labels):
+    for item, lines in objects_in_image(labels):
         for line in lines:
-            axes.plot(*line.T, color=colors.hexadecimal(colors.OBJECT), linewidth=0.6)
-    for _, lines in elements_in_image(labels):
-        for line in lines:
-            axes.plot(*line.T, color=colors.hexadecimal(colors.ELEMENT), linewidth=0.6)
+            axes.plot(*line.T, color=colors.hexadecimal(color_of(item)), linewidth=0.6)
     for lane in labels.lanes:
         for is_seen, points_img in stretches_img(labels.camera, lane):
             style: Literal["-", ":"] = "-" if is_seen else ":"

@@ -175,9 +175,9 @@ def kitti_object(camera: CameraLabel, item: ObjectLabel) -> KittiObject:
     ahead_x, _, ahead_z = CV_FROM_CAM @ pose[:3, 1]
     rotation_y_rad = float(np.arctan2(-ahead_z, ahead_x))
     alpha_rad = wrapped(rotation_y_rad - float(np.arctan2(location_cv[0], location_cv[2])))
-    size_m = np.array([height_m, width_m, length_m])
+    size_m, truncation = np.array([height_m, width_m, length_m]), item.truncation or 0.0
     return KittiObject(
-        TYPES[item.category], item.truncation, occlusion(seen), alpha_rad, box_px, size_m, location_cv, rotation_y_rad
+        TYPES[item.category], truncation, occlusion(seen), alpha_rad, box_px, size_m, location_cv, rotation_y_rad
     )
 
 
@@ -344,11 +344,11 @@ def _corners_cv(
 
 
 def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
-    seen = item.visible_fraction or 0.0
+    seen, truncation = item.visible_fraction or 0.0, item.truncation or 0.0
     if found.occluded != occlusion(seen):
         yield f"object {item.id}: expected the occlusion of {seen:.2f} seen, {occlusion(seen)}, got {found.occluded}"
-    if not abs(found.truncated - item.truncation) <= TRUNCATION:
-        yield f"object {item.id}: expected the truncation {item.truncation:.2f}, got {found.truncated:.2f}"
+    if not abs(found.truncated - truncation) <= TRUNCATION:
+        yield f"object {item.id}: expected the truncation {truncation:.2f}, got {found.truncated:.2f}"
     looks = found.rotation_y_rad - np.arctan2(found.location_cv[0], found.location_cv[2])
     off_rad = abs(wrapped(found.alpha_rad - float(looks)))
     if not off_rad <= ANGLE_RAD:

@@ -39,8 +39,8 @@ from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import resampled, stretches
-from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel, Marking
+from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import ElementKind, ElementState
 from synth3dlanes.system import schema
@@ -74,7 +74,7 @@ STATE_ATTRIBUTES: dict[ElementState, int] = {
     "amber": 3, "amber_left": 3, "amber_right": 3
 }  # fmt: skip
 """Of signals the colour, whatever the form of their lenses; those that are off have none."""
-SIGN_ATTRIBUTES: dict[ElementKind, int] = {
+SIGN_ATTRIBUTES: dict[ElementKind | None, int] = {
     "ahead_only": 4, "direction_ahead": 4, "left_only": 5, "right_only": 6, "no_left_turn": 7, "no_right_turn": 8,
     "no_u_turn": 10, "exit_left": 11, "direction_left": 11, "exit_right": 12, "direction_right": 12
 }  # fmt: skip
@@ -114,7 +114,7 @@ README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A oth
 """
 
 
-def category_and_attribute(item: ElementLabel) -> tuple[int, int]:
+def category_and_attribute(item: ObjectLabel) -> tuple[int, int]:
     """The codes of a traffic element."""
     if item.state is None:
         return ROAD_SIGN, SIGN_ATTRIBUTES.get(item.kind, UNKNOWN)
@@ -270,7 +270,7 @@ def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) ->
     ]
 
 
-def _is_seen(item: ElementLabel) -> bool:
+def _is_seen(item: ObjectLabel) -> bool:
     """Whether the first camera sees the front of an element, and enough of it."""
     if item.box_px is None or item.normal_cam @ item.center_cam >= 0:
         return False
@@ -278,7 +278,7 @@ def _is_seen(item: ElementLabel) -> bool:
     return bool(is_large) and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN)
 
 
-def _element_document(item: ElementLabel) -> dict[str, Any]:
+def _element_document(item: ObjectLabel) -> dict[str, Any]:
     assert item.box_px is not None, "only those that are seen"
     category, attribute = category_and_attribute(item)
     corners_px = np.round(item.box_px.reshape(2, 2), 1).tolist()
@@ -573,7 +573,7 @@ def _topology_problems(
                 yield f"lane {other}: expected it to follow {lane}, whose end it touches, got it not to"
 
 
-def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[ElementLabel]) -> Iterator[str]:
+def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[ObjectLabel]) -> Iterator[str]:
     """Findings about traffic elements that are not those of the labels, or govern other lanes than these say."""
     ours, there = {item.id: item for item in items}, [element.id for element in found.elements]
     if len({*there, *found.ids}) < len(there) + len(found.ids):
@@ -598,7 +598,7 @@ def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[El
                 yield f"traffic element {element.id}: expected {words[0]} {lane}, {words[1]}"
 
 
-def is_clear(item: ElementLabel) -> bool:
+def is_clear(item: ObjectLabel) -> bool:
     """Whether an element must be in an export: the first camera sees most of it, from its front, and not too small."""
     if item.box_px is None or item.visible_fraction is None or item.visible_fraction < CLEAR:
         return False

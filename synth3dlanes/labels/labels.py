@@ -15,7 +15,6 @@ from pydantic import Field, with_config
 from synth3dlanes.geometry.frames import inside_image
 from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.geometry.polylines import stretches
-from synth3dlanes.labels.element_labels import ElementLabel, element_document
 from synth3dlanes.labels.object_labels import ObjectLabel, object_document
 from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.system.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPairs, JsonPoints, rounded
@@ -237,7 +236,7 @@ class Labels:
     lidar: LidarLabel | None = None
     objects: tuple[ObjectLabel, ...] | None = None
     older_shares: tuple[float, ...] | None = None
-    traffic_elements: tuple[ElementLabel, ...] | None = None
+    traffic_elements: tuple[ObjectLabel, ...] | None = None
 
     @property
     def car_visible_fraction(self) -> tuple[float, ...] | None:
@@ -290,10 +289,8 @@ def to_json(labels: Labels) -> str:
         "symbols": [_points_document(symbol) for symbol in labels.symbols],
         "time_s": labels.time_s,
         "lidar": lidar and {**vars(lidar), "cam_from_lidar": rounded(lidar.cam_from_lidar, 9)},
-        "objects": None if labels.objects is None else [object_document(item) for item in labels.objects],
-        "traffic_elements": None
-        if labels.traffic_elements is None
-        else [element_document(item) for item in labels.traffic_elements],
+        "objects": _documents(labels.objects),
+        "traffic_elements": _documents(labels.traffic_elements),
     }
     return json.dumps(document, separators=(",", ":"), allow_nan=False)
 
@@ -313,7 +310,7 @@ class LabelsDocument(DocumentPart):
     time_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
     lidar: LidarLabel | None = None
     objects: tuple[ObjectLabel, ...] | None = None
-    traffic_elements: tuple[ElementLabel, ...] | None = None
+    traffic_elements: tuple[ObjectLabel, ...] | None = None
 
 
 def from_json(text: str | bytes, where: str) -> Labels:
@@ -331,6 +328,10 @@ def from_json(text: str | bytes, where: str) -> Labels:
         None if read.objects is not None else read.car_visible_fraction,
         read.traffic_elements,
     )
+
+
+def _documents(items: tuple[ObjectLabel, ...] | None) -> list[dict[str, Any]] | None:
+    return None if items is None else [object_document(item) for item in items]
 
 
 def _document(values: dict[str, Any], of_map: bool) -> dict[str, Any]:

@@ -1,10 +1,11 @@
-"""Objects in labels: the 3D box of every car and thing, and its rectangles in the image. Pure data.
+"""Objects in labels: the 3D box of every car, thing and traffic element, and its rectangles in the image. Pure data.
 
-The frame of an object has its origin in the middle of the box and the axes of the model: x right, y forward, z up.
+The frame of an object has its origin in the middle of the box and the axes of the model: x right, y forward, z up. That
+of a traffic element has x to the right and y ahead as the traffic that it is for drives: its face looks along -y.
 Rectangles are (left, top, right, bottom) in pixels.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -14,7 +15,8 @@ from pydantic import Field, with_config
 
 from synth3dlanes.geometry.frames import from_axes, rotation, transform
 from synth3dlanes.scene.instance_ids import END
-from synth3dlanes.scene.things import ObjectCategory
+from synth3dlanes.scene.things import ELEMENTS, ObjectCategory
+from synth3dlanes.scene.traffic_elements import ElementKind, ElementState, GovernedLanes
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.json_arrays import (
     JsonPixelRectangle,
@@ -33,8 +35,12 @@ CORNERS = np.array([[x, y, z] for y in (1.0, -1.0) for x, z in ((-1, 1), (1, 1),
 NonNegative = Annotated[int, Field(ge=0)]
 
 
+# Keys that only traffic elements have, and that only others have.
+OF_ELEMENTS, OF_OTHERS = ("kind", "state", "lanes"), ("velocity_cam", "truncation", "lidar_points")
+
+
 @with_config(STRICT)
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ObjectLabel:
     """The box of one object.
 
@@ -47,20 +53,39 @@ class ObjectLabel:
     `truncation` the share of the 3D box that is outside the image. `seen_box_px` is the rectangle of the pixels that
     show the object, None without any and until rendered. `visible_fraction` is the share of its pixels in the image in
     which it is seen, 0 without any, None until rendered. `lidar_points` counts the points of the sweep on it, None
-    without a lidar."""
+    without a lidar.
+
+    Traffic elements alone have `kind`, the form of a light's lenses, `lane` over a lane, or what a sign shows; `state`,
+    what a signal shows in this picture, None of a sign; and `lanes`, the ids of segments of the lane graph that they
+    govern. They have no `velocity_cam`, `truncation` and `lidar_points`; their `visible_fraction` is measured on the
+    image's pixels."""
 
     id: Annotated[int, Field(ge=1)]
     category: ObjectCategory
+    kind: ElementKind | None = None
+    state: ElementState | None = None
+    lanes: GovernedLanes = ()
     size_m: JsonSize3
     center_cam: JsonVector3
     rotation_wxyz: JsonQuaternion
-    velocity_cam: JsonVector3 | None
+    velocity_cam: JsonVector3 | None = None
     box_px: JsonRectangle | None
     unclipped_box_px: JsonRectangle | None
-    truncation: Unit
+    truncation: Unit | None = None
     seen_box_px: JsonPixelRectangle | None = None
     visible_fraction: Unit | None = None
     lidar_points: NonNegative | None = None
+
+    def __post_init__(self) -> None:
+        """Check that it has what traffic elements have, or what others have; raise ValueError."""
+        if (self.kind is None, self.truncation is not None) != (not self.is_element,) * 2:
+            wanted = "a kind and no truncation" if self.is_element else "a truncation and no kind"
+            raise ValueError(f"category: expected {wanted} of a {self.category}, got others")
+
+    @property
+    def is_element(self) -> bool:
+        """Whether it is a traffic element."""
+        return self.category in ELEMENTS
 
     @property
     def cam_from_object(self) -> Matrix4:
@@ -73,17 +98,28 @@ class ObjectLabel:
         """The corners of the box in the order of CORNERS."""
         return transform(self.cam_from_object, CORNERS * self.size_m / 2)
 
+    @property
+    def normal_cam(self) -> Float[np.ndarray, "3"]:
+        """The unit vector against its y, along which the face of a traffic element looks."""
+        return -rotation(self.rotation_wxyz)[:, 1]
+
 
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """The objects of a sample as arrays, one row for each, with the fields of `ObjectLabel`. NaN where these are None;
-    `lidar_points` is -1 there. `corners_cam` are in the order of CORNERS."""
+    """The objects or the traffic elements of a sample as arrays, one row for each, with the fields of `ObjectLabel`.
+    Numbers are NaN where these are None, `lidar_points` -1. `corners_cam` are in the order of CORNERS. `governs[i, k]`
+    says whether element i governs segment k of the lane graph."""
 
     id: Int[np.ndarray, " n"]
     category: tuple[ObjectCategory, ...]
+    kind: tuple[ElementKind | None, ...]
+    state: tuple[ElementState | None, ...]
+    lanes: tuple[tuple[str, ...], ...]
+    governs: Int[np.ndarray, "n k"]
     size_m: Float[np.ndarray, "n 3"]
     cam_from_object: Float[np.ndarray, "n 4 4"]
     corners_cam: Float[np.ndarray, "n 8 3"]
+    normal_cam: Float[np.ndarray, "n 3"]
     velocity_cam: Float[np.ndarray, "n 3"]
     box_px: Float[np.ndarray, "n 4"]
     unclipped_box_px: Float[np.ndarray, "n 4"]
@@ -103,15 +139,21 @@ def rows(items: Sequence[object], name: str, *shape: int) -> Float[np.ndarray, "
     return np.array(filled).reshape(len(items), *shape)
 
 
-def stacked(items: Sequence[ObjectLabel]) -> Objects:
-    """Objects as arrays."""
+def stacked(items: Sequence[ObjectLabel], segments: Sequence[str] = ()) -> Objects:
+    """Objects as arrays; `segments` are the ids of the lane graph in its order."""
     counts = [-1 if item.lidar_points is None else item.lidar_points for item in items]
+    governs = [[int(segment in item.lanes) for segment in segments] for item in items]
     return Objects(
         id=np.array([item.id for item in items], int),
         category=tuple(item.category for item in items),
+        kind=tuple(item.kind for item in items),
+        state=tuple(item.state for item in items),
+        lanes=tuple(item.lanes for item in items),
+        governs=np.array(governs, int).reshape(len(items), len(segments)),
         size_m=rows(items, "size_m", 3),
         cam_from_object=rows(items, "cam_from_object", 4, 4),
         corners_cam=rows(items, "corners_cam", 8, 3),
+        normal_cam=rows(items, "normal_cam", 3),
         velocity_cam=rows(items, "velocity_cam", 3),
         box_px=rows(items, "box_px", 4),
         unclipped_box_px=rows(items, "unclipped_box_px", 4),
@@ -156,11 +198,12 @@ DECIMALS = {
 
 def object_document(item: ObjectLabel) -> dict[str, Any]:
     """The JSON form of an object."""
-    return document_of(vars(item), DECIMALS)
+    others = OF_OTHERS if item.is_element else OF_ELEMENTS
+    fields = {name: value for name, value in vars(item).items() if name not in others}
+    return {name: _json(value, DECIMALS.get(name, 0)) for name, value in fields.items()}
 
 
-def document_of(fields: Mapping[str, Any], decimals: Mapping[str, int]) -> dict[str, Any]:
-    """The JSON form of the fields of a label, some of them rounded."""
-    seen = fields["seen_box_px"]
-    numbers = {name: None if fields[name] is None else rounded(fields[name], n) for name, n in decimals.items()}
-    return {**fields, **numbers, "seen_box_px": None if seen is None else seen.tolist()}
+def _json(value: object, decimals: int) -> object:
+    if isinstance(value, np.ndarray):
+        return rounded(value, decimals) if decimals else value.tolist()
+    return value

@@ -12,19 +12,23 @@ Rgb = tuple[int, int, int]
 VehicleClass = Literal["car", "van", "truck", "bus", "trailer"]
 # Kinds of `Scene.things`, each a category of labels of its own: people, riders with what they ride, and road works.
 ThingKind = Literal["pedestrian", "cyclist", "motorcyclist", "cone", "barrel", "barricade"]
-ObjectCategory = Literal[VehicleClass, ThingKind]
+# What traffic must see: the head of a signal, one over a lane on a gantry, the face of a sign.
+ElementCategory = Literal["traffic_light", "lane_signal", "road_sign"]
+ObjectCategory = Literal[VehicleClass, ThingKind, ElementCategory]
 ClassNaming = Literal["kitti", "argoverse2", "nuscenes", "cosmos"]
 
 
 @dataclass(frozen=True)
 class ObjectClass:
-    """A category of object labels, and its class in each format; "" where a format has none, and leaves it out."""
+    """A category of object labels, and its class in each format; "" where a format has none, and leaves it out. Those
+    of traffic elements (`is_element`) are listed apart from all others."""
 
     category: ObjectCategory
-    kitti: str
-    argoverse2: str
-    nuscenes: str
-    cosmos: str
+    kitti: str = ""
+    argoverse2: str = ""
+    nuscenes: str = ""
+    cosmos: str = ""
+    is_element: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,9 +64,11 @@ VEHICLES = (
 PEDESTRIAN = ObjectClass("pedestrian", "Pedestrian", "PEDESTRIAN", "human.pedestrian.adult", "person")
 CYCLIST = ObjectClass("cyclist", "Cyclist", "BICYCLIST", "vehicle.bicycle", "rider")
 MOTORCYCLIST = ObjectClass("motorcyclist", "Misc", "MOTORCYCLIST", "vehicle.motorcycle", "rider")
-CONE = ObjectClass("cone", "", "CONSTRUCTION_CONE", "movable_object.trafficcone", "")
-BARREL = ObjectClass("barrel", "", "CONSTRUCTION_BARREL", "movable_object.barrier", "")
-BARRICADE = ObjectClass("barricade", "", "", "movable_object.barrier", "")
+CONE = ObjectClass("cone", "", "CONSTRUCTION_CONE", "movable_object.trafficcone")
+BARREL = ObjectClass("barrel", "", "CONSTRUCTION_BARREL", "movable_object.barrier")
+BARRICADE = ObjectClass("barricade", "", "", "movable_object.barrier")
+SIGN = ObjectClass("road_sign", is_element=True)
+SIGNALS = (ObjectClass("traffic_light", is_element=True), ObjectClass("lane_signal", is_element=True))
 
 # `symbol` is paint that bounds no lane (arrows, stop lines, crosswalks, gores), `host` the host's own bonnet. Botts'
 # dots are markings, tar lines are road, grass is terrain. `signal` is the head of a signal with its lenses, `barrier` a
@@ -78,12 +84,12 @@ KINDS = (
     Kind("symbol", 7, "symbol", (236, 190, 60), "yellow", (227, 227, 227), 0.8, is_ground=True),
     Kind("barrier", 8, "structure", (120, 170, 200), "pale blue", (180, 165, 180), is_capped=True),
     Kind("pole", 9, "structure", (60, 60, 120), "dark blue", (153, 153, 153), is_capped=True),
-    Kind("sign", 10, "structure", (30, 90, 220), "blue", (220, 220, 0), is_capped=True),
+    Kind("sign", 10, "structure", (30, 90, 220), "blue", (220, 220, 0), is_capped=True, objects=(SIGN,)),
     Kind("bridge", 11, "structure", (190, 180, 210), "pale violet", (150, 100, 100), is_capped=True),
     Kind("building", 12, "structure", (200, 130, 90), "orange", (70, 70, 70), is_capped=True),
     Kind("kerb", 13, "structure", (205, 205, 160), "pale yellow", (244, 35, 232), is_capped=True),
     Kind("host", 14, "bonnet", (20, 20, 24), "black", (0, 0, 0), keeps_pace=True),
-    Kind("signal", 15, "structure", (250, 120, 20), "bright orange", (250, 170, 30), is_capped=True),
+    Kind("signal", 15, "structure", (250, 120, 20), "bright orange", (250, 170, 30), is_capped=True, objects=SIGNALS),
     Kind("pedestrian", 16, "thing", (230, 60, 200), "pink", (220, 20, 60), objects=(PEDESTRIAN,)),
     Kind("cyclist", 17, "thing", (150, 70, 230), "violet", (255, 0, 0), objects=(CYCLIST,)),
     Kind("motorcyclist", 18, "thing", (90, 40, 160), "dark violet", (0, 0, 230), keeps_pace=True,
@@ -96,7 +102,8 @@ KINDS = (
 KIND_OF = {kind.name: kind for kind in KINDS}
 SEMANTIC_IDS = {kind.name: kind.semantic_id for kind in KINDS}
 STUFF = tuple(kind.name for kind in KINDS if not kind.series)
-BOXED = tuple(kind.semantic_id for kind in KINDS if kind.objects)
+BOXED = tuple(kind.semantic_id for kind in KINDS if any(not of.is_element for of in kind.objects))
+ELEMENTS = frozenset(of.category for kind in KINDS for of in kind.objects if of.is_element)
 GROUND = tuple(kind.semantic_id for kind in KINDS if kind.is_ground)
 # The first kind of each series of instance ids.
 FIRST_OF = {series: next(kind for kind in KINDS if kind.series == series) for series in {kind.series for kind in KINDS}}

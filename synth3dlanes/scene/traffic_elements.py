@@ -56,7 +56,6 @@ FaceKind = Literal[
     "roadworks_left",
     "roadworks_right",
 ]
-ElementCategory = Literal["traffic_light", "lane_signal", "road_sign"]
 # What an element is within its category: the form of a light's lenses, `lane` over a lane, or what a sign shows.
 ElementKind = LensForm | Literal["lane"] | SignKind | FaceKind
 ElementState = SignalState | LaneState

@@ -11,8 +11,7 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Scalars
-from synth3dlanes.truth.element_truth import label_elements
-from synth3dlanes.truth.object_truth import label_objects
+from synth3dlanes.truth.object_truth import label_elements, label_objects
 from synth3dlanes.world.motion import host_driven, host_stations
 from synth3dlanes.world.paint import is_double, paint_color, pair_of
 from synth3dlanes.world.visibility import seen_over_ground

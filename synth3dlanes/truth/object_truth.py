@@ -1,22 +1,31 @@
-"""World and View -> the boxes of all objects, except what needs a rendered picture or a sweep.
+"""World and View -> the boxes of all objects and traffic elements, except what needs a rendered picture or a sweep; and
+the seen shares of traffic elements by the ids of a picture.
 
 A rectangle in the image is that of the box's edges within it, of the corners of the image that are before the box, and
 of the places where edges cross the image's border.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Integer
 
 from synth3dlanes.geometry.frames import inside_image, invert, quaternion, transform
-from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.labels.labels import CameraLabel, LaneGraph
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.scene.instance_ids import instance_id, thing_of
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.system.schema import MAX_NUMBER
-from synth3dlanes.world.objects import PlacedObject
-from synth3dlanes.world.world import View
+from synth3dlanes.world.world import Site, View
 
 # Pieces of an edge, which a lens bends, and halvings of the piece that crosses the image's border.
 PIECES, HALVINGS = 32, 24
+# Farther traffic elements have no label.
+LABELLED_M = 200.0
+# Quads that reach closer to the camera's plane are left out; the most pixels that are asked of an element.
+AHEAD_M, MAX_PIXELS = 0.1, 1000
 # Parts of a box across, along and up, of which the share outside the image is counted.
 PARTS = (8, 24, 8)
 
@@ -29,27 +38,54 @@ INSIDE = np.stack(np.meshgrid(*((np.arange(n) + 0.5) * 2 / n - 1 for n in PARTS)
 
 def label_objects(view: View, camera: CameraLabel) -> tuple[ObjectLabel, ...]:
     """The labels of all objects of a view, in the view's order."""
-    has_time = view.scene.shot.n_frames > 1
-    return tuple(_object(item, camera, has_time) for item in view.objects)
+    has_time, cam_from_world = view.scene.shot.n_frames > 1, invert(camera.world_from_cam)
+    found = []
+    for item in view.objects:
+        world_from_box = item.world_from_object.copy()
+        world_from_box[:3, 3] += world_from_box[:3, 2] * item.size_m[2] / 2
+        found.append(
+            ObjectLabel(
+                id=item.id,
+                category=item.category,
+                **_box(camera, cam_from_world @ world_from_box, item.size_m),
+                velocity_cam=cam_from_world[:3, :3] @ item.velocity_world if has_time else None,
+                truncation=truncation(camera, cam_from_world @ world_from_box, item.size_m),
+            )
+        )
+    return tuple(found)
 
 
-def _object(item: PlacedObject, camera: CameraLabel, has_time: bool) -> ObjectLabel:
-    size_m, cam_from_world = item.size_m, invert(camera.world_from_cam)
-    world_from_object = item.world_from_object.copy()
-    world_from_object[:3, 3] += world_from_object[:3, 2] * size_m[2] / 2
-    cam_from_object = cam_from_world @ world_from_object
-    inside, whole = rectangles(camera, cam_from_object, size_m)
-    return ObjectLabel(
-        id=item.id,
-        category=item.category,
-        size_m=size_m,
-        center_cam=cam_from_object[:3, 3],
-        rotation_wxyz=quaternion(cam_from_object[:3, :3]),
-        velocity_cam=cam_from_world[:3, :3] @ item.velocity_world if has_time else None,
-        box_px=inside,
-        unclipped_box_px=whole,
-        truncation=truncation(camera, cam_from_object, size_m),
-    )
+def label_elements(site: Site, view: View, camera: CameraLabel, graph: LaneGraph) -> tuple[ObjectLabel, ...]:
+    """The labels of all traffic elements near a view, in the order of their ids, with the lanes that are in a graph."""
+    cam_from_world, found = invert(camera.world_from_cam), []
+    known = {segment.id for segment in graph.segments}
+    for number, element in enumerate(site.elements):
+        cam_from_box = cam_from_world @ element.place.world_from_face
+        if np.linalg.norm(cam_from_box[:3, 3]) > LABELLED_M:
+            continue
+        found.append(
+            ObjectLabel(
+                id=instance_id("structure", site.first_element + number),
+                category=element.category,
+                kind=element.kind,
+                state=element.state(view.scene.shot.time_s),
+                lanes=tuple(lane for lane in element.lanes if lane in known),
+                **_box(camera, cam_from_box, element.place.size_m),
+            )
+        )
+    return tuple(found)
+
+
+def _box(camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> dict[str, Any]:
+    """What a label says of a box."""
+    inside, whole = rectangles(camera, cam_from_box, size_m)
+    return {
+        "size_m": size_m,
+        "center_cam": cam_from_box[:3, 3],
+        "rotation_wxyz": quaternion(cam_from_box[:3, :3]),
+        "box_px": inside,
+        "unclipped_box_px": whole,
+    }
 
 
 def rectangles(
@@ -110,3 +146,34 @@ def _border(camera: CameraLabel, shown: Points3, other: Points3) -> Points3:
 
 def _around(uv: Points2) -> Float[np.ndarray, "4"]:
     return np.concatenate([uv.min(axis=0), uv.max(axis=0)])
+
+
+def with_pixel_shares(
+    items: Sequence[ObjectLabel], site: Site, camera: CameraLabel, instance: Integer[np.ndarray, "h w"]
+) -> tuple[ObjectLabel, ...]:
+    """Traffic elements with the shares of their pixels that show them, by the ids of an image. The pixels that one
+    would fill alone are found by rays through their centres and the quads of its body, without Blender."""
+    return tuple(replace(item, visible_fraction=_pixel_share(item, site, camera, instance)) for item in items)
+
+
+def _pixel_share(item: ObjectLabel, site: Site, camera: CameraLabel, instance: Integer[np.ndarray, "h w"]) -> float:
+    if item.box_px is None:
+        return 0.0
+    left, top = np.floor(item.box_px[:2]).astype(int)
+    right, bottom = np.ceil(item.box_px[2:]).astype(int)
+    shows = instance[top:bottom, left:right] == item.id
+    body = site.structures[thing_of(item.id)[1]]
+    corners_cam = transform(invert(camera.world_from_cam), body.corners_world)
+    step = max(1, int(np.ceil(np.sqrt(shows.size / MAX_PIXELS))))
+    v, u = np.mgrid[top:bottom:step, left:right:step]
+    own = shows[::step, ::step].ravel()
+    fills = own | meets_quads(camera.rays(np.column_stack([u.ravel(), v.ravel()]) + 0.5), corners_cam)
+    return round(float(own.sum() / fills.sum()), 3) if fills.any() else float(shows.any())
+
+
+def meets_quads(rays_cam: Points3, corners_cam: Float[np.ndarray, "f 4 3"]) -> Bool[np.ndarray, " n"]:
+    """Which rays from the camera meet a flat convex quad; none that are NaN."""
+    corners = corners_cam[(corners_cam[..., 1] > AHEAD_M).all(axis=1)]
+    sides = np.einsum("nk,fck->nfc", rays_cam, np.cross(corners, np.roll(corners, -1, axis=1)))
+    ahead = rays_cam[:, 1:2] > 0
+    return np.asarray((((sides >= 0).all(axis=2) | (sides <= 0).all(axis=2)) & ahead).any(axis=1))

@@ -15,7 +15,6 @@ from jaxtyping import Float
 from scipy.spatial import ConvexHull
 
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import ObjectLabel, rectangle_around
 from synth3dlanes.scene.instance_ids import END, thing_of
@@ -77,7 +76,7 @@ def check_boxes(evidence: Evidence) -> Iterator[Result]:
             yield from judge(item, seen)
 
 
-def check_seen_box(evidence: Evidence, item: ObjectLabel | ElementLabel, label: str) -> Iterator[Finding]:
+def check_seen_box(evidence: Evidence, item: ObjectLabel, label: str) -> Iterator[Finding]:
     """A finding if the rectangle of the pixels with the id of what is labelled is another one."""
     there = rectangle_around(*np.nonzero(evidence.passes["instance"] == item.id))
     expected, got = (None if box is None else box.tolist() for box in (there, item.seen_box_px))

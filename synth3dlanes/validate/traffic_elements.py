@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2
@@ -54,7 +54,7 @@ def check_elements(evidence: Evidence) -> Iterator[Result]:
         yield from shining(evidence, item)
 
 
-def _unlabelled(evidence: Evidence, items: tuple[ElementLabel, ...]) -> Iterator[Finding]:
+def _unlabelled(evidence: Evidence, items: tuple[ObjectLabel, ...]) -> Iterator[Finding]:
     """Pixels of signs and signals near the camera whose id has no label."""
     if not {"instance", "semantic", "depth"} <= evidence.has:
         return
@@ -68,7 +68,7 @@ def _unlabelled(evidence: Evidence, items: tuple[ElementLabel, ...]) -> Iterator
             yield Finding("", f"traffic_elements: expected one with id {id_}, which {count} pixels show, got none")
 
 
-def judge(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
+def judge(evidence: Evidence, item: ObjectLabel) -> Iterator[Result]:
     """Findings where pixels with an element's id are not in its rectangles and box, or end before a side of it."""
     if "instance" not in evidence.has:
         return
@@ -78,13 +78,13 @@ def judge(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
         reason = f"expected a share of its {n_pixels} pixels, got {item.visible_fraction:g}"
         yield Finding("", f"{label}.visible_fraction: {reason}")
     yield from _share(evidence, item, label)
-    seen = by_pixels(evidence, item.id, item.cam_from_element, MIN_PIXELS)
+    seen = by_pixels(evidence, item.id, item.cam_from_object, MIN_PIXELS)
     if seen is not None:
         sides = _sides(item, seen.apart_m) if _is_whole(item) else ()
         yield from against_box(label, "elements", item.size_m / 2, seen, MAX_OUTSIDE, sides)
 
 
-def _share(evidence: Evidence, item: ElementLabel, label: str) -> Iterator[Result]:
+def _share(evidence: Evidence, item: ObjectLabel, label: str) -> Iterator[Result]:
     """A finding if an element's share is not that of the pixels inside the outlines of its body's faces which show
     it."""
     if item.box_px is None or item.visible_fraction is None:
@@ -116,14 +116,14 @@ def in_outlines(quads_img: Float[np.ndarray, "f 4 2"], uv: Points2) -> Bool[np.n
     return np.asarray(((turns >= 0).all(axis=2) | (turns <= 0).all(axis=2)).any(axis=1))
 
 
-def _is_whole(item: ElementLabel) -> bool:
+def _is_whole(item: ObjectLabel) -> bool:
     """Whether an element is in the image and seen as a whole."""
     box, whole = item.box_px, item.unclipped_box_px
     is_inside = box is not None and whole is not None and bool(np.allclose(box, whole))
     return is_inside and (item.visible_fraction or 0.0) >= MIN_SEEN
 
 
-def _sides(item: ElementLabel, apart_m: float) -> Iterator[SideLimit]:
+def _sides(item: ObjectLabel, apart_m: float) -> Iterator[SideLimit]:
     """The sides of the face; the pixels of a board may end farther before one that it reaches in a corner alone."""
     most_m = MAX_GAP_M + MAX_PART * apart_m + (1.5 * apart_m if item.category == "road_sign" else 0.0)
     for axis, name in ((0, "left right"), (2, "lower upper")):
@@ -131,7 +131,7 @@ def _sides(item: ElementLabel, apart_m: float) -> Iterator[SideLimit]:
             yield SideLimit(axis, sign, side, most_m)
 
 
-def over_its_lane(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
+def over_its_lane(evidence: Evidence, item: ObjectLabel) -> Iterator[Result]:
     """A signal over a lane that does not hang over the middle of the lane that it governs."""
     if item.category != "lane_signal" or len(item.lanes) != 1:
         return
@@ -151,7 +151,7 @@ def over_its_lane(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
     yield from judged("elements.beside_lane", off_m, reason, most=BESIDE_LANE_M)
 
 
-def shining(evidence: Evidence, item: ElementLabel) -> Iterator[Result]:
+def shining(evidence: Evidence, item: ObjectLabel) -> Iterator[Result]:
     """A signal whose dark lights are much brighter than its lit ones, or a cross or arrow of the other colour."""
     if evidence.image is None or item.state is None or item.seen_box_px is None or "instance" not in evidence.has:
         return

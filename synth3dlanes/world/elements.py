@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.roadside import Crossing, Post, Roadside
-from synth3dlanes.scene.traffic_elements import ElementCategory, ElementKind, ElementState, LaneSignal, TrafficSignal
+from synth3dlanes.scene.things import ElementCategory
+from synth3dlanes.scene.traffic_elements import ElementKind, ElementState, LaneSignal, TrafficSignal
 from synth3dlanes.world.crossings import gantry_boards, lane_signal_places
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.mounted import Mounted, board_body

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from synth3dlanes.figures.boxes import elements_in_image, lines_img, objects_in_image
+from synth3dlanes.figures.boxes import lines_img, objects_in_image
 from synth3dlanes.figures.colors import ELEMENT, OBJECT
 from synth3dlanes.figures.describe import ELEMENT_COLUMNS, OBJECT_COLUMNS, element_row, object_row
 from synth3dlanes.figures.overlay import draw_overlay
@@ -61,7 +61,7 @@ def test_rows_of_the_table(flat_scene):
 
 def test_faces_of_traffic_elements_are_drawn_where_their_corners_are_but_for_hidden_ones():
     labels = replace(ground_truth(signals_scene()), lanes=())
-    drawn = list(elements_in_image(labels))
+    drawn = [found for found in objects_in_image(labels) if found[0].is_element]
     assert len(drawn) == 9
     for item, lines in drawn:
         corners = labels.camera.project(item.corners_cam[4:])

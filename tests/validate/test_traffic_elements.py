@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.labels.element_labels import ElementLabel
+from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
@@ -26,12 +26,12 @@ def sample() -> Evidence:
     return Evidence(world, picture.labels, picture.image, picture.passes)
 
 
-def with_elements(sample: Evidence, items: list[ElementLabel]) -> Evidence:
+def with_elements(sample: Evidence, items: list[ObjectLabel]) -> Evidence:
     labels = replace(sample.labels, traffic_elements=tuple(items))
     return Evidence(sample.world, labels, sample.image, dict(sample.passes))
 
 
-def item_of(sample: Evidence, category: str, **other: object) -> ElementLabel:
+def item_of(sample: Evidence, category: str, **other: object) -> ObjectLabel:
     return next(
         item
         for item in sample.labels.traffic_elements
@@ -46,11 +46,11 @@ def test_a_right_sample_has_no_findings(sample):
     assert findings(sample, "elements", "labels") == []
 
 
-def move(*by_m: float) -> Callable[[ElementLabel], ElementLabel]:
-    return lambda item: replace(item, center_cam=item.center_cam + item.cam_from_element[:3, :3] @ np.array(by_m))
+def move(*by_m: float) -> Callable[[ObjectLabel], ObjectLabel]:
+    return lambda item: replace(item, center_cam=item.center_cam + item.cam_from_object[:3, :3] @ np.array(by_m))
 
 
-def scale(*by: float) -> Callable[[ElementLabel], ElementLabel]:
+def scale(*by: float) -> Callable[[ObjectLabel], ObjectLabel]:
     return lambda item: replace(item, size_m=item.size_m * np.array(by))
 
 
@@ -102,7 +102,7 @@ def test_elements_that_are_not_those_of_the_scene_are_found(sample):
     items = list(sample.labels.traffic_elements)
     stop = next(number for number, item in enumerate(items) if item.kind == "stop")
 
-    def reasons(changed: ElementLabel) -> str:
+    def reasons(changed: ObjectLabel) -> str:
         found = with_elements(sample, [*items[:stop], changed, *items[stop + 1 :]])
         return " ".join(finding.reason for finding in findings(found, "elements", "labels"))
 

@@ -269,7 +269,7 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
         box = {"map_id": str(label.id), "center": _xyz(placed[:3, 3]), "orientation": _xyzw(_flu(placed))}
         box["dimensions"] = _xyz((depth_m, width_m, height_m))
         is_sign = label.category == "road_sign"
-        category = SIGN_CATEGORIES.get(label.kind, "TRAFFIC_SIGN_INFORMATION") if is_sign else "traffic_light"
+        category = SIGN_CATEGORIES.get(label.kind or "", "TRAFFIC_SIGN_INFORMATION") if is_sign else "traffic_light"
         rows["traffic_sign" if is_sign else "traffic_light"].append({**box, "category": category})
     return {name: rows[name] for name in TABLES if name not in MOVING}
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
-from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import Labels, Marking, PaintColor, Pair
+from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.system.schema import SymbolKind
 from synth3dlanes.world.motion import host_driven
@@ -43,7 +43,7 @@ class RoadSymbol:
 class StandingElement:
     """A traffic element, and the pose of its frame."""
 
-    label: ElementLabel
+    label: ObjectLabel
     world_from_element: Matrix4
 
 
@@ -97,5 +97,5 @@ def _elements(pictures: Iterable[Labels]) -> tuple[StandingElement, ...]:
     found = dict[int, StandingElement]()
     for labels in pictures:
         for item in labels.traffic_elements or ():
-            found.setdefault(item.id, StandingElement(item, labels.camera.world_from_cam @ item.cam_from_element))
+            found.setdefault(item.id, StandingElement(item, labels.camera.world_from_cam @ item.cam_from_object))
     return tuple(found[number] for number in sorted(found))

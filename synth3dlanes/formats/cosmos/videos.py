@@ -21,9 +21,8 @@ from synth3dlanes.formats.cosmos.scenario import PaintedLine, Scenario
 from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import lengths_along
-from synth3dlanes.labels.element_labels import ElementLabel
 from synth3dlanes.labels.labels import CameraLabel, Labels, PaintColor
-from synth3dlanes.labels.object_labels import CORNERS
+from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene.things import BOXED, GROUND, KINDS, SEMANTIC_IDS, Rgb, classes_in
 from synth3dlanes.system.arrays import Passes, Points3, RgbImage
 
@@ -181,7 +180,7 @@ def lane_map_picture(picture: SourceSample, around: Scenario) -> RgbImage:
     return canvas.image()
 
 
-def _element_color(label: ElementLabel) -> Rgb:
+def _element_color(label: ObjectLabel) -> Rgb:
     if label.category == "road_sign":
         return SIGN
     state = label.state or "off"
