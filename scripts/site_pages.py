@@ -94,7 +94,8 @@ def reference() -> str:
 def format_page(name: str, exports: str) -> str:
     """What a format is, where its files lie, and what is in them; `exports` is the page of all formats."""
     found = open_format(name)
-    listed = exports.partition("\n## Files\n")[2].partition("\n## ")[0].replace("](#", "](../exports.md#")
+    listed = exports.partition("\n## Files\n")[2].partition("\n## ")[0]
+    listed = listed.replace("](#", "](../exports.md#").replace("](exports_", "](../exports_")
     # Rows of one format follow each other; only the first names it.
     rows = re.search(rf"^\| `{name}` \|.*\n(?:\| \|.*\n)*", listed, re.MULTILINE)
     table = [f"|{row.split('|', 2)[2]}" for row in rows[0].splitlines()] if rows else []
