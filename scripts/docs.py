@@ -53,7 +53,7 @@ _SYNTH3DLANES_COMPLETE=fish_source synth3dlanes | source
 
 PARAMS_HEAD = """# Parameters
 
-A parameter file is a YAML file that names what it is based on, and has the keys that it changes:
+A parameter file is a YAML file that names what it is based on and has the keys that it changes:
 
 ```yaml
 base: streets                 # a preset, or the path of another file, from the folder of this one
@@ -77,17 +77,19 @@ Lengths are in metres, angles in degrees. A file without a base has every key. I
 were added after version 0.1.0, which have the constants of `appendix_i` then; `params check` names them, and
 `params show` prints the short file that means the same.
 
-Four rules change what is drawn: weather and time of day replace ranges (below); topologies 3 and 4 have at least two
-lanes; a median needs oncoming lanes and at least a metre; the host's lane is one of those present. Oncoming lanes that
-would fold on the inside of a sharp bend are left out. Towns have rules of their own ([town.md](town.md)); they use
-neither `road`, `symbols`, `motion` nor most of `cars` and `roadside`. Mountain roads use neither `road`, `symbols`,
-`roadside` nor the host's lane and place, and leave out cars without room. `synth3dlanes stats` tests what was drawn
-against these rules.
+Rules change what is drawn, and `synth3dlanes stats` knows them:
 
-"ours" marks what the paper does not specify; [decisions.md](decisions.md) has the reasons.
+- Weather and time of day replace ranges ([below](#weather-and-time-of-day)).
+- Topologies 3 and 4 have at least two lanes, a median needs oncoming lanes and is at least a metre wide, and the host's
+  lane is one of those present. Oncoming lanes that would fold on the inside of a sharp bend are left out.
+- Towns have [rules of their own](town.md), and use neither `road`, `symbols`, `motion` nor most of `cars` and
+  `roadside`. Mountain roads use neither `road`, `symbols`, `roadside` nor the host's lane and place.
+
+In the tables, *other presets* are those with another value than `appendix_i`. "ours" marks what the paper does not
+specify; [decisions.md](decisions.md) has the reasons.
 """
 
-# Presets with a column of their own; the others are one of these but for some keys.
+# Presets in the tables of all keys; the others are one of these but for some keys.
 PRESETS = (REFERENCE, "realistic", "diverse", "streets", "town")
 Forms = dict[str, dict[str, object]]
 
@@ -176,11 +178,11 @@ def params_page() -> str:
     parts = [PARAMS_HEAD]
     groups = presets[REFERENCE]
     for group in [name for name in groups if name not in (*KINDS, *DAYTIMES)]:
-        parts += [f"## {group}\n", f"| key | legal values | {' | '.join(PRESETS)} | meaning |"]
-        parts.append(f"|---|---|{'---|' * len(PRESETS)}---|")
+        parts += [f"## {group}\n", f"| key | legal values | {REFERENCE} | other presets | meaning |", f"|{'---|' * 5}"]
         for key in groups[group]:
-            values = (shown(preset[group][key]) for preset in presets.values())
-            parts.append(f"| {' | '.join((f'`{key}`', legal[group, key], *values, comments[group, key]))} |")
+            values = {name: shown(preset[group][key]) for name, preset in presets.items()}
+            cells = (f"`{key}`", legal[group, key], values[REFERENCE], others_than(values), comments[group, key])
+            parts.append(f"| {' | '.join(cells)} |")
         parts.append("")
     parts += [WEATHER_HEAD, *weather_table(KINDS, groups, legal), "", *weather_table(DAYTIMES, groups, legal), ""]
     parts += [OTHERS_HEAD, "| preset | is | but |", "|---|---|---|"]
@@ -190,6 +192,15 @@ def params_page() -> str:
         told = (f"`{key}` {shown(value)}" for key, value in differing(presets[base], values_of).items())
         parts.append(f"| {name} | {base} | {', '.join(told)} |")
     return "\n".join([*parts, ""])
+
+
+def others_than(values: Mapping[str, str]) -> str:
+    """The presets whose value is not that of the reference, those with equal values together."""
+    names: dict[str, list[str]] = {}
+    for name, value in values.items():
+        if value != values[REFERENCE]:
+            names.setdefault(value, []).append(name)
+    return "; ".join(f"{', '.join(found)}: {value}" for value, found in names.items())
 
 
 def differing(base: Forms, other: Forms) -> dict[str, object]:
@@ -214,7 +225,10 @@ def shown(form: object) -> str:
     if isinstance(form, list):
         return f"[{', '.join(map(shown, form))}]"
     if isinstance(form, dict):
-        return "even odds" if len(set(form.values())) == 1 else str(form)
+        odds = ", ".join(f"{shown(value)}: {shown(weight)}" for value, weight in form.items())
+        return "even odds" if len(set(form.values())) == 1 else f"{{{odds}}}"
+    if isinstance(form, bool):
+        return str(form).lower()
     return f"{form:g}" if isinstance(form, float) else str(form)
 
 
