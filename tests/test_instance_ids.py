@@ -91,6 +91,7 @@ class Parallel(Recipe):
         return resolve(map_scene(parallel_roads(), 10.0, cars=(), trees=()))
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_hundreds_of_delimiters_are_told_apart_by_all_readers(tmp_path):
     passes = ("depth", "semantic", "instance")

@@ -12,7 +12,7 @@ from synth3dlanes.scene.scene import to_json
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.world.world import resolve
 
-N = 400
+N = 250
 # With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
 P_VALUE = 1e-4
 

@@ -28,6 +28,7 @@ def _steps(folder):
     return checkpoint.load(folder / "best.pt").about["step"]
 
 
+@pytest.mark.thorough
 def test_rows_stand_beside_the_papers_and_are_trained_once(drawn_splits, tmp_path):
     from synth3dlanes_baseline.ablation import ablation
 

@@ -46,6 +46,7 @@ def _config(**overrides):
     return train_config(OWN, settings | overrides)
 
 
+@pytest.mark.thorough
 def test_the_documented_network_learns_resumes_and_is_scored(host_lane, samples, tmp_path):
     still = {"augmentation.flip": 0.0, "augmentation.noise": 0.0, "ema_decay": 0.9, "learning_rate": 5e-3}
     config = _config(**still, **{"model.arguments.width": 8})
@@ -131,6 +132,7 @@ def test_a_close_look_can_be_added_to_weights_that_have_none(samples, tmp_path):
     assert all(torch.allclose(before[name], after[name], atol=1e-12) for name in names)
 
 
+@pytest.mark.thorough
 def test_a_finished_run_is_extended_with_another_batch(samples, tmp_path):
     train_on(_tiny(epochs=2.0), samples, samples, tmp_path)
     longer = _tiny(epochs=5.0, batch=4)

@@ -50,6 +50,7 @@ def test_a_larger_network_computes_the_same(changes):
         assert torch.allclose(getattr(after, name), getattr(expected, name), rtol=1e-4, atol=1e-4), name
 
 
+@pytest.mark.thorough
 @torch.no_grad()
 def test_all_that_is_new_learns():
     """A new channel that has no gradient in the first steps would never have one."""

@@ -11,6 +11,7 @@ from synth3dlanes_baseline.predict import PredictConfig, predict
 from synth3dlanes.imaging.video import mp4
 from tests.power_cut import survive
 from tests.small_files import withstands
+from tests.thorough import first
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def source(roads, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["pictures", "drive.mp4"])
+@pytest.mark.parametrize("name", first(1, ["pictures", "drive.mp4"]))
 def test_a_full_disk(source, tmp_path, name):
     from synth3dlanes_cli.main import main
 
@@ -34,7 +35,7 @@ def test_a_full_disk(source, tmp_path, name):
     withstands(lambda: CliRunner().invoke(main, words), tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["pictures", "drive.mp4"])
+@pytest.mark.parametrize("name", first(1, ["pictures", "drive.mp4"]))
 def test_a_power_cut(source, tmp_path, name):
     network = detector(SHIPPED, torch.device("cpu"))
     survive(lambda out: predict(network, source / name, out, PredictConfig()), tmp_path, 4)

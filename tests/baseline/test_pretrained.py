@@ -11,6 +11,7 @@ from synth3dlanes_baseline.pretrained import load_pretrained
 from torch.nn import functional
 
 from synth3dlanes.system.errors import FormatError, InputError
+from tests.thorough import first
 
 BLOCKS = (2, 2, 3, 3, 3)
 CHANNELS = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512]
@@ -63,14 +64,17 @@ def _paper(**changes):
 
 @pytest.mark.parametrize(
     ("file_norm", "trunk_norm", "variant"),
-    [
-        (True, True, {}),
-        (True, False, {}),
-        (False, False, {}),
-        (True, True, {"variant": "top_view"}),
-        (True, True, {"variant": "top_view", "pose_target": "fixed"}),
-        (False, False, {"variant": "early_ipm", "pose_target": "fixed"}),
-    ],
+    first(
+        2,
+        [
+            (True, False, {}),
+            (True, True, {"variant": "top_view"}),
+            (True, True, {}),
+            (False, False, {}),
+            (True, True, {"variant": "top_view", "pose_target": "fixed"}),
+            (False, False, {"variant": "early_ipm", "pose_target": "fixed"}),
+        ],
+    ),
 )
 def test_features_are_those_of_the_original_network(tmp_path, file_norm, trunk_norm, variant):
     state = _state(batch_norm=file_norm)

@@ -56,6 +56,7 @@ finally:
 """
 
 
+@pytest.mark.thorough
 def test_a_photograph_loads_nothing_heavy_but_torch(tmp_path):
     """It takes less than two seconds of a core; scipy and matplotlib alone would take one more."""
     Image.new("RGB", (480, 360), (90, 100, 110)).save(tmp_path / "photo.png")

@@ -128,6 +128,7 @@ def test_a_file_gives_timms_vgg16_the_features_of_our_own(timm, tmp_path):
             torch.testing.assert_close(mine, its, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.thorough
 def test_a_network_around_a_trunk_learns_and_its_checkpoint_rebuilds_it(timm):
     config = _config("timm:resnet18")
     torch.manual_seed(0)

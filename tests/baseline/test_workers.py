@@ -114,6 +114,7 @@ def test_a_run_that_is_killed_leaves_no_worker():
     assert psutil.wait_procs(workers, timeout=60)[1] == []
 
 
+@pytest.mark.thorough
 def test_training_goes_on_with_any_shared_memory(tmp_path):
     """Batches of 2 MB, where all shared memory is 1 MB."""
     may = shutil.which("unshare") and subprocess.run([*SMALL_SHM, "true"], capture_output=True).returncode == 0

@@ -76,6 +76,7 @@ def test_scenes_of_all_weathers_in_any_order_give_the_bytes_of_each_alone():
         assert make_sample(recipes[i], 0).members == alone[i], i
 
 
+@pytest.mark.thorough
 def test_two_cameras_and_two_frames_in_any_order_give_the_bytes_of_each_alone(tmp_path):
     """What stands still is shared; what one camera or frame sees must not show in another's."""
     (tmp_path / "rig.yaml").write_text(

@@ -67,6 +67,7 @@ def test_points_of_a_car_are_inside_it_and_it_is_on_the_right():
     assert (points.xyz_cam[hit, 0] > 1).all()
 
 
+@pytest.mark.thorough
 def test_the_picture_beside_a_sweep_is_that_without():
     scene = sample_scene(Scenes(load_params("tiny")), 1)
     settings = replace(ONE_SAMPLE, passes=("depth", "normal", "semantic", "instance"))

@@ -125,6 +125,7 @@ def test_the_nearest_street_lamps_are_lit_at_night_only():
         assert bpy.data.objects["headlight_0"].hide_render
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 @pytest.mark.parametrize(("oncoming", "lane_m"), first(1, [({}, 0.0), ({"n_oncoming": 2, "median_m": 4.0}, -11.0)]))
 def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes(oncoming, lane_m):

@@ -290,6 +290,7 @@ def test_normals_are_the_terrains_on_the_ground_and_face_the_camera():
     assert ((normal[v, u] * rays).sum(axis=1) < 0).all()
 
 
+@pytest.mark.thorough
 def test_asking_for_passes_changes_no_pixel():
     scene = sample_scene(Scenes(load_params("appendix_i", ["cars.n=5", "trees.n=100", *SMALL]), 5, "test"), 3)
     plain = rendered(scene, RenderSettings(samples=2)).image

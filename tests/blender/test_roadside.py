@@ -99,6 +99,7 @@ def test_a_wall_hides_the_points_behind_it_and_no_others():
     assert hidden > 20
 
 
+@pytest.mark.thorough
 def test_structures_of_a_scene_are_gone_in_the_next():
     world = resolve(FLAT)
     labels = with_object_visibility(world, world.view, label(world, world.view), [])

@@ -164,6 +164,7 @@ def test_wheels_touch_the_road_and_trees_the_ground(scene: Scene, library: Libra
         assert 0 <= ground.height(foot_world[None, :2])[0] - foot_world[2] < 0.2
 
 
+@pytest.mark.thorough
 def test_rendered_twice_with_ours_in_between(scene: Scene, library: Library) -> None:
     settings = RenderSettings(2, ("semantic", "instance"))
     first = take_picture(resolve(scene), settings, library)

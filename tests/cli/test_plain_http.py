@@ -87,6 +87,7 @@ def test_a_shard_that_is_not_made_yet_is_left_out(folder: Path, tmp_path: Path) 
         assert [sample.key for sample in Reader(f"{url}/train")] == [f"{i:08d}" for i in (0, 1, 2, 3, 4, 10, 11)]
 
 
+@pytest.mark.thorough
 def test_every_command_that_reads_reads_a_server(run: Run, folder: Path) -> None:
     with serving(folder) as url:
         for command in (("info", "PLACE", "--json"), ("info", "PLACE/train", "--json"), ("stats", "PLACE", "--n", 4)):

@@ -42,6 +42,7 @@ def test_a_signal_ends_a_command_in_one_line(monkeypatch, error, code, arguments
     assert "Aborted" not in result.output
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("signals", "code"),
     first(1, [((signal.SIGTERM, signal.SIGINT), 130), ((signal.SIGINT, signal.SIGINT), 130), ((signal.SIGHUP,), 129)]),

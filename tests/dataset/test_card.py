@@ -137,6 +137,7 @@ def test_a_store_gets_the_card_whole(tmp_path, monkeypatch):
     assert all(re.fullmatch(rf"\.{Path(b).name}\.[0-9a-f]{{16}}\.tmp", Path(a).name) for a, b in moved)
 
 
+@pytest.mark.thorough
 def test_the_hugging_face_library_loads_the_folder_by_its_card(tmp_path):
     make(tmp_path / "set", [0, 1], 4)
     make(tmp_path / "set", [0], 2, "val")

@@ -75,6 +75,7 @@ def test_mlcroissant_loads_images_and_lanes(tmp_path):
     assert "datePublished" in warning, "when a data set is published is known to those who publish it"
 
 
+@pytest.mark.thorough
 def test_it_stays_true_when_a_data_set_grows_is_split_or_merged(tmp_path):
     whole = make(make(tmp_path / "whole", [0], 2), [1], 4)
     first, second = make(tmp_path / "a", [0], 4), make(tmp_path / "b", [1], 4)

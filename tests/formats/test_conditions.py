@@ -159,6 +159,7 @@ def made(folder, n, shots=SINGLE, *changes):
     return folder
 
 
+@pytest.mark.thorough
 def test_lists_of_streets_hold_what_the_scenes_are_and_are_counted(tmp_path):
     data = made(tmp_path / "data", 10, SINGLE, "weather.daytime={day: 1, night: 1}", "roadside.outer=kerb")
     Export(str(data), tmp_path / "culane", "culane").write()

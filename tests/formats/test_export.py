@@ -346,6 +346,7 @@ def test_formats_of_one_size_refuse_another(dataset, tmp_path, format_name):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 def test_the_command_takes_a_size_and_an_export_keeps_its_own(dataset, tmp_path):
     from cli.export import export as command
 

@@ -102,6 +102,7 @@ def test_formats_that_say_more_than_lanes_do_not_take_it(made: tuple[Path, LiftR
             Export(str(made[0]), tmp_path / name, name).write(1)
 
 
+@pytest.mark.thorough
 def test_its_samples_have_no_scene_and_no_command_tells_of_one(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
     """What is not known is absent: no member, no value in the index, no sun in words, no road in pictures."""
     place, page, report = str(made[0]), tmp_path / "sample.html", tmp_path / "report.html"

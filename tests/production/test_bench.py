@@ -126,6 +126,7 @@ def test_more_samples_come_closer_to_the_reference(monkeypatch):
     assert min(fine.psnr_db) > 28
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_the_naive_way_is_timed_at_both_numbers_of_samples(monkeypatch):
     """The number of samples stands in for the seconds; one scene is rendered in earnest."""

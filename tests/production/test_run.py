@@ -258,6 +258,7 @@ def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
     assert report.problem.startswith("ImportError: libmissing.so.1: cannot open shared object file; install the")
 
 
+@pytest.mark.thorough
 @pytest.mark.fresh
 def test_scenes_whose_workers_others_kill_are_made_anew(tmp_path, whole, monkeypatch):
     (tmp_path / "marks").mkdir()
@@ -269,6 +270,7 @@ def test_scenes_whose_workers_others_kill_are_made_anew(tmp_path, whole, monkeyp
     assert contents(tmp_path / "out") == whole
 
 
+@pytest.mark.thorough
 @pytest.mark.fresh
 def test_workers_are_recycled_and_pinned(tmp_path, whole):
     pids = set()
@@ -324,6 +326,7 @@ def test_waits_for_room_for_a_folder_and_for_a_join(tmp_path, whole, monkeypatch
     assert contents(tmp_path) == whole
 
 
+@pytest.mark.thorough
 @pytest.mark.fresh
 def test_a_second_run_of_the_same_process_is_refused(tmp_path, whole):
     """POSIX's locks are those of a process. Other shards are free to both, and a run that ends takes no lock of another

@@ -53,6 +53,7 @@ def test_kills_and_a_lost_node_on_ray(tmp_path, whole):
         soak.check(tmp_path / "out", N, whole)
 
 
+@pytest.mark.thorough
 def test_a_store_keeps_what_an_interrupted_run_has_made(tmp_path):
     url = f"file://{tmp_path}/store"
     a_plan = plan(url, 10, maker=fake_samples.make_slowly)
@@ -111,6 +112,7 @@ def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
     assert soak.files(full_disk / "out") == {name: whole[name] for name in shards}
 
 
+@pytest.mark.thorough
 @needs_root
 def test_a_disk_with_no_more_files_makes_the_run_wait_until_there_may_be_some(tmp_path, whole):
     """Bytes are free all the time."""
@@ -136,6 +138,7 @@ def test_a_disk_with_no_more_files_makes_the_run_wait_until_there_may_be_some(tm
         assert soak.files(disk / "out") == {name: whole[name] for name in shards}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", first(1, [errno.EDQUOT, errno.ENOSPC]))
 def test_a_quota_that_is_used_up_makes_the_run_wait_until_it_can_write(tmp_path, whole, monkeypatch, number):
     """Workers cannot write, nor can this process, while there is a ballast; the file system counts free bytes."""
@@ -165,6 +168,7 @@ def test_a_quota_that_is_used_up_makes_the_run_wait_until_it_can_write(tmp_path,
     assert not list((tmp_path / "out").glob(".room*"))
 
 
+@pytest.mark.thorough
 @needs_root
 @pytest.mark.timeout(60)
 def test_a_worker_that_tells_late_of_a_full_disk_does_not_make_the_run_wait_again(full_disk, monkeypatch):
@@ -191,6 +195,7 @@ def test_a_read_only_folder_is_named(tmp_path):
             go(plan(folder / "out", 10))
 
 
+@pytest.mark.thorough
 def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole):
     out = tmp_path / "out"
 
