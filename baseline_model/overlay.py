@@ -29,7 +29,7 @@ LEAST_HEIGHT_M = 12.0
 """Of the view from the side, so that an even road looks even."""
 PICTURE_ENDINGS = (OVERLAY, FIGURE) = (".overlay.jpg", ".png")
 VISIBLE = 0.5
-NEAR_M = 0.5
+LEAST_DEPTH_M = 0.5
 """Points closer to the camera's plane are not drawn in the image."""
 
 # The figure in pixels: the image is this high beside the views, or as wide as both above them.
@@ -207,7 +207,7 @@ def _lines(
 
     def parts(kind: LaneKind, is_label: bool, xyz_cam: Points3, is_seen: Bool[np.ndarray, " n"]) -> Iterator[Line]:
         xyz_road = transform(to_road, xyz_cam)
-        is_drawn = is_seen & (xyz_road[:, 1] >= 0) & (xyz_road[:, 1] <= FAR_M) & (xyz_cam[:, 1] > NEAR_M)
+        is_drawn = is_seen & (xyz_road[:, 1] >= 0) & (xyz_road[:, 1] <= FAR_M) & (xyz_cam[:, 1] > LEAST_DEPTH_M)
         points_img = project(img_from_cam, xyz_cam)
         for start, stop in runs(is_drawn.astype(int)):
             if is_drawn[start] and stop - start > 1:

@@ -39,7 +39,7 @@ STANDS_M, FLOATS_M, ROOTS = 0.05, 0.02, 0.15
 # Unnamed tyres are the vertices this close to the ground; without any, the wheels are these shares of the body's size.
 CONTACT_M, WHEELBASE, TRACK, WHEEL_RADIUS = 0.03, 0.6, 0.84, 0.2
 MIN_TEXTURE_PX = 256
-DECIMALS = 4  # of metres
+SIZE_DECIMALS = 4
 UNITS = ((100.0, "centimetres"), (1000.0, "millimetres"), (39.37, "inches"), (0.01, "units of 100 m"))
 
 
@@ -91,12 +91,12 @@ def _car(name: str, path: Path, notes: Notes, found: AssetFindings) -> CarModel 
     wheelbase_m, track_m, radius_m = measured or _wheels(points, imported.wheels)
     model = CarModel(
         name,
-        length_m=round(length_m, DECIMALS),
-        width_m=round(width_m, DECIMALS),
-        height_m=round(height_m, DECIMALS),
-        wheelbase_m=round(wheelbase_m, DECIMALS),
-        track_m=round(track_m, DECIMALS),
-        wheel_radius_m=round(radius_m, DECIMALS),
+        length_m=round(length_m, SIZE_DECIMALS),
+        width_m=round(width_m, SIZE_DECIMALS),
+        height_m=round(height_m, SIZE_DECIMALS),
+        wheelbase_m=round(wheelbase_m, SIZE_DECIMALS),
+        track_m=round(track_m, SIZE_DECIMALS),
+        wheel_radius_m=round(radius_m, SIZE_DECIMALS),
         sha256=digest(path),
         category=noted.category or vehicle_class(name, length_m, height_m),
     )
@@ -125,7 +125,7 @@ def _tree(name: str, path: Path, found: AssetFindings) -> TreeModel | None:
     found.problems += problems
     if problems:
         return None
-    model = TreeModel(name, round(height_m, DECIMALS), round(crown_m, DECIMALS), digest(path))
+    model = TreeModel(name, round(height_m, SIZE_DECIMALS), round(crown_m, SIZE_DECIMALS), digest(path))
     _add_row(found, "trees", model, f"{height_m:.2f} m high, crown {2 * crown_m:.2f} m", _triangles(imported.mesh))
     return model
 

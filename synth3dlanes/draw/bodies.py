@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from synth3dlanes.draw.draws import DECIMALS
+from synth3dlanes.draw.draws import SCENE_DECIMALS
 from synth3dlanes.draw.roadside import floor_plan
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
@@ -50,14 +50,14 @@ class Motion(NamedTuple):
 
     def thing(self, phase: float, **fields: object) -> Thing:
         """A thing that moves so."""
-        values = np.column_stack([self.xy_world, np.unwrap(self.yaw_rad)]).round(DECIMALS).tolist()
+        values = np.column_stack([self.xy_world, np.unwrap(self.yaw_rad)]).round(SCENE_DECIMALS).tolist()
         names = ("x_m", "y_m", "yaw_rad")
         track = [
             PlanInstant(time_s=time_s, **dict(zip(names, row, strict=True)))
-            for time_s, row in zip(self.times_s.round(DECIMALS).tolist(), values, strict=True)
+            for time_s, row in zip(self.times_s.round(SCENE_DECIMALS).tolist(), values, strict=True)
         ]
         place = dict(zip(names, values[0], strict=True))
-        speed_m_s = round(float(self.speed_m_s[0]), DECIMALS)
+        speed_m_s = round(float(self.speed_m_s[0]), SCENE_DECIMALS)
         moves = tuple(track) if len(track) > 1 else ()
         return Thing.model_validate({**fields, **place, "phase": phase, "speed_m_s": speed_m_s, "track": moves})
 

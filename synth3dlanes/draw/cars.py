@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.draw.car_colors import sold_color
-from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
+from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import Shot
@@ -152,4 +152,4 @@ def _parking(network: Network, s_m: float, width_m: float, rng: np.random.Genera
     if not outermost or road.shoulder_m < width_m:
         return None
     offset_m = network.rightward * (road.lane_width_m + road.shoulder_m) / 2
-    return outermost[int(rng.random() * len(outermost))], round(offset_m, DECIMALS)
+    return outermost[int(rng.random() * len(outermost))], round(offset_m, SCENE_DECIMALS)

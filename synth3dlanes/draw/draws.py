@@ -14,8 +14,8 @@ from synth3dlanes.params.groups import Group
 from synth3dlanes.params.params import Params
 from synth3dlanes.system.streams import stream
 
-# Numbers in a scene are rounded to a micrometre or microradian: readable, and equal on every machine.
-DECIMALS = 6
+# Numbers of scenes are rounded, so that they are readable and equal on every machine.
+SCENE_DECIMALS = 6
 
 # One random number, or several.
 Numbers = TypeVar("Numbers", float, np.ndarray)
@@ -93,13 +93,13 @@ class Draw:
         if not isinstance(distribution, Uniform):
             return [self._rounded(key, distribution.draw(u)) for u in us.tolist()]
         values = distribution.low + (distribution.high - distribution.low) * us
-        return list(np.round(np.radians(values) if key.endswith("_deg") else values, DECIMALS).tolist())
+        return list(np.round(np.radians(values) if key.endswith("_deg") else values, SCENE_DECIMALS).tolist())
 
     @staticmethod
     def _rounded(key: str, value: Any) -> Any:
         if key.endswith("_deg"):
             value = math.radians(value)
-        return round(value, DECIMALS) if isinstance(value, float) else value
+        return round(value, SCENE_DECIMALS) if isinstance(value, float) else value
 
 
 class NearDraw(Draw):

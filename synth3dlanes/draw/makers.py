@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
+from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.groups import MotionParams
 from synth3dlanes.params.shots import Shots
@@ -60,7 +60,7 @@ def draw_hills(draw: Draw) -> Terrain:
 def draw_camera(draw: Draw, lane: int, y_m: float) -> HostCamera:
     """The host in a lane at a station."""
     width_px, height_px = draw("width_px"), draw("height_px")
-    focal_px = round(width_px / 2 / math.tan(draw("horizontal_fov_deg") / 2), DECIMALS)
+    focal_px = round(width_px / 2 / math.tan(draw("horizontal_fov_deg") / 2), SCENE_DECIMALS)
     return HostCamera(
         lane=lane,
         y_m=y_m,

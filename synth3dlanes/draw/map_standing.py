@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from synth3dlanes.draw.draws import DECIMALS, Draw
+from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw
 from synth3dlanes.draw.roadside import coloured, floor_plan
 from synth3dlanes.roads.maps.elements import OVERHEAD_M, GivenBody, GivenElement, GivenRail
 from synth3dlanes.roads.maps.part import MapPart
@@ -18,10 +18,10 @@ from synth3dlanes.scene.traffic_elements import MAX_FREE, Phase, SignalState, Tr
 from synth3dlanes.world.ground import Ground
 
 # Distance of poles from the pavement of traffic. A pole that a file has on the pavement is moved beside it and gets an
-# arm of at most this length; steps in which room is looked for.
-OFF_M, ARM_M, STEP_M, GRAZES_M = 0.3, 14.0, 0.25, 1.0
-# Heads and boards at one place are over each other, up to this height.
-NEAR_M, ABOVE_M, HIGHEST_M = 0.6, 0.06, 9.0
+# arm, at most ARM_M long; room is looked for in steps of ARM_STEP_M.
+OFF_M, ARM_M, ARM_STEP_M, GRAZES_M = 0.3, 14.0, 0.25, 1.0
+# Heads and boards within SAME_PLACE_M are above each other, ABOVE_M apart, up to HIGHEST_M.
+SAME_PLACE_M, ABOVE_M, HIGHEST_M = 0.6, 0.06, 9.0
 HIGH_M = {TrafficSignal: 1.24, TrafficSign: 1.1}
 # What lights show: of the group that has its turn, and of the others.
 GO: tuple[tuple[SignalState, float], ...] = (("green", 0.85), ("amber", 0.15))
@@ -70,9 +70,9 @@ def _rails(part: MapPart, network: Network) -> tuple[Rail, ...]:
 
 
 def _rail(item: GivenRail) -> Rail:
-    ends = {key: round(value, DECIMALS) for key, value in (("from_m", item.from_m), ("to_m", item.to_m))}
+    ends = {key: round(value, SCENE_DECIMALS) for key, value in (("from_m", item.from_m), ("to_m", item.to_m))}
     form = {"kind": item.kind, "road": item.road, "side": "median", "color": RAIL_COLORS[item.kind]}
-    return Rail.model_validate(form | ends | {"aside_m": round(-item.t_m, DECIMALS), "height_m": item.height_m})
+    return Rail.model_validate(form | ends | {"aside_m": round(-item.t_m, SCENE_DECIMALS), "height_m": item.height_m})
 
 
 T = TypeVar("T", TrafficSignal, TrafficSign, Building)
@@ -89,7 +89,7 @@ def map_trees(part: MapPart, scene: Scene, ground: Ground, looks: Draw) -> tuple
     for body in part.bodies:
         if body.kind == "tree" and ground.is_clear(np.array([[body.x_m, body.y_m]]), TRUNK_M)[0]:
             model, yaw_rad = looks("model"), looks("yaw_deg")
-            scale = round(body.size_m[2] / models[model - 1].height_m, DECIMALS)
+            scale = round(body.size_m[2] / models[model - 1].height_m, SCENE_DECIMALS)
             found.append(Tree(model=model, x_m=body.x_m, y_m=body.y_m, yaw_rad=yaw_rad, scale=scale))
     return tuple(found)
 
@@ -124,7 +124,7 @@ def _moved(item: TrafficSignal | TrafficSign, ground: Ground) -> TrafficSignal |
     xy, right = np.array([item.x_m, item.y_m]), np.array([math.cos(item.yaw_rad), math.sin(item.yaw_rad)])
     if ground.off_carriageways(xy[None])[0] > OFF_M:
         return item
-    steps = np.arange(STEP_M, ARM_M, STEP_M)
+    steps = np.arange(ARM_STEP_M, ARM_M, ARM_STEP_M)
     # From the right first, as poles stand.
     aside = np.stack([steps, -steps], -1).ravel()
     free = np.flatnonzero(ground.off_carriageways(xy + aside[:, None] * right) > OFF_M)
@@ -132,7 +132,7 @@ def _moved(item: TrafficSignal | TrafficSign, ground: Ground) -> TrafficSignal |
     if not free.size:
         return item.model_copy(update=overhead | {"has_pole": False})
     by_m = float(aside[free[0]])
-    x, y = (xy + by_m * right).round(DECIMALS).tolist()
+    x, y = (xy + by_m * right).round(SCENE_DECIMALS).tolist()
     # A pole that merely grazes the pavement moves as a whole.
     hangs = {} if abs(by_m) <= GRAZES_M else overhead | {"reach_m": round(-by_m, 3)}
     return item.model_copy(update={"x_m": x, "y_m": y} | hangs)
@@ -144,7 +144,7 @@ def _mounted(items: Sequence[TrafficSignal | TrafficSign]) -> list[TrafficSignal
     for item in items:
         x = item.x_m + item.reach_m * math.cos(item.yaw_rad)
         y = item.y_m + item.reach_m * math.sin(item.yaw_rad)
-        here = sorted((low, high) for at_x, at_y, low, high in taken if math.hypot(at_x - x, at_y - y) < NEAR_M)
+        here = sorted((low, high) for at_x, at_y, low, high in taken if math.hypot(at_x - x, at_y - y) < SAME_PLACE_M)
         low, size_m = item.height_m, HIGH_M[type(item)]
         for other_low, other_high in here:
             if low < other_high + ABOVE_M and other_low < low + size_m + ABOVE_M:

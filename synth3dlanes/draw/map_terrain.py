@@ -14,8 +14,8 @@ from synth3dlanes.scene.road_map import MapRoad, RoadMap
 from synth3dlanes.scene.scene import HeightGrid, Terrain
 from synth3dlanes.system.arrays import Points3, Scalars
 
-# The step of the grid, half the number of its steps, and how many coefficients at its edge are level.
-STEP_M, HALF_N, LEVEL = 20.0, 32, 4
+# The grid's step, half its number of steps, and the number of level coefficients at its edge.
+GROUND_GRID_STEP_M, HALF_N, LEVEL = 20.0, 32, 4
 # Places of roads that the ground is fitted to, along roads.
 ALONG_M = 6.0
 # Of two roads one above the other the ground meets the lower one: the height between their places, beyond the distance
@@ -23,10 +23,10 @@ ALONG_M = 6.0
 ABOVE_M, BESIDE_M = 3.0, 15.0
 # How much a bend of the ground counts beside a metre off a road, and its distance from the mean height.
 STIFF, MEAN = 0.02, 1e-4
-DECIMALS = 3
+MM_DECIMALS = 3
 
 
-def terrain_of(roads: RoadMap, hills: Terrain, step_m: float = STEP_M) -> Terrain:
+def terrain_of(roads: RoadMap, hills: Terrain, step_m: float = GROUND_GRID_STEP_M) -> Terrain:
     """The hills, on a ground so that both together meet the roads; the hills alone for a map without heights. The
     ground is a grid of this step around the world's origin."""
     raised = [road for road in roads.roads if road.heights]
@@ -37,7 +37,7 @@ def terrain_of(roads: RoadMap, hills: Terrain, step_m: float = STEP_M) -> Terrai
     n, corner_m = 2 * HALF_N + 1, -HALF_N * step_m
     flat = HeightGrid(corner_m=(corner_m, corner_m), step_m=step_m, rows=((0.0,) * n,) * n)
     rows = _fitted(flat, xyz[:, :2], xyz[:, 2] - height_at(hills, xyz[:, :2]))
-    base = flat.model_copy(update={"rows": tuple(tuple(row) for row in np.round(rows, DECIMALS).tolist())})
+    base = flat.model_copy(update={"rows": tuple(tuple(row) for row in np.round(rows, MM_DECIMALS).tolist())})
     return hills.model_copy(update={"base": base})
 
 

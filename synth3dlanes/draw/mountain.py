@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
+from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
 from synth3dlanes.draw.makers import Roads, draw_camera, first_shot
 from synth3dlanes.draw.on_map import map_roads
 from synth3dlanes.draw.town.plan import PlanPose, chain, poses
@@ -65,7 +65,7 @@ def mountain_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     links = (*lanes[-1], *((b, a) for a, b in lanes[1]))
     roads = RoadMap(roads=(road,), links=links, route=tuple(names[::-1] if is_descent else names))
     at_m = HOST_BEHIND_M + u_place * (road.length_m - HOST_BEHIND_M - HOST_AHEAD_M)
-    camera = draw_camera(of("camera"), 1, round(at_m, DECIMALS))
+    camera = draw_camera(of("camera"), 1, round(at_m, SCENE_DECIMALS))
 
     def stand(scene: Scene, ground: Ground) -> Roadside:
         return _beside(stretches, rail)

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.draw.cars import SPEED_TRIES, BodySize, CarPlace, Traffic, Way, draw_cars
-from synth3dlanes.draw.draws import DECIMALS, DrawsOf
+from synth3dlanes.draw.draws import SCENE_DECIMALS, DrawsOf
 from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, first_shot
 from synth3dlanes.draw.map_standing import map_trees, stand
-from synth3dlanes.draw.map_terrain import STEP_M, terrain_of
+from synth3dlanes.draw.map_terrain import GROUND_GRID_STEP_M, terrain_of
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.cross_section import CrossSection
@@ -49,7 +49,7 @@ def map_roads(
     camera: HostCamera,
     shot: Shot,
     stand: Stand,
-    ground_step_m: float = STEP_M,
+    ground_step_m: float = GROUND_GRID_STEP_M,
 ) -> Roads:
     """A map with the host on its route, on a terrain that meets the heights of the map's roads. In a clip the host
     drives no faster than the bends and the end of its way allow; cars drive along the lanes."""
@@ -108,7 +108,7 @@ def host_length(part: MapPart) -> float:
         _middle_length(by_id[name.rsplit(".", 2)[0]], name, part.s_m if i == part.lane else None)
         for i, name in enumerate(part.map.route[: part.lane + 1])
     ]
-    return round(sum(lengths_m), DECIMALS)
+    return round(sum(lengths_m), SCENE_DECIMALS)
 
 
 def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
@@ -179,7 +179,7 @@ def cars_on_map(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, ...]:
     def places(size: BodySize) -> Iterator[CarPlace]:
         for _ in range(TRIES):
             lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
-            s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), DECIMALS)
+            s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), SCENE_DECIMALS)
             route = _onward(network, lane, links, rng) if is_clip else ()
             way = network.way_through([lane, *(network.lanes[name] for name in route)])
             at_m = float(way.stations_on(lane.id, s_m))

@@ -19,7 +19,7 @@ from synth3dlanes.system.arrays import Points2
 from synth3dlanes.world import placement
 
 # Greatest distance of people from the host's places in its clip, the most people, and draws of a place for each.
-NEAR_M, MOST, TRIES = 55.0, 120, 5
+MAX_FROM_HOST_M, MOST, TRIES = 55.0, 120, 5
 # They keep this far from the kerb, where poles stand, and from the walkway's other edge; those who wait are nearer.
 ASIDE_M, OUTSIDE_M, WAIT_M = 0.8, 0.4, 0.75
 # Those who cross come from at most this distance behind the kerb; their least distance from vehicles, and the time
@@ -56,7 +56,7 @@ def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
     density, n_crossing = own("per_100_m") / 100, own("crossing")
     if not (density or n_crossing) or scene.map is None:
         return
-    walkways = Walkways(network, bodies.host_places, NEAR_M)
+    walkways = Walkways(network, bodies.host_places, MAX_FROM_HOST_M)
     found = 0
     for crosswalk in _crosswalks(scene, bodies) if n_crossing else ():
         for _ in range(n_crossing):
@@ -64,7 +64,7 @@ def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
             if thing is not None:
                 found += 1
                 yield thing
-    starts = walkways.starts(bodies.host_places, NEAR_M)
+    starts = walkways.starts(bodies.host_places, MAX_FROM_HOST_M)
     for _ in range(min(int(density * len(starts) + own.rng.random()), MOST - found)):
         thing = _on_walkway(scene, bodies, walkways, starts, (own, _person(scene, looks)))
         if thing is not None:
@@ -167,7 +167,7 @@ def _crosswalks(scene: Scene, bodies: Bodies) -> Iterator[Crosswalk]:
         if paint.kind != "crosswalk" or len(corners) != 4:
             continue
         middle = corners.mean(axis=0)
-        if np.linalg.norm(places - middle, axis=1).min() > NEAR_M:
+        if np.linalg.norm(places - middle, axis=1).min() > MAX_FROM_HOST_M:
             continue
         area = shapely.Polygon(corners)
         lanes = tuple(name for name in sorted(governed) if _leads_through(network, name, area, middle))

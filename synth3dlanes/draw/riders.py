@@ -17,8 +17,8 @@ from synth3dlanes.scene.scene import Scene, Thing
 from synth3dlanes.scene.things import ThingKind
 from synth3dlanes.system.arrays import Scalars
 
-# On maps riders are this near to a place of the host; draws of a place for each.
-NEAR_M, TRIES = 60.0, 12
+# On maps: greatest distance from the host's places; draws of a place for each rider.
+MAX_FROM_HOST_M, TRIES = 60.0, 12
 # Room before and behind riders, and beside them; of a cyclist from the middle to the edge of the lane.
 ROOM_M: dict[str, tuple[float, float]] = {"cyclist": (0.8, 0.2), "motorcyclist": (2.5, 0.2)}
 KERB_M, PARKED_M, LEAST_LANE_M = 0.30, 0.55, 2.5
@@ -111,7 +111,7 @@ def map_lanes(network: Network, bodies: Bodies, beside_kerb: bool) -> Iterator[t
         road = network.road(lane.road)
         s = np.linspace(lane.start_m, lane.end_m, 2 + int((lane.end_m - lane.start_m) / 5))
         away_m = np.linalg.norm(road.xy(s, lane.middle(s))[:, None] - bodies.host_places, axis=2)
-        if away_m.min() > NEAR_M:
+        if away_m.min() > MAX_FROM_HOST_M:
             continue
         (section,) = road.stretch_of(lane).sections
         kinds = {at.number: at.kind for at in section.lanes}

@@ -29,7 +29,7 @@ Rng = np.random.Generator
 Place = Literal["left", "right", "inner"]
 BuildingKind = Literal["house", "hall", "block"]
 
-DECIMALS, TRIES = 3, 30
+MM_DECIMALS, TRIES = 3, 30
 # Stations from behind the host to where rails cannot be told from the road, and the least length of a rail.
 BEHIND_M, AHEAD_M, MIN_RAIL_M = 30.0, 330.0, 14.0
 # Barriers on the edge of a raised road stand this close to it, because the ground falls away there.
@@ -118,15 +118,15 @@ def draw_roadside(ground: Ground, draw: Draw, own: Draw) -> Roadside:
     posts: list[Post] = []
     for side in SIDES:
         if lamp_sides in (side, "both"):
-            lamp_m = round(max(lamp_aside_m, behind_m[side]), DECIMALS)
+            lamp_m = round(max(lamp_aside_m, behind_m[side]), MM_DECIMALS)
             posts += _row(ground, PostRow("lamp", side, lamp_m, spacing_m, height_m), rng, crossings)
     has_delineators, spacing_m = draw("delineators"), draw("delineator_spacing_m")
     for side in SIDES:
         if has_delineators and kinds[side] == "none":
             posts += _row(ground, PostRow("delineator", side, delineator_aside_m, spacing_m, 1.0), rng, crossings)
     posts += _signs(ground, draw("n_signs"), signs_apart_m, behind_m, things, crossings)
-    line, pole_m = draw("power_line"), round(things.next("pole_height_m"), DECIMALS)
-    pole_aside_m = round(aside_m + things.next("pole_aside_m"), DECIMALS)
+    line, pole_m = draw("power_line"), round(things.next("pole_height_m"), MM_DECIMALS)
+    pole_aside_m = round(aside_m + things.next("pole_aside_m"), MM_DECIMALS)
     if line != "none" and not any(crossing.kind == "bridge" for crossing in crossings):
         for edge in _edges(ground.network, line):
             rails += _rails(ground, edge, RailDraw("power_line", pole_aside_m, pole_m, WOOD), False)
@@ -169,7 +169,7 @@ def _ahead(ground: Ground, things: Draw, key: str) -> float:
     away_m = np.array([things.at(key, u) + ground.driven_m * u])
     if ground.both_ways and things.rng.random() < 0.5:
         away_m = ground.driven_m - away_m
-    return round(float(ground.network.stations(ground.near_m + away_m)[0]), DECIMALS)
+    return round(float(ground.network.stations(ground.near_m + away_m)[0]), MM_DECIMALS)
 
 
 def _free(ground: Ground, edge: Edge, s: Scalars, aside_m: float) -> Bool[np.ndarray, " n"]:
@@ -205,7 +205,7 @@ def _median_rail(ground: Ground, kind: Literal["none", "guardrail", "concrete"],
     assert form.height_m is not None, "barriers have a height of their own"
     for left_m, right_m in road.medians:
         if right_m - left_m >= form.depth_m + 2 * MEDIAN_GAP_M:
-            drawn = RailDraw(kind, round((left_m + right_m) / 2, DECIMALS), form.height_m, color)
+            drawn = RailDraw(kind, round((left_m + right_m) / 2, MM_DECIMALS), form.height_m, color)
             return [Rail(road=road.id, side="median", from_m=float(s[0]), to_m=float(s[-1]), **drawn._asdict())]
     return []
 
@@ -229,7 +229,7 @@ def _row(ground: Ground, row: PostRow, rng: Rng, crossings: list[Crossing]) -> I
         s = _stations(ground, edge)
         if not len(s):
             continue
-        s = np.round(np.arange(s[0] + (shift_m - s[0]) % row.spacing_m, s[-1], row.spacing_m), DECIMALS)
+        s = np.round(np.arange(s[0] + (shift_m - s[0]) % row.spacing_m, s[-1], row.spacing_m), MM_DECIMALS)
         places = {"kind": row.kind, "road": edge.road, "side": edge.side, "aside_m": row.aside_m}
         for s_m in s[_free(ground, edge, s, row.aside_m)].tolist():
             if _is_apart(s_m, crossings):
@@ -256,8 +256,10 @@ def _signs(
             edge = edges[int(rng.random() * len(edges))]
             s_m = _ahead(ground, things, "sign_ahead_m")
             width_m = float(np.ptp(FACES[sign.right - 1][0].outline[:, 0]))
-            aside_m = round(things.next("sign_aside_m") + max(0.0, behind_m[place] - least_m) + width_m / 2, DECIMALS)
-            height_m = round(things.next("sign_height_m"), DECIMALS)
+            aside_m = round(
+                things.next("sign_aside_m") + max(0.0, behind_m[place] - least_m) + width_m / 2, MM_DECIMALS
+            )
+            height_m = round(things.next("sign_height_m"), MM_DECIMALS)
             is_here = edge.low_m <= s_m <= edge.high_m and all(abs(s_m - other) > apart_m for other in taken)
             if is_here and _is_apart(s_m, crossings) and _free(ground, edge, np.array([s_m]), aside_m)[0]:
                 taken.append(s_m)
@@ -284,7 +286,7 @@ def _crossings(ground: Ground, drawn: CrossingDraw, things: Draw, others: list[C
     for _ in range(drawn.n):
         for _ in range(TRIES):
             s_m = _ahead(ground, things, "crossing_ahead_m")
-            width_m = round(things.next(f"{kind}_width_m"), DECIMALS)
+            width_m = round(things.next(f"{kind}_width_m"), MM_DECIMALS)
             color = shaded(rng, GRAYS) if kind == "bridge" else BOARDS[int(rng.random() * len(BOARDS))]
             crossing = Crossing(kind=kind, s_m=s_m, clearance_m=drawn.clearance_m, width_m=width_m, color=color)
             if all(abs(s_m - other.s_m) > drawn.apart_m for other in found) and _spans(ground, crossing):
@@ -317,14 +319,14 @@ def _building(
     """A building along the road on nearly level ground, clear of all pavements and structures."""
     rng, narrowest_m = things.rng, things.least(f"{kind}_width_m")
     for _ in range(TRIES):
-        width_m, length_m, height_m = (round(size_m, DECIMALS) for size_m in building_size(things, kind))
+        width_m, length_m, height_m = (round(size_m, MM_DECIMALS) for size_m in building_size(things, kind))
         side: RoadSide = "left" if rng.random() < 0.5 else "right"
         s = _ahead(ground, things, "building_ahead_m") + np.array([0.0, 1.0])
         far_m = aside_m + (width_m - narrowest_m) / 2 + (0.0 if kind == "house" else width_m / 2)
         (x, y), ahead = beside(ground, ground.network.main.id, side, s, far_m)
         turn = rng.normal(0, 0.06) + np.pi / 2 * int(rng.random() * 2)
         yaw_rad = float(np.arctan2(x - ahead[0], ahead[1] - y) + turn)
-        x, y = (round(float(value), DECIMALS) for value in (x, y))
+        x, y = (round(float(value), MM_DECIMALS) for value in (x, y))
         building = coloured(kind, (x, y), yaw_rad, (width_m, length_m, height_m), rng)
         outline = floor_plan(building)
         if not (

@@ -1,6 +1,6 @@
 """The paint of a scene that bounds no lane: crosswalks, stop lines, arrows, a gore."""
 
-from synth3dlanes.draw.draws import DECIMALS, Draw
+from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.scene import Scene, Symbol
@@ -52,7 +52,7 @@ def draw_symbols(scene: Scene, network: Network, draw: Draw) -> tuple[Symbol, ..
             symbols += [Symbol(kind=_arrow(network, lane, turns), lane=lane.id, s_m=s_m) for lane in lanes]
     hatched = gore_of(network)
     if gore and hatched is not None and scene.surface.shoulder_texture == PAVED:
-        symbols.append(Symbol(kind="gore", lane=None, s_m=round(hatched[1] * network.onwards, DECIMALS)))
+        symbols.append(Symbol(kind="gore", lane=None, s_m=round(hatched[1] * network.onwards, SCENE_DECIMALS)))
     return tuple(symbols)
 
 

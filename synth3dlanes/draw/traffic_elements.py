@@ -13,11 +13,11 @@ from synth3dlanes.world.mounted import board_size
 from synth3dlanes.world.roadside import footprints
 from synth3dlanes.world.sign_faces import SIGN_FACES
 
-DECIMALS, ANGLE_DECIMALS, TRIES = 3, 6, 12
+MM_DECIMALS, ANGLE_DECIMALS, TRIES = 3, 6, 12
 # How far from the edge of the pavement, or from a rail before it, a sign stands, and how far over a wall.
 ASIDE_M, BEHIND_RAIL_M, OVER_WALL_M = 1.0, 0.9, 0.3
-# Room around a sign's foot, and from crossings; as far behind and ahead of the host do signs stand.
-ROOM_M, APART_M, NEAR_M = 0.6, 4.0, (-30.0, 180.0)
+# Room around a sign's foot, distance from crossings, and where signs stand, from behind the host to ahead of it.
+ROOM_M, APART_M, AHEAD_OF_HOST_M = 0.6, 4.0, (-30.0, 180.0)
 
 
 def draw_elements(ground: Ground, roadside: Roadside, draw: Draw, own: Draw) -> Roadside:
@@ -78,13 +78,13 @@ def _exit_sign(ground: Ground, roadside: Roadside, numbers: np.ndarray, own: Dra
         foot = beside(ground, network.main.id, side, s, aside_m)
         is_free = taken.clear(foot, ROOM_M)[0] and ground.clearance(foot)[0] > aside_m - 0.02
         is_apart = all(abs(crossing.s_m - s_m) > crossing.width_m / 2 + APART_M for crossing in roadside.crossings)
-        if is_free and is_apart and NEAR_M[0] < ahead_m < NEAR_M[1] + ground.driven_m:
+        if is_free and is_apart and AHEAD_OF_HOST_M[0] < ahead_m < AHEAD_OF_HOST_M[1] + ground.driven_m:
             (frame,) = frames_beside(ground, network.main.id, side, s, aside_m)
             sign = TrafficSign(
-                x_m=round(float(foot[0, 0]), DECIMALS),
-                y_m=round(float(foot[0, 1]), DECIMALS),
+                x_m=round(float(foot[0, 0]), MM_DECIMALS),
+                y_m=round(float(foot[0, 1]), MM_DECIMALS),
                 yaw_rad=round(float(np.arctan2(-frame.forward[0], frame.forward[1])), ANGLE_DECIMALS),
-                height_m=round(height_m, DECIMALS),
+                height_m=round(height_m, MM_DECIMALS),
                 kind=kind,
                 lanes=lanes,
             )

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.draw.cars import CAR_GAP_M
-from synth3dlanes.draw.draws import DECIMALS, DrawsOf
+from synth3dlanes.draw.draws import SCENE_DECIMALS, DrawsOf
 from synth3dlanes.draw.makers import draw_camera
 from synth3dlanes.draw.rules import lane_of_host
 from synth3dlanes.roads.network import Network
@@ -27,7 +27,7 @@ TRIES = 30
 def first_view(camera: HostCamera, network: Network, is_map: bool, n: int) -> Views:
     """The first of `n` views: the place that was drawn, around which the world is built."""
     left_m = network.host_way(camera).end_m - LEFT_M - camera.y_m if is_map else REACH_M
-    reach_m = round(min(REACH_M, max(left_m, 0.0)), DECIMALS)
+    reach_m = round(min(REACH_M, max(left_m, 0.0)), SCENE_DECIMALS)
     return Views(view=0, n=n, lane=camera.lane, y_m=camera.y_m, offset_m=camera.offset_m, reach_m=reach_m)
 
 
@@ -59,7 +59,7 @@ def _placed(of: DrawsOf, world: World, name: str, rng: np.random.Generator) -> H
     camera = draw_camera(of("camera", f"camera/{name}"), views.lane, views.y_m)
     for _ in range(TRIES):
         u_station, u_lane = rng.random(2).tolist()
-        y_m, lane = round(views.y_m + views.reach_m * u_station, DECIMALS), 1
+        y_m, lane = round(views.y_m + views.reach_m * u_station, SCENE_DECIMALS), 1
         if scene.road is not None:
             lane = lane_of_host(of.params.camera.lane, scene.road.lanes_present(y_m)).draw(u_lane)
         placed = camera.model_copy(update={"lane": lane, "y_m": y_m})

@@ -10,8 +10,8 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import Points2, Scalars
 
-# Points of strips are about this far apart; narrower walkways are left out; ends this close to each other are joined.
-STEP_M, NARROW_M, JOINED_M = 1.0, 1.0, 1.0
+# Distance between points of strips, least width of a walkway, distance at which ends are joined.
+STRIP_STEP_M, LEAST_WIDTH_M, JOINED_M = 1.0, 1.0, 1.0
 # Headings are measured over this length to both sides.
 HEADING_M = 0.3
 
@@ -110,8 +110,10 @@ def _strips(road: Road) -> Iterator[Walkway]:
         (section,) = stretch.sections
         for i, lane in enumerate(section.lanes):
             if lane.kind == "walkway":
-                s = np.linspace(section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / STEP_M))
+                s = np.linspace(
+                    section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / STRIP_STEP_M)
+                )
                 inner, outer = (i + 1, i) if lane.number > 0 else (i, i + 1)
                 found = Walkway(*(stretch.xy(s, section.edge(edge, s)) for edge in (inner, outer)))
-                if np.linalg.norm(found.outer - found.inner, axis=1).min() > NARROW_M:
+                if np.linalg.norm(found.outer - found.inner, axis=1).min() > LEAST_WIDTH_M:
                     yield found

@@ -12,7 +12,7 @@ from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
 from synth3dlanes.system.arguments import checked
 
-NEAR_M = 0.5
+LEAST_DEPTH_M = 0.5
 """Points closer than this are not drawn: points in the camera's plane cannot be projected."""
 
 # Pieces of the straight line between two points that a lens bends.
@@ -48,7 +48,7 @@ def stretches_img(camera: CameraLabel, lane: Lane) -> Iterator[tuple[bool, Float
     A line that crosses the border of the image is drawn across it: points beyond it are outside, not hidden.
     """
     points_img = camera.project(lane.xyz_cam)
-    in_front = lane.xyz_cam[:, 1] > NEAR_M if camera.lens.is_pinhole else np.isfinite(points_img).all(axis=1)
+    in_front = lane.xyz_cam[:, 1] > LEAST_DEPTH_M if camera.lens.is_pinhole else np.isfinite(points_img).all(axis=1)
     in_image = lane.in_image & in_front
     hidden = in_image & ~lane.visible
     drawn = (in_image[:-1] | in_image[1:]) & in_front[:-1] & in_front[1:]

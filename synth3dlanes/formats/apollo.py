@@ -28,7 +28,7 @@ from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, line
 from synth3dlanes.formats.reading import ForeignLane, ForeignSample, LabelLines, first_lines, labels_of, read_image
 from synth3dlanes.formats.scoring import EVERY, lines_by, predicted, rates
 from synth3dlanes.formats.sidecar import Sidecars
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
+from synth3dlanes.formats.writing import CV_FROM_CAM, POINT_DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.geometry.frames import invert, road_from_cam, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, LaneKind
 from synth3dlanes.system import schema
@@ -50,8 +50,8 @@ RULES: dict[LaneKind, Rule] = {
     "delimiter": Rule("m", 0.001, most=MAX_LINES, name="lane line"),
     "centerline": Rule("m", 0.001, name="center line"),
 }
-# The evaluator looks at lines in this band only, of which a line may have little.
-ASIDE_M, NEAR_M, FAR_M = 9.0, 5.0, 95.0
+# The band in which the evaluator compares lines.
+BAND_ASIDE_M, BAND_NEAR_M, BAND_FAR_M = 9.0, 5.0, 95.0
 
 README = f"""Apollo Sim-3D / Gen-LaneNet layout.
 
@@ -96,7 +96,7 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
         "cam_pitch": camera.pitch_rad,
     }
     for name, kept in lines.items():
-        points = [np.round(apollo_from_cv(line.points_cv, camera), DECIMALS).tolist() for line in kept]
+        points = [np.round(apollo_from_cv(line.points_cv, camera), POINT_DECIMALS).tolist() for line in kept]
         document |= {name: points, f"{name}_visibility": [line.visible.astype(float).tolist() for line in kept]}
     is_rare, is_held_out = "steep" in frame.tags, frame.illumination == HELD_OUT_ILLUMINATION
     splits = ["standard"]
@@ -287,7 +287,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 
 def _in_band(line: OurLine) -> OurLine:
     x, y, _ = line.wanted.T
-    in_band = (np.abs(x) < ASIDE_M) & (y > NEAR_M) & (y < FAR_M)
+    in_band = (np.abs(x) < BAND_ASIDE_M) & (y > BAND_NEAR_M) & (y < BAND_FAR_M)
     return line if in_band.sum() >= 3 else OurLine(line.id, line.points, line.wanted[:0])
 
 

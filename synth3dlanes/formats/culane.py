@@ -66,7 +66,7 @@ def scene_list(scene: str) -> str:
 
 MIN_POINTS = 3
 FRAMES_PER_FOLDER = 1000
-DECIMALS = 3
+PX_DECIMALS = 3
 FINER = 4
 # Columns have three decimals.
 RULE = Rule("px", 0.002, most=MAX_LINES)
@@ -107,7 +107,7 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
         dropped[reason] += len(beside) - len(crossing)
     kept = sorted(keep_lines(crossing, dropped), key=lambda line: places[line.id])
     lines_px = {places[line.id]: points[line.id] for line in kept}
-    text = "\n".join(" ".join(f"{x:.{DECIMALS}f} {y:.0f}" for x, y in line) for line in lines_px.values())
+    text = "\n".join(" ".join(f"{x:.{PX_DECIMALS}f} {y:.0f}" for x, y in line) for line in lines_px.values())
     flags = " ".join(str(int(number in lines_px)) for number in range(1, MAX_LINES + 1))
     parts = [part for part in PARTS if frame.serves_as(part)]
     lists = [f"list/{part}.txt" for part in parts]

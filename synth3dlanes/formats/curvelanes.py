@@ -34,7 +34,7 @@ ROW_STEP_PX = 10
 EVALUATED = Canvas(224, 224, 5, 0.5)
 """Lines are scaled to this size to be scored."""
 MIN_POINTS = 2
-DECIMALS = 2
+PX_DECIMALS = 2
 # Columns have two decimals.
 RULE = Rule("px", 0.02)
 
@@ -74,7 +74,7 @@ def _points(line: LaneAhead, pinhole: Pinhole) -> list[dict[str, str]]:
     columns_px = columns_of(line, pinhole, rows_px)
     inside = (columns_px >= 0) & (columns_px < pinhole.width_px)
     pixels = zip(columns_px[inside].tolist(), rows_px[inside].tolist(), strict=True)
-    return [{"y": f"{y:.{DECIMALS}f}", "x": f"{x:.{DECIMALS}f}"} for x, y in pixels]
+    return [{"y": f"{y:.{PX_DECIMALS}f}", "x": f"{x:.{PX_DECIMALS}f}"} for x, y in pixels]
 
 
 class _Point(Excerpt):

@@ -56,8 +56,8 @@ TRUNCATION, ANGLE_RAD = 0.006, 2e-4
 SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
 # How far objects of equal types may be, for the nearest to be the same.
 SAME_M = 2.0
-# Pixels count less of what is nearer than this.
-NEAR_M = 10.0
+# Distance from which errors in pixels count fully.
+FULL_WEIGHT_M = 10.0
 
 README = f"""KITTI's object detection layout.
 
@@ -328,7 +328,7 @@ def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], t
     u, v, w = calib["P2"] @ [*foot, 1.0]
     expected = truth.labels.camera.project(np.array([foot_cv[0], foot_cv[2], -foot_cv[1]])) - 0.5
     if np.isfinite(expected).all() and foot_cv[2] > 1.0:
-        off_px = np.abs([u / w, v / w] - expected) * min(1.0, foot_cv[2] / NEAR_M)
+        off_px = np.abs([u / w, v / w] - expected) * min(1.0, foot_cv[2] / FULL_WEIGHT_M)
         yield Gap.of(f"object {item.id}", "px", off_px, "object")
 
 

@@ -21,12 +21,12 @@ from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, 
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import MIRRORED, link_gaps
 from synth3dlanes.formats.lanelet_map import (
+    BOUND_STEP_M,
     JOIN_M,
     LINE_M,
     ON_LINE,
     REACH_M,
     SAME_M,
-    STEP_M,
     Bound,
     LaneletPiece,
     Lanelets,
@@ -54,8 +54,7 @@ from synth3dlanes.world.world import World, resolve
 ORIGIN_DEG = (49.0, 9.0)
 SEGMENT = "synth3dlanes.segment"
 """The tag that names a lanelet's segment in our lane graph."""
-# Of places, and of degrees.
-DECIMALS, DEGREE_DECIMALS = 4, 11
+PLACE_DECIMALS, DEGREE_DECIMALS = 4, 11
 STRAIGHT_RAD = math.radians(30)
 # A bound without paint is the edge of the pavement if this share of it is this near to that. Kerbs are steps of the
 # ground between both sides of an edge.
@@ -130,13 +129,13 @@ class _Document:
 
     def text(self) -> str:
         """The file."""
-        zone, places = zone_of(ORIGIN_DEG[1]), np.round(np.array(self.places), DECIMALS) + 0.0
+        zone, places = zone_of(ORIGIN_DEG[1]), np.round(np.array(self.places), PLACE_DECIMALS) + 0.0
         degrees = degrees_from_utm(places[:, :2] + utm_from_degrees(np.array([ORIGIN_DEG]), zone), zone)
         root = ElementTree.Element("osm", version="0.6", generator="synth3dlanes")
         ElementTree.SubElement(root, "MetaInfo", format_version="1", map_version="1")
         for (name, tags), (lat, lon), (x, y, z) in zip(self.nodes, degrees.tolist(), places.tolist(), strict=True):
             given = {"lat": f"{lat:.{DEGREE_DECIMALS}f}", "lon": f"{lon:.{DEGREE_DECIMALS}f}"}
-            local = {key: f"{value:.{DECIMALS}f}" for key, value in (("local_x", x), ("local_y", y), ("ele", z))}
+            local = {key: f"{value:.{PLACE_DECIMALS}f}" for key, value in (("local_x", x), ("local_y", y), ("ele", z))}
             _add(root, "node", name, {**local, **tags}, (), **given)
         for name, nodes, tags in self.ways:
             _add(root, "way", name, tags, [("nd", {"ref": str(node)}) for node in nodes])
@@ -202,7 +201,7 @@ def _borders(world: World) -> Iterator[tuple[Polyline3, str]]:
     for rail in world.scene.roadside.rails:
         low, high = sorted((rail.from_m, rail.to_m))
         if rail.kind in RAILS and high > low:
-            s = np.linspace(low, high, 2 + int((high - low) / STEP_M))
+            s = np.linspace(low, high, 2 + int((high - low) / BOUND_STEP_M))
             yield foot_of_front(ground, rail, s), RAILS[rail.kind]
 
 

@@ -28,7 +28,7 @@ Tags = Mapping[str, str]
 # Roads without ends are written between these stations.
 REACH_M = 250.0
 # Distance between the points of bounds before thinning, and the most that thinning moves a line.
-STEP_M, LINE_M = 0.5, 0.002
+BOUND_STEP_M, LINE_M = 0.5, 0.002
 LEAST_WIDTH_M = 0.1
 # Lines this near to each other are one. Paint is that of a line at most PAINT_M from a lane's edge, or of a line of
 # another road along the share ON_LINE of it; where paint changes nearer than LEAST_M to an end, it does so there.
@@ -145,7 +145,7 @@ def lanelets_of(world: World) -> tuple[Lanelets, int]:
 def _wide(road: Road, lane: NetworkLane) -> tuple[float, float] | None:
     """The stations between which a lane is written: readers stumble over bounds that begin at one place."""
     from_m, to_m = np.nan_to_num([lane.start_m, lane.end_m], neginf=-REACH_M, posinf=REACH_M)
-    s = np.linspace(from_m, to_m, 3 + int(abs(to_m - from_m) / STEP_M))
+    s = np.linspace(from_m, to_m, 3 + int(abs(to_m - from_m) / BOUND_STEP_M))
     low, high = lane.edges
     wide = s[high(s) - low(s) > LEAST_WIDTH_M] if to_m > from_m else s[:0]
     return (float(wide[0]), float(wide[-1])) if len(wide) > 1 else None
@@ -166,7 +166,7 @@ def painted_lines(world: World) -> Iterator[tuple[Polyline3, Tags, Tags]]:
     """Points of all painted lines, and what they look like in their order and against it."""
     for line in world.network.delimiters:
         low, high = np.nan_to_num([line.start_m, line.end_m], neginf=-REACH_M, posinf=REACH_M)
-        s = np.linspace(low, high, 2 + int((high - low) / STEP_M))
+        s = np.linspace(low, high, 2 + int((high - low) / BOUND_STEP_M))
         tags, other = _look(line, world.scene.markings)
         yield line.points_world(s), *((tags, other) if world.network.onwards > 0 else (other, tags))
 
@@ -220,7 +220,7 @@ def _pieces(
     road: Road, lanes: Sequence[NetworkLane], from_m: float, to_m: float, painted: Sequence[Paint], found: Lanelets
 ) -> dict[str, LaneletPiece]:
     """The pieces of lanes of a road between two stations; where these are beside each other they share a bound."""
-    s = np.linspace(from_m, to_m, 3 + int((to_m - from_m) / STEP_M))
+    s = np.linspace(from_m, to_m, 3 + int((to_m - from_m) / BOUND_STEP_M))
     lines, edges, sides = list[Scalars](), list[Polyline3](), dict[str, list[int]]()
     for lane in lanes:
         offsets = lane.edges

@@ -41,7 +41,7 @@ LEAST_POINTS = 2
 # Points have two decimals and lie on straight pieces of a decimetre, which a lens bends.
 RULE = Rule("px", 0.05, spacing=12.0)
 MODES = {"semantic": ("L",), "instance": ("I;16",), "lines": ("L", "I;16")}
-STEP_M, NEAREST_M, BORDER_PX = 0.05, 1.0, 2.0
+LINE_STEP_M, NEAREST_M, BORDER_PX = 0.05, 1.0, 2.0
 
 README = """Masks as PNG files without palette, of the images' size.
 
@@ -160,7 +160,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 def _in_image(lane: Lane, camera: CameraLabel) -> OurLine:
     """The line as the camera sees it, a point every few centimetres."""
     lengths = lengths_along(lane.xyz_cam)
-    fine = np.union1d(lengths, np.arange(0, lengths[-1], STEP_M))
+    fine = np.union1d(lengths, np.arange(0, lengths[-1], LINE_STEP_M))
     points = np.column_stack([np.interp(fine, lengths, column) for column in lane.xyz_cam.T])
     uv = camera.project(points[points[:, 1] > NEAREST_M / 4])
     uv = uv[~np.isnan(uv).any(axis=1)]

@@ -32,7 +32,7 @@ from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFra
 from synth3dlanes.formats.lines import LaneAhead, keep_lines, lines_ahead
 from synth3dlanes.formats.reading import listed_files, read_text
 from synth3dlanes.formats.scoring import EVERY, scored
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, PARTS, FrameAnnotation, Pinhole, PinholeFrame
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, POINT_DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.geometry.polylines import resampled
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Polyline3
@@ -75,7 +75,7 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     lines = keep_lines(ahead, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (cap of Anchor3DLane)")
     document = {
         "lane_num": len(lines),
-        "lanes": [np.round(line.points_cv[line.visible][::-1], DECIMALS).tolist() for line in lines],
+        "lanes": [np.round(line.points_cv[line.visible][::-1], POINT_DECIMALS).tolist() for line in lines],
         "calibration": np.column_stack([frame.pinhole.img_from_cv, np.zeros(3)]).tolist(),
         "camera_height_m": camera.height_m,
         "camera_pitch_rad": camera.pitch_rad,

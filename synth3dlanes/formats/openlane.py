@@ -52,7 +52,7 @@ from synth3dlanes.formats.reading import (
     read_text,
 )
 from synth3dlanes.formats.scoring import EVERY, scored
-from synth3dlanes.formats.writing import CV_FROM_CAM, DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
+from synth3dlanes.formats.writing import CV_FROM_CAM, POINT_DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels.labels import Labels, Lane, Marking, PaintColor, Pair
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Polyline2, Polyline3
@@ -89,7 +89,7 @@ CASES = {
 WAYMO_FROM_CAM = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 MAX_LINES = 20
 MIN_LENGTH_M = 5.0
-STEP_M = 0.5
+POINT_STEP_M = 0.5
 FRAMES_PER_SEGMENT = 100
 UV_DECIMALS = 4
 # Points between those of the labels lie on a spline.
@@ -142,8 +142,8 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     # Loaders look for "/segment-(.*)_with_camera_labels"; they cut at the first dot and replace every "jpg".
     name = f"segment-{segment}_with_camera_labels/{frame.split}-{frame.key}"
     file_path = f"{folder}/{name}.jpg"
-    ahead = lines_ahead(labels, frame.pinhole, "delimiter", STEP_M)
-    kerbs = lines_ahead(replace(labels, lanes=frame.kerbs), frame.pinhole, "delimiter", STEP_M)
+    ahead = lines_ahead(labels, frame.pinhole, "delimiter", POINT_STEP_M)
+    kerbs = lines_ahead(replace(labels, lanes=frame.kerbs), frame.pinhole, "delimiter", POINT_STEP_M)
     lines = _kept((*ahead, *kerbs), dropped)
     attributes = ego_places(ahead, labels.camera)
     document = {
@@ -195,7 +195,7 @@ def _kept(ahead: tuple[LaneAhead, ...], dropped: Counter[str]) -> tuple[LaneAhea
 
 
 def _line_document(line: LaneAhead, frame: PinholeFrame, attribute: int, track_id: int) -> dict[str, Any]:
-    points_cv = np.round(line.points_cv, DECIMALS)
+    points_cv = np.round(line.points_cv, POINT_DECIMALS)
     kerb = KERB_LEFT if line.points_cv[0, 0] < 0 else KERB_RIGHT
     return {
         "category": kerb if line.lane in frame.kerbs else category(line.lane),

@@ -79,7 +79,7 @@ SIGN_ATTRIBUTES: dict[ElementKind | None, int] = {
     "no_u_turn": 10, "exit_left": 11, "direction_left": 11, "exit_right": 12, "direction_right": 12
 }  # fmt: skip
 """Of signs the direction that they order, forbid or point to; 9 (turn back) is on none of ours."""
-DECIMALS = 4
+POINT_DECIMALS = 4
 LEAST_LENGTH_M = 2.0
 SHORT = f"less than {LEAST_LENGTH_M:g} m of it in the area"
 OUTSIDE = f"outside the area ({AHEAD_M:g} m ahead, {ASIDE_M:g} m to each side)"
@@ -333,7 +333,7 @@ def _length_m(points: Float[np.ndarray, "n 3"]) -> float:
 
 
 def _rounded(points: Float[np.ndarray, "n 3"]) -> list[list[float]]:
-    return np.asarray(np.round(points, DECIMALS) + 0.0).tolist()
+    return np.asarray(np.round(points, POINT_DECIMALS) + 0.0).tolist()
 
 
 def document(path: str, lines: Path) -> Iterator[str]:

@@ -27,7 +27,7 @@ MOST_TEXT = 64 << 20
 PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
 MOST_BYTES = 1 << 34
 """Of a file with many frames, such as COCO's annotations."""
-STEP_M = 0.5
+LEAST_SPACING_M = 0.5
 MOST = 1e6
 """Beyond any coordinate or column."""
 _BELOW = TypeAdapter(PathBelow)
@@ -224,6 +224,6 @@ def _thinned(xyz_cam: Float[np.ndarray, "n 3"]) -> list[int]:
     """Points half a metre further along y than the last one kept: some files have one every 25 cm, in any order."""
     kept: list[int] = []
     for index in np.argsort(xyz_cam[:, 1], kind="stable").tolist():
-        if not kept or xyz_cam[index, 1] >= xyz_cam[kept[-1], 1] + STEP_M - 1e-6:
+        if not kept or xyz_cam[index, 1] >= xyz_cam[kept[-1], 1] + LEAST_SPACING_M - 1e-6:
             kept.append(index)
     return kept

@@ -21,7 +21,7 @@ from synth3dlanes.scene.instance_ids import numbers_of, thing_of
 from synth3dlanes.scene.things import SEMANTIC_IDS, STUFF
 
 PASSES = ("semantic", "instance")
-STEP_M = 0.1
+LINE_STEP_M = 0.1
 NEAREST_M = 0.5
 POINT_EVERY_PX = 8.0
 
@@ -53,7 +53,7 @@ def line_pixels(lane: Lane, camera: CameraLabel) -> Float[np.ndarray, "_ 2"]:
     """Pixels along the part of a lane in the image that the ground does not hide, from near to far."""
     at = np.arange(len(lane.xyz_cam) - 1.0)
     lengths_m = np.linalg.norm(np.diff(lane.xyz_cam, axis=0), axis=1)
-    pieces = np.maximum(1, np.ceil(lengths_m / STEP_M)).astype(int)
+    pieces = np.maximum(1, np.ceil(lengths_m / LINE_STEP_M)).astype(int)
     fine = np.concatenate([i + np.arange(n) / n for i, n in zip(at, pieces, strict=True)] + [np.array([len(at)])])
     knots = np.arange(len(lane.xyz_cam))
     points_cam = np.column_stack([np.interp(fine, knots, column) for column in lane.xyz_cam.T])

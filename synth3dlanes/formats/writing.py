@@ -16,7 +16,7 @@ from synth3dlanes.system.arrays import Matrix4
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
-DECIMALS = 6
+POINT_DECIMALS = 6
 
 Part = Literal["train", "val", "test"]
 PARTS: tuple[Part, ...] = ("train", "val", "test")

@@ -191,7 +191,7 @@ def rectangle_around(rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]
 
 
 # Decimals in the JSON form: corners are off by less than 0.1 mm.
-DECIMALS = {
+JSON_DECIMALS = {
     "size_m": 4, "center_cam": 4, "rotation_wxyz": 6, "velocity_cam": 3, "box_px": 1, "unclipped_box_px": 1
 }  # fmt: skip
 
@@ -200,7 +200,7 @@ def object_document(item: ObjectLabel) -> dict[str, Any]:
     """The JSON form of an object."""
     others = OF_OTHERS if item.is_element else OF_ELEMENTS
     fields = {name: value for name, value in vars(item).items() if name not in others}
-    return {name: _json(value, DECIMALS.get(name, 0)) for name, value in fields.items()}
+    return {name: _json(value, JSON_DECIMALS.get(name, 0)) for name, value in fields.items()}
 
 
 def _json(value: object, decimals: int) -> object:

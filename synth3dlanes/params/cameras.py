@@ -30,7 +30,7 @@ HEIGHT_M = Choice((1.5,), (1.0,))
 NAMES = COEFFICIENTS["opencv"] + PRISM_AND_TILT
 # From this half field of view on, a picture shows what is beside the camera.
 ASIDE_DEG = 85.0
-DECIMALS, COEFFICIENT_DECIMALS = 6, 9
+VALUE_DECIMALS, COEFFICIENT_DECIMALS = 6, 9
 # The last place of a range; places along each side of an image where its lens is asked; a share that is told.
 LAST, GRID, LEAST_BLACK = 1 - 1e-9, 64, 0.005
 
@@ -136,7 +136,9 @@ class CameraSpec(Group):
                 values[center] = values[size] / 2
         for name in ("yaw_deg", "pitch_deg", "roll_deg"):
             values[name.replace("_deg", "_rad")] = math.radians(values.pop(name))
-        rounded = {key: round(value, DECIMALS) if isinstance(value, float) else value for key, value in values.items()}
+        rounded = {
+            key: round(value, VALUE_DECIMALS) if isinstance(value, float) else value for key, value in values.items()
+        }
         return {**rounded, "name": self.name, "lens": lens}
 
     def _draw(self, name: str, u: Callable[[], float]) -> Any:

@@ -32,9 +32,9 @@ GROUND = ("terrain", "road", "shoulder", "marking")
 AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.array([2.0, 3.5, 5.0, 7.0, 9.0, 12.0]), 1.5
 # Some places show trees, which may be bluish, so a high percentile of red minus blue is used. It is at least 3 levels
 # of 255 in 280 rendered images, including the densest fog, and at least 0 in 100 images of 96x72 pixels. Fewer places
-# than MIN_PLACES are not judged. With semantic ids, all pixels of terrain within NEAR_M are used instead.
+# than MIN_PLACES are not judged. With semantic ids, all pixels of terrain within TERRAIN_WITHIN_M are used instead.
 LOWEST_SUN_RAD = 1.5
-WARMEST, MIN_WARMTH, MIN_PLACES, NEAR_M = 67, -2.0, 30, 80.0
+WARMEST, MIN_WARMTH, MIN_PLACES, TERRAIN_WITHIN_M = 67, -2.0, 30, 80.0
 
 # At most this many pixels in the middle of the image are used; images with fewer than MIN_PX are not judged.
 MAX_PX, MIN_PX = 200_000, 5_000
@@ -96,7 +96,7 @@ def check_colours(evidence: Evidence) -> Iterator[Result]:
         return
     if "semantic" in passes:
         is_terrain = passes["semantic"] == SEMANTIC_IDS["terrain"]
-        pixels = image[is_terrain & (passes["depth"] < NEAR_M) if "depth" in passes else is_terrain]
+        pixels = image[is_terrain & (passes["depth"] < TERRAIN_WITHIN_M) if "depth" in passes else is_terrain]
     else:
         column, row = _terrain_img(evidence).astype(int).T
         pixels = image[row, column]

@@ -47,8 +47,8 @@ MIN_MOVED, MOVED = 3, 2
 OTHER_UNIT, MIN_SCALED = 1.5, 10
 # Farther away, a pixel at a crest shows what lies behind it.
 SCALED_M = 30.0
-# Range for the surface's height over the data set.
-NEAR_M = 25.0
+# Range ahead for the test of the surface's height over the data set.
+HEIGHT_WITHIN_M = 25.0
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
 # How much nearer than a point, in depth, a shoulder must be to be taken for a kerb before it.
@@ -114,7 +114,7 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
             found.append(Measure("surface_m", surface.y_m, np.abs(surface.below_m)))
             # Paint floats over the road.
             if lane.kind == "centerline":
-                above_m.append(-surface.below_m[surface.y_m < NEAR_M])
+                above_m.append(-surface.below_m[surface.y_m < HEIGHT_WITHIN_M])
         if "depth" in passes and "semantic" in passes:
             sight = _sight(camera, lane, strip, uv, passes)
             # The deck of a bridge is as thin as its road: from below its points are at their depths, too.

@@ -28,8 +28,8 @@ from synth3dlanes.validate.places import places
 from synth3dlanes.world.world import World
 
 LEAST_PX_PER_M = 1e-3
-# Half the length of a profile, and its step, which resolves the narrowest paint (0.1 m).
-REACH_M, STEP_M = 1.0, 0.025
+# Half the length of a profile; its step resolves the narrowest paint (0.1 m).
+REACH_M, PROFILE_STEP_M = 1.0, 0.025
 # Ridges are searched up to this offset; beyond it the profile may contain the next line's paint.
 SEARCH_M = 0.75
 # Range of the road beside the paint, in widths of the paint from its middle.
@@ -65,8 +65,8 @@ MOVES_PX, STRETCHES, MAX_OF_MEDIAN = np.arange(-12, 13) / 2, np.arange(-10, 11) 
 # Less than MIN_MOVE_M on the road is within two steps of the profiles, however many pixels of a large image it is.
 MIN_CLEAR, MIN_MOVE_PX, MIN_MOVE_M = 0.95, 2.25, 0.04
 
-OFFSETS_M = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
-PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + STEP_M / 2]
+OFFSETS_M = np.arange(-REACH_M, REACH_M + PROFILE_STEP_M / 2, PROFILE_STEP_M)
+PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + PROFILE_STEP_M / 2]
 
 
 class Cut(NamedTuple):
@@ -254,7 +254,7 @@ def check_move(lines: Sequence[LineProfiles], width_px: int) -> Iterator[Finding
 def _strengths(line: LineProfiles, width_px: int) -> Float[np.ndarray, "a b"]:
     """The line's clarity for each shift and stretch of the image, summed over its profiles."""
     aside_px = MOVES_PX[:, None, None] + STRETCHES[:, None] * (line.u_px - width_px / 2)
-    place = np.rint((aside_px / line.px_per_m + SEARCH_M) / STEP_M).astype(int)
+    place = np.rint((aside_px / line.px_per_m + SEARCH_M) / PROFILE_STEP_M).astype(int)
     inside = (place >= 0) & (place < len(PLACES_M))
     ridges = line.ridges[np.arange(len(line.ridges)), np.clip(place, 0, len(PLACES_M) - 1)]
     most = MAX_OF_MEDIAN * np.abs(np.median(line.ridges, axis=0)).max()

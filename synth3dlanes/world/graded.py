@@ -18,8 +18,8 @@ from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.ground import EMBANKMENT_SLOPE
 from synth3dlanes.world.spans import BERM_M, CEILING_M, COVER_M, DECK_M, VALLEY_M, WALL_M, Span
 
-# Roads with heights are looked for this far from points of areas.
-NEAR_M = 3.0
+# Distance from points of areas within which roads with heights are searched.
+ROAD_SEARCH_M = 3.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
 # Between the stations at which a road's height over the terrain is asked, it changes by less than this.
@@ -169,7 +169,7 @@ class GradedGround:
     ) -> Scalars:
         """Height of the roads around places: their mean, the nearer the heavier; at places in a junction, by its number
         (else -1), of its roads alone; or of roads where they lie on the ground."""
-        places = self.network.index.places(xy_world, NEAR_M)
+        places = self.network.index.places(xy_world, ROAD_SEARCH_M)
         if junction is not None:
             own, of_road = junction[places.point], self.junction_numbers([road.junction for road in self.network.roads])
             places = places.of((own < 0) | (own == of_road[places.road]))

@@ -26,9 +26,9 @@ SHORT, FULL_AT_M = 0.35, 1.5
 # A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
 BLADES, RADIUS_M, LEAN, WIDTH = 9, 0.14, 0.7, 0.12
 SINK_M = 0.04
-# Lines of sight to points of lanes, every STEP_M up to RANGE_M, pass tufts by this much and by this share of the
+# Lines of sight to points of lanes, every SIGHT_STEP_M up to RANGE_M, pass tufts by this much and by this share of the
 # distance, which is more than a pixel.
-STEP_M, RANGE_M, ROOM_M, ROOM = 1.0, 115.0, 0.1, 0.004
+SIGHT_STEP_M, RANGE_M, ROOM_M, ROOM = 1.0, 115.0, 0.1, 0.004
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def blades(
 
 def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
     """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
-    s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -STEP_M), STEP_M))
+    s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M))
     return np.concatenate(
         [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
     )

@@ -46,8 +46,8 @@ PAINT_ROOM_M = 0.05
 FINE_M, FINE_BEHIND_M = 165.0, 10.0
 # The crests of a ramp continue this far beyond the scene, and this far from the host.
 CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
-# Roads are looked for at least this much farther than their verges reach.
-NEAR_M = 3.0
+# Least distance beyond the verges within which roads are searched.
+ROAD_SEARCH_M = 3.0
 # How far the terrain mesh goes: ahead and aside, and behind a host that does not look there.
 HORIZON_M, BEHIND_M = 4000.0, 300.0
 ROAD_BEHIND_M = 30.0
@@ -405,7 +405,7 @@ class Ground:
     def _reach_m(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from a pavement within which the ground may differ from the terrain."""
         highest_m = max([road.parting.rise_m for road in self.network.roads if road.parting], default=0.0)
-        return max(EMBANKMENT_SLOPE * highest_m, NEAR_M) + VERGE_M * self.cell_scale(xy_world)
+        return max(EMBANKMENT_SLOPE * highest_m, ROAD_SEARCH_M) + VERGE_M * self.cell_scale(xy_world)
 
 
 def _axis(low: float, high: float, before_m: float) -> Scalars:

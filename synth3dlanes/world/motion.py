@@ -11,7 +11,7 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.host import HostCamera, Shot
 from synth3dlanes.scene.scene import Car, Scene, Thing
 
-STEP_M = 0.25
+WAY_STEP_M = 0.25
 # The host's speed in single pictures.
 SPEED_M_S = 25.0
 
@@ -123,6 +123,6 @@ def stations_after(path: LaneCurve, s: float, driven_m: Float[np.ndarray, " t"])
     """The stations of a path that its traffic reaches after distances along it in 3D from a station."""
     ahead, farthest_m = 1.0 if path.ascends else -1.0, float(driven_m.max())
     # On the inside of a bend a path is shorter than its stations; none is half as long.
-    stations = s + ahead * np.linspace(0, 2 * farthest_m, 2 * int(np.ceil(farthest_m / STEP_M)) + 1)
+    stations = s + ahead * np.linspace(0, 2 * farthest_m, 2 * int(np.ceil(farthest_m / WAY_STEP_M)) + 1)
     steps_m = np.linalg.norm(np.diff(path.points_world(stations), axis=0), axis=1)
     return np.interp(driven_m, np.concatenate([[0.0], np.cumsum(steps_m)]), stations)

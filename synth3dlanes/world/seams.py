@@ -35,8 +35,8 @@ LIFT_SHARE, SEEN_M = 0.6, 250.0
 PART_M = 230.0
 # Cracks across the road by the metre where tar is 1, and the share of these that cross all lanes.
 CRACKS_PER_M, ACROSS_ALL = 0.1, 0.6
-# Steps along a crack, and how far it wanders: over KNOT_M slowly, and from step to step.
-STEP_M, KNOT_M, WANDER_M, JITTER_M = 0.4, 2.0, 0.12, 0.015
+# Steps along a crack; its slow wandering from knot to knot, and its jitter from step to step.
+CRACK_STEP_M, KNOT_M, WANDER_M, JITTER_M = 0.4, 2.0, 0.12, 0.015
 TAR_WIDTH_M, CRACK_LENGTH_M, GHOST_STEP_M = (0.03, 0.08), (15.0, 70.0), 0.5
 # Reflectance of the asphalt beside a joint, and of a removed line, at contrast 1: lighter where it was milled off.
 OLD_ASPHALT, GHOST_SHADES = 0.6, (0.55, 1.6)
@@ -121,13 +121,13 @@ def _cracks(network: Network, part: RoadPart, amount: float, rng: np.random.Gene
         lanes, s = _same(road, at_m), np.array([at_m])
         edges = [float(line(s)[0]) for lane in lanes for line in lane.edges]
         first, last = (0, len(lanes)) if rng.random() < ACROSS_ALL else sorted(rng.integers(0, len(lanes) + 1, 2))
-        t = np.arange(edges[2 * first], edges[2 * last - 1], STEP_M) if first < last else np.zeros(0)
+        t = np.arange(edges[2 * first], edges[2 * last - 1], CRACK_STEP_M) if first < last else np.zeros(0)
         if len(t) > 1:
             yield np.column_stack([at_m + _wander(t, rng), t, _widths(t, rng)])
     for lane in clear_lanes(network, part):
         if rng.random() < amount * (high_m - low_m) / PART_M:
             start, length = rng.uniform(low_m, high_m - (high_m - low_m) / 4), rng.uniform(*CRACK_LENGTH_M)
-            s = np.arange(start, min(start + length, road.end_m), STEP_M)
+            s = np.arange(start, min(start + length, road.end_m), CRACK_STEP_M)
             t = inside_lane(lane, rng.random())(s) + np.clip(_wander(s, rng), -WANDER_M, WANDER_M)
             yield np.column_stack([s, t, _widths(s, rng)])
 

@@ -18,9 +18,9 @@ from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.areas import intersection, polygon_between
 from synth3dlanes.world.ground import EMBANKMENT_SLOPE
 
-# Height above another road from which a road passes over it, the thickness of its deck, and the distance of places
-# along roads that are looked at first.
-PASSAGE_M, DECK_M, STEP_M = 3.0, 0.5, 20.0
+# Height above another road from which a road passes over it, the thickness of its deck, and the step of the first
+# search along roads.
+PASSAGE_M, DECK_M, COARSE_STEP_M = 3.0, 0.5, 20.0
 LEAST_M2 = 0.02
 # Level ground beside a road before its slopes begin.
 BERM_M = 1.5
@@ -121,7 +121,7 @@ def _ways(
 def _passages(
     table: RoadTable, numbers: Int[np.ndarray, " k"], strip: Callable[[Road], BaseGeometry]
 ) -> Iterator[_Passage]:
-    roads, ways = [table.roads[i] for i in numbers], [rows for _, rows in _ways(table, numbers, STEP_M).values()]
+    roads, ways = [table.roads[i] for i in numbers], [rows for _, rows in _ways(table, numbers, COARSE_STEP_M).values()]
     low, high = ([lead(rows[1, :, 2]) for rows in ways] for lead in (np.min, np.max))
     rings = [np.concatenate([rows[0, :, :2], rows[2, ::-1, :2]]) for rows in ways]
     outlines = [shapely.convex_hull(shapely.Polygon(ring)) for ring in rings]

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.world.ground import Ground
 
-STEP_M = 2.0
+SIGHT_STEP_M = 2.0
 # Ground above the line of sight by less than this does not count: points lie on the ground themselves.
 TOLERANCE_M = 0.01
 # Lines of sight this near to the direction of a crest's end are asked, too.
@@ -17,7 +17,7 @@ def seen_over_ground(
 ) -> Bool[np.ndarray, " n"]:
     """True where the straight line from the eye to the point stays above terrain, embankments and roads."""
     to = points_world - eye_world
-    ray, sight = along_sights(eye_world, to, STEP_M)
+    ray, sight = along_sights(eye_world, to, SIGHT_STEP_M)
     hidden = ground.is_in(sight + np.array([0.0, 0.0, TOLERANCE_M]))
     seen = np.ones(len(to), dtype=bool)
     seen[ray[hidden]] = False
@@ -41,7 +41,7 @@ def _behind_crest(
     eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], crest_world: Float[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Which lines of sight (vectors from the eye to their ends) pass below a crest before they end. A crest is narrower
-    than STEP_M, so its crossing seen from above is computed instead of sampled."""
+    than SIGHT_STEP_M, so its crossing seen from above is computed instead of sampled."""
     toward = crest_world - eye_world
     turned = np.unwrap(np.arctan2(toward[:, 1], toward[:, 0]))
     after = (np.arctan2(to[:, 1], to[:, 0]) - turned.min() + TOLERANCE_RAD) % (2 * np.pi)

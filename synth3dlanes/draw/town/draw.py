@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.draw.cars import car_look
-from synth3dlanes.draw.draws import DECIMALS, Draw, DrawsOf
+from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
 from synth3dlanes.draw.makers import Roads, draw_camera, draw_hills, first_shot
 from synth3dlanes.draw.on_map import map_roads
 from synth3dlanes.draw.town.furniture import StreetDraws, furnish, street_trees
@@ -43,7 +43,7 @@ PARKED_M, MOVING_M = 90.0, 160.0
 # Draws of a model until one is short enough; vehicles longer than this go straight on only.
 TRIES, LONG_M = 30, 6.5
 # Bodies whose middles are farther apart do not touch.
-NEAR_M = 16.0
+TOUCHING_WITHIN_M = 16.0
 
 
 class DrawnTown(NamedTuple):
@@ -61,7 +61,7 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     town_map = lay_out(town_of(of("town")), of("markings").part(Markings), own, layout)
     lines = LaneLines(town_map)
     host = plan_host(town_map, lines, own, layout)
-    camera, hills = draw_camera(of("camera"), 1, round(host.at_m, DECIMALS)), draw_hills(of("terrain"))
+    camera, hills = draw_camera(of("camera"), 1, round(host.at_m, SCENE_DECIMALS)), draw_hills(of("terrain"))
     town = DrawnTown(town_map, host._replace(offset_m=camera.offset_m), lines)
     shot, flow, looks = first_shot(shots, None), of("town", "town_flow"), of("cars", "town_cars")
     bodies = of("cars", "town_traffic")
@@ -120,7 +120,11 @@ def _cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, 
             continue
         k, s_m = route.place_at(moving.track[0][1])
         values = car_look(looks, assets, moving.body.model, moving.body.scale)
-        values |= {"lane": route.lanes[k], "s_m": round(s_m, DECIMALS), "speed_m_s": round(moving.speed_m_s, DECIMALS)}
+        values |= {
+            "lane": route.lanes[k],
+            "s_m": round(s_m, SCENE_DECIMALS),
+            "speed_m_s": round(moving.speed_m_s, SCENE_DECIMALS),
+        }
         if len(moving.track) > 1:
             track = _driven(route, moving, terrain)
             values |= {"speed_m_s": _speed(track), "track": track, "route": route.lanes[k + 1 :]}
@@ -157,9 +161,9 @@ def _parked_cars(
                     if is_short:
                         moved_m = float(rng.uniform(-0.4, 0.4))
                         offset_m = (street.profile.lane_m + PARKING_M) / 2 + float(rng.uniform(-0.05, 0.12))
-                        place = {"lane": names[lane], "s_m": round(s_m + moved_m, DECIMALS)}
+                        place = {"lane": names[lane], "s_m": round(s_m + moved_m, SCENE_DECIMALS)}
                         look = car_look(looks, assets, body.model, body.scale)
-                        car = Car(**look, **place, offset_m=round(offset_m, DECIMALS))
+                        car = Car(**look, **place, offset_m=round(offset_m, SCENE_DECIMALS))
                         if not _is_touched(_standing(drawn.lines[car.lane], car, body), driven):
                             cars.append(car)
     return tuple(cars)
@@ -189,7 +193,7 @@ def _standing(line: LaneLine, car: Car, body: CarBody) -> Float[np.ndarray, "4 2
 def _is_touched(place: Float[np.ndarray, "4 2"], driven: Sequence[Float[np.ndarray, "n 4 2"]]) -> bool:
     """Whether any of those who drive touches a body."""
     middle = place.mean(axis=0)
-    near = (at[np.linalg.norm(at.mean(axis=1) - middle, axis=1) < NEAR_M] for at in driven)
+    near = (at[np.linalg.norm(at.mean(axis=1) - middle, axis=1) < TOUCHING_WITHIN_M] for at in driven)
     return any(len(at) and overlaps_any(place, at) for at in near)
 
 
@@ -214,4 +218,4 @@ def _driven(route: Route, moving: MovingCar, terrain: Terrain) -> tuple[tuple[fl
 
 def _speed(track: Sequence[tuple[float, float]]) -> float:
     (start_s, start_m), (end_s, end_m) = track[:2]
-    return round((end_m - start_m) / (end_s - start_s), DECIMALS)
+    return round((end_m - start_m) / (end_s - start_s), SCENE_DECIMALS)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.draw.draws import DECIMALS, Draw
+from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw
 from synth3dlanes.draw.roadside import BuildingKind, building_size, coloured, floor_plan
 from synth3dlanes.draw.town.junctions import Arm
 from synth3dlanes.draw.town.layout import TownMap
@@ -30,9 +30,8 @@ BEHIND_KERB_M, BESIDE_M = 0.5, 0.8
 HEAD_M, OVERHEAD_M, SIGN_M = 2.3, 5.2, 2.1
 # From the junction to the signs of the priority road and of speed.
 PRIORITY_M, SPEED_M = 16.0, 62.0
-# Place of the first building along an arm (negative: at the corner, before the arm begins), and the step to the next
-# place where there is no room.
-FIRST_M, STEP_M = -12.0, 4.0
+# Station of the first building along an arm (before its beginning, at the corner), and the step where there is no room.
+FIRST_BUILDING_M, BUILDING_STEP_M = -12.0, 4.0
 KINDS: tuple[BuildingKind, ...] = ("block", "house", "hall")
 # Distance of walls from pavements, which leaves room for eaves.
 ROOM_M, RIM_M, MOST_BUILDINGS = 1.2, 1.5, 110
@@ -80,7 +79,7 @@ def _beside(arm: Arm, back_m: float) -> PlanPose:
 
 
 def _yaw(pose: PlanPose) -> float:
-    return round(float((pose.heading - np.pi / 2 + np.pi) % (2 * np.pi) - np.pi), DECIMALS)
+    return round(float((pose.heading - np.pi / 2 + np.pi) % (2 * np.pi) - np.pi), SCENE_DECIMALS)
 
 
 def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[bool, float]) -> Iterator[TrafficSignal]:
@@ -99,8 +98,8 @@ def _signals(rules: JunctionRules, number: int, lights: Lights, style: tuple[boo
     def head(at: PlanPose, group: LightGroup, height_m: float, reach_m: float, has_pole: bool) -> TrafficSignal:
         form: LensForm = "left" if group == "major_left" else "ball"
         return TrafficSignal(
-            x_m=round(at.x, DECIMALS),
-            y_m=round(at.y, DECIMALS),
+            x_m=round(at.x, SCENE_DECIMALS),
+            y_m=round(at.y, SCENE_DECIMALS),
             yaw_rad=_yaw(at),
             height_m=height_m,
             phases=lights.phases(group),
@@ -151,7 +150,7 @@ def _signs(rules: JunctionRules, number: int, back_m: float) -> Iterator[Traffic
 
 
 def _sign(at: PlanPose, kind: SignKind, lanes: tuple[str, ...]) -> TrafficSign:
-    place = {"x_m": round(at.x, DECIMALS), "y_m": round(at.y, DECIMALS), "yaw_rad": _yaw(at)}
+    place = {"x_m": round(at.x, SCENE_DECIMALS), "y_m": round(at.y, SCENE_DECIMALS), "yaw_rad": _yaw(at)}
     return TrafficSign(**place, height_m=SIGN_M, kind=kind, lanes=lanes)
 
 
@@ -209,7 +208,7 @@ def _buildings(
     rng, usual = streets.rng, streets.next("building")
     for street in town_map.streets:
         for side in ("left", "right"):
-            s_m = FIRST_M + float(rng.uniform(0, 2))
+            s_m = FIRST_BUILDING_M + float(rng.uniform(0, 2))
             while s_m < street.length_m - 8 and len(found) < MOST_BUILDINGS:
                 kind = usual if rng.random() < alike else KINDS[int(rng.random() * 3)]
                 width_m, length_m, height_m = building_size(sizes, kind)
@@ -225,7 +224,7 @@ def _buildings(
                     taken.append(corners)
                     s_m += length_m + streets.next("gap_m") * (0.3 if kind == "block" else 1.0)
                 else:
-                    s_m += STEP_M
+                    s_m += BUILDING_STEP_M
     return found
 
 
@@ -273,6 +272,6 @@ def street_trees(
                 near = np.hypot(*(fronts - xy).T).min()
                 if near > 2.5 and ground.is_clear(xy, 0.6)[0]:
                     yaw_rad, scale = looks("yaw_deg"), looks("scale")
-                    place = {"x_m": round(at.x, DECIMALS), "y_m": round(at.y, DECIMALS)}
+                    place = {"x_m": round(at.x, SCENE_DECIMALS), "y_m": round(at.y, SCENE_DECIMALS)}
                     found.append(Tree(model=model, **place, yaw_rad=yaw_rad, scale=scale))
     return tuple(found)

@@ -16,7 +16,7 @@ from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.system.arrays import Points2, Scalars
 
-STEP_M = 0.5
+LANE_STEP_M = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class LaneLines:
     def _line(self, name: str) -> LaneLine:
         if name in self.connectors:
             plan, length_m = self.connectors[name].plan, self.connectors[name].length_m
-            s = np.linspace(0, length_m, 2 + int(length_m / STEP_M))
+            s = np.linspace(0, length_m, 2 + int(length_m / LANE_STEP_M))
             points, headings = poses(plan, s)
             return _measured(points, np.unwrap(headings), s)
         road, section, number = name.rsplit(".", 2)
@@ -68,7 +68,7 @@ def strip_line(street: Street, section: int, number: int) -> LaneLine:
     side = "left" if number > 0 else "right"
     keys = list(street.names(section)[side])
     piece, start_m = street.pieces[section], street.stations[section]
-    u = np.linspace(0, 1, 2 + int(piece.length_m / STEP_M))
+    u = np.linspace(0, 1, 2 + int(piece.length_m / LANE_STEP_M))
     share, slope = u * u * (3 - 2 * u), 6 * u * (1 - u) / piece.length_m
     s = np.minimum(start_m + u * piece.length_m, street.length_m)
     points, headings = poses(street.plan, s)

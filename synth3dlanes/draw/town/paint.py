@@ -15,8 +15,8 @@ from synth3dlanes.system.schema import SymbolKind
 CROSSWALK_M, LINE_BEHIND_CROSSWALK_M, LINE_M = (0.8, 4.4), 5.6, 0.6
 # Arrows in front of the line; those of long turn lanes again, so much farther back.
 ARROW_M, ARROWS_APART_M = 7.5, 18.0
-# Raised medians: their least width, how far lanes are from their kerbs, their step along the street.
-RAISED_M, MEDIAN_GAP_M, STEP_M = 1.2, 0.25, 2.0
+# Raised medians: least width, distance from lanes to kerbs, step along the street.
+LEAST_MEDIAN_M, MEDIAN_GAP_M, MEDIAN_STEP_M = 1.2, 0.25, 2.0
 ARROWS: dict[frozenset[Turn], SymbolKind] = {
     frozenset({"straight"}): "arrow_straight",
     frozenset({"left"}): "arrow_left",
@@ -110,10 +110,10 @@ def islands_of(streets: Sequence[Street], has_crosswalks: bool) -> Iterator[MapI
     """The raised medians of streets, from behind their crosswalks on."""
     back_m = 1.2 + line_m(has_crosswalks)
     for street in streets:
-        if street.profile.median_m < RAISED_M:
+        if street.profile.median_m < LEAST_MEDIAN_M:
             continue
         until_m = street.length_m - (back_m if street.end is not None else 0.0)
-        s = np.arange(back_m, until_m, STEP_M)
+        s = np.arange(back_m, until_m, MEDIAN_STEP_M)
         edges = np.array([_median(street, at) for at in s.tolist()])
         wide = edges[:, 0] - edges[:, 1] > 2 * MEDIAN_GAP_M + 0.25
         if wide.sum() < 6:

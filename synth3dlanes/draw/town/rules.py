@@ -14,7 +14,7 @@ from synth3dlanes.scene.town import Control
 # Lanes before a junction whose signals change together.
 LightGroup = Literal["major", "major_left", "minor"]
 # Ways closer than this cannot be driven at the same time: the width of a truck and some air.
-TOUCH_M, STEP_M = 2.75, 0.5
+TOUCH_M, WAY_STEP_M = 2.75, 0.5
 # An arm is on the right of another between these angles.
 RIGHT_RAD = np.radians(30.0), np.radians(150.0)
 
@@ -63,7 +63,7 @@ class JunctionRules:
         """All pairs of lanes that cross or merge, each both ways."""
         found = []
         connectors = self.junction.connectors
-        points = [sampled(at.plan, STEP_M) for at in connectors]
+        points = [sampled(at.plan, WAY_STEP_M) for at in connectors]
         boxes = [(each.min(axis=0), each.max(axis=0)) for each in points]
         for i, one in enumerate(connectors):
             for j in range(i):

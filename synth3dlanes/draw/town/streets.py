@@ -23,8 +23,8 @@ from synth3dlanes.scene.road_map import (
 PARKING_M, KERB_M, SHOULDER_M, GUTTER_M = 2.2, 0.15, 0.75, 0.3
 # Turn lanes, and what is left of a median beside one.
 TURN_LANE_M, RESIDUAL_M = 3.0, 0.8
-# Before a junction nobody parks for this long; widths change over these lengths.
-NEAR_M, TURN_TAPER_M, PARKING_TAPER_M = 22.0, 20.0, 5.0
+# Length without parking before a junction; lengths over which widths change.
+NO_PARKING_M, TURN_TAPER_M, PARKING_TAPER_M = 22.0, 20.0, 5.0
 # Strips of a side from the reference line outwards.
 KEYS = ("median", "turn_left", "lane1", "lane2", "lane3", "turn_right", "parking", "shoulder", "kerb", "walkway")
 LANES = ("turn_left", "lane1", "lane2", "lane3", "turn_right")
@@ -276,7 +276,7 @@ def _pieces(profile: StreetForm, length_m: float, start: Pocket, end: Pocket | N
 
     def zone(pocket: Pocket) -> tuple[float, float]:
         turns = pocket.left or pocket.right
-        return (max(pocket.length_m, NEAR_M), TURN_TAPER_M) if turns else (NEAR_M, PARKING_TAPER_M)
+        return (max(pocket.length_m, NO_PARKING_M), TURN_TAPER_M) if turns else (NO_PARKING_M, PARKING_TAPER_M)
 
     near_start, near_end = profile.cross(start, near=True), None if end is None else profile.cross(end, near=True)
     need_m = sum(zone(start)) + (0.0 if end is None else sum(zone(end))) + 5.0

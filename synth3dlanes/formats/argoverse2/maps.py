@@ -50,7 +50,7 @@ PIECE_M = 30.0
 MOST_PIECES = 1000
 CELL_M, MARGIN_M = 0.3, 5.0
 """Size of the cells of the ground's heights, and how far beyond the pavement there are any."""
-LINE_M, DECIMALS = 0.005, 3
+LINE_M, MM_DECIMALS = 0.005, 3
 """How far written lines may be from those with all points."""
 SAME_LINE_M = 0.2
 # Lanes are within this of the labels from above; heights within the slack.
@@ -225,7 +225,7 @@ def _heights(
 
 
 def _points(points: Points3) -> list[dict[str, float]]:
-    return [dict(zip("xyz", row, strict=True)) for row in (np.round(points, DECIMALS) + 0.0).tolist()]
+    return [dict(zip("xyz", row, strict=True)) for row in (np.round(points, MM_DECIMALS) + 0.0).tolist()]
 
 
 class _Point(Excerpt):

@@ -32,7 +32,7 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.rails import WALKWAY_M, rail_stations
 from synth3dlanes.world.world import World
 
-DECIMALS, LINE_M, SAME_LINE_M = 3, 0.005, 0.2
+MM_DECIMALS, LINE_M, SAME_LINE_M = 3, 0.005, 0.2
 """How far thinned lines may be from those with all points, and how far boundaries that are one line may be apart."""
 ARC_M, LEAST_CURVATURE, STRAIGHT_RADIUS_M = 0.01, 1e-5, 1000.0
 """How far arcs may be from the middle of a lane, and the least curvature (1/m) of one; a straight path has a radius
@@ -97,7 +97,7 @@ class _Layers:
     def nodes(self, xy: Points2) -> list[str]:
         """The nodes at places; of equal ones after each other, one."""
         found = list[str]()
-        for x, y in (np.round(xy, DECIMALS) + 0.0).tolist():
+        for x, y in (np.round(xy, MM_DECIMALS) + 0.0).tolist():
             if (x, y) not in self._nodes:
                 self._nodes[x, y] = self.token("node", len(self._nodes))
                 self.add("node", self._nodes[x, y], x=x, y=y)
@@ -281,7 +281,7 @@ class _Layers:
 
 def _parts(area: BaseGeometry) -> list[shapely.Polygon]:
     """The polygons of an area with corners of as many decimals as nodes have, still valid."""
-    return polygons_of(shapely.set_precision(valid(area), 10.0**-DECIMALS))
+    return polygons_of(shapely.set_precision(valid(area), 10.0**-MM_DECIMALS))
 
 
 def walkway(ground: Ground, rail: Rail) -> BaseGeometry:

@@ -34,9 +34,8 @@ SIGNS: dict[SignKind, tuple[str, str]] = {
     "ahead_only": ("209", "30"),
 }
 SPEED = "274"
-# Distance between the places of roads that are looked at first, and how many of the nearest ones are then measured
-# exactly.
-STEP_M, NEAREST = 2.0, 6
+# Step of the first search along roads, and the number of nearest places that are then measured exactly.
+COARSE_STEP_M, NEAREST = 2.0, 6
 # What is farther ahead of a place than this is not beside it.
 BESIDE_M = 0.005
 
@@ -93,7 +92,7 @@ def add_signals(elements: Mapping[str, Element], world: World, network: Network)
 
 def line_of(road: Road) -> Points2:
     """Places along a road's reference line."""
-    s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / STEP_M))
+    s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / COARSE_STEP_M))
     return road.xy(s, 0.0 * s)
 
 
@@ -112,7 +111,7 @@ def _add_validity(element: Element, lanes: Sequence[NetworkLane]) -> None:
 def _beside(point: Float[np.ndarray, "2"], road: Road) -> RoadPlace | None:
     """The place of a point beside a road; None of one before its beginning or behind its end."""
     s, (low, high) = 0.0, (0.0, road.end_m)
-    for n in (2 + int(road.end_m / STEP_M), 41, 41, 41):
+    for n in (2 + int(road.end_m / COARSE_STEP_M), 41, 41, 41):
         stations = np.linspace(low, high, n)
         s = float(stations[int(np.argmin(np.linalg.norm(road.xy(stations, 0.0 * stations) - point, axis=1)))])
         step_m = (high - low) / (n - 1)

@@ -18,8 +18,8 @@ from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapRoad, PlanPiece, RoadMap
 from synth3dlanes.world.world import World
 
-# How far the written heights (metres) and rolls (radians) may be from the scene's, and steps between their places.
-HEIGHT_M, ROLL_RAD, STEP_M = 1e-3, 1e-4, 1.0
+# Tolerances of written heights and rolls, and the step between places where they are compared.
+HEIGHT_M, ROLL_RAD, PROFILE_STEP_M = 1e-3, 1e-4, 1.0
 
 
 def described_map(world: World) -> Described:
@@ -66,7 +66,7 @@ def _laid(road: MapRoad, own: Road) -> MapRoad:
     """A road with heights, rolls and shapes: its own, or those of the ground that it lies on."""
     if road.heights:
         return road.model_copy(update={"banks": steepened(road.banks, road.heights, road.length_m, -1)})
-    s = np.linspace(0, road.length_m, max(4, 1 + int(road.length_m / STEP_M)))
+    s = np.linspace(0, road.length_m, max(4, 1 + int(road.length_m / PROFILE_STEP_M)))
     low, high = own.left(s), own.right(s)
     high = np.maximum(high, low + 0.5)
     share = np.linspace(0, 1, SHAPE_PLACES)

@@ -14,9 +14,9 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.paint import is_dotted, is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world.world import World
 
-# A delimiter runs along an edge where it is this close to it. Lanes that leave a road turn aside at once, which moves
-# the lines of two such lanes against those before.
-NEAR_M = 0.1
+# Greatest distance of a delimiter from the edge that it runs along: lanes that leave a road turn aside at once, which
+# moves their lines against those before.
+ON_EDGE_M = 0.1
 # Shorter stretches are left out.
 SHORT_M = 0.5
 # Dashes are counted anew after this length, and lengths are measured in these steps.
@@ -69,7 +69,7 @@ def _of(
     # Stations of different roads differ, so the whole line is looked at.
     there = line.xy_world(np.sort(road.network_s[at]))
     apart_m = np.linalg.norm(edge_xy[probes][:, None] - there, axis=2).min(axis=1)
-    if apart_m.max() > NEAR_M:
+    if apart_m.max() > ON_EDGE_M:
         return
     markings = world.scene.markings
     width_m = line_width_m(line, markings)

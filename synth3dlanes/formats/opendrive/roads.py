@@ -20,9 +20,9 @@ from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 
-# Stations that a file reaches, at least, and the distance of the places that are fitted.
+# Least reach of a file to either side of the scene's middle, and the step between fitted places.
 REACH_M = 250.0
-STEP_M = 0.1
+FIT_STEP_M = 0.1
 MIN_END_M = 10.0
 # Where roads part, the junction ends when their lanes are this far from each other.
 APART_M = 0.06
@@ -210,7 +210,7 @@ def _layouts(network: Network) -> list[_Layout]:
 def _road(network: Network, layout: _Layout) -> OdrRoad:
     ascends = (network.onwards > 0) != layout.is_oncoming
     low_m, high_m = layout.span_m
-    s = np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / STEP_M)) + 1)[:: 1 if ascends else -1]
+    s = np.linspace(low_m, high_m, int(np.ceil((high_m - low_m) / FIT_STEP_M)) + 1)[:: 1 if ascends else -1]
     xy = layout.road.xy(s, layout.line(s))
     lengths = lengths_along(xy)
     # To the left of the reference line, seen in its direction.

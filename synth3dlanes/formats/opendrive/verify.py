@@ -22,7 +22,7 @@ from synth3dlanes.system.arrays import Points3, Scalars
 RULE = Rule("m", 0.15, name="lane", slack=0.3)
 # The cubics of lines, heights and widths are within a millimetre of the same functions.
 GAP_M = 0.005
-STEP_M = 1.0
+STATION_STEP_M = 1.0
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -73,7 +73,7 @@ def _segments(root: Element, given: GivenMap) -> dict[str, str]:
 def _middle(place: LanePlace) -> Points3:
     """Points of the middle of a lane in the direction of its traffic."""
     road, section = place.road, CrossSection.of(place.road, place.section)
-    s = np.linspace(section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / STEP_M))
+    s = np.linspace(section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / STATION_STEP_M))
     t = section.middle_line(next(i for i, lane in enumerate(section.lanes) if lane is place.lane))(s)
     z = section.height(s, t) if road.heights else 0 * s
     return np.column_stack([places(road.plan, s, -t), z])[:: 1 if place.ascends else -1]

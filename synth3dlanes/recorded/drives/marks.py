@@ -19,8 +19,7 @@ from synth3dlanes.system.schema import Excerpt, Name, parse
 
 MARKS_FORMAT, MARKS_VERSION = "synth3dlanes.marks", 1
 MAX_MARKS_BYTES = 64 << 20
-# Millimetres.
-DECIMALS = 3
+MM_DECIMALS = 3
 
 _Value = Annotated[float, Field(ge=-1e8, le=1e8)]
 _Point = Annotated[list[_Value], Field(min_length=2, max_length=3)]
@@ -73,7 +72,7 @@ def marks_document(lanes: Sequence[MarkedLane], drive: str) -> dict[str, Any]:
             {
                 "type": "Feature",
                 "properties": {name: getattr(lane, name) for name in ("id", "kind", "marking", "color", "direction")},
-                "geometry": {"type": "LineString", "coordinates": np.round(lane.xy_world, DECIMALS).tolist()},
+                "geometry": {"type": "LineString", "coordinates": np.round(lane.xy_world, MM_DECIMALS).tolist()},
             }
             for lane in lanes
         ],

@@ -26,8 +26,7 @@ from synth3dlanes.system.errors import FormatError, InputError
 
 # The picture of a frame without an image.
 BLANK = 128
-# The report tells of points up to here.
-NEAR_M = 40.0
+REPORTED_WITHIN_M = 40.0
 FORMATS = {b"\xff\xd8\xff": "jpg", b"\x89PNG\r\n\x1a\n": "png"}
 
 
@@ -185,7 +184,7 @@ class _Tally:
         for lane in lifted.labels.lanes:
             self.ids.add(lane.id.partition(".")[0])
             if lane.std_m is not None:
-                near = lane.std_m[lane.visible & (lane.xyz_cam[:, 1] < NEAR_M)]
+                near = lane.std_m[lane.visible & (lane.xyz_cam[:, 1] < REPORTED_WITHIN_M)]
                 if len(near):
                     self.std.append(np.median(near, axis=0))
 

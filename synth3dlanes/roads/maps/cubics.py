@@ -18,8 +18,8 @@ from synth3dlanes.system.arrays import Scalars
 Cubics = tuple[Polynomial, ...]
 # Stations this near to each other are one: files round them.
 SAME_M = 1e-3
-# A product is told by cubics that are this exact, or this long; exactness is measured at these shares of them.
-EXACT, STEP_M, SHARES = 1e-7, 5.0, (0.25, 0.5, 0.75)
+# A product is split into cubics until they are this exact, measured at SHARES of them, or shorter than SHORT_M.
+EXACT, SHORT_M, SHARES = 1e-7, 5.0, (0.25, 0.5, 0.75)
 # What holds from a station on.
 Begun = TypeVar("Begun", Polynomial, MapMark)
 BEGIN = attrgetter("s_m")
@@ -144,7 +144,7 @@ def times(
         c, d = (3 * (end - a) / h - 2 * b - rise) / h, (b + rise - 2 * (end - a) / h) / h**2
         piece = Polynomial(s_m=low, a=a, b=b, c=c, d=d)
         places = (low + share * h for share in SHARES)
-        if h <= STEP_M or all(
+        if h <= SHORT_M or all(
             abs(value([piece], s_m) - value(cubics, s_m, high) * factor(s_m, high)) <= EXACT for s_m in places
         ):
             found.append(piece)

@@ -36,11 +36,10 @@ from synth3dlanes.system.schema import Name
 
 # How far reference lines may be from the points of their bounds, and widths and heights from those of the bounds.
 ARCS_M, WIDTH_M, HEIGHT_M = 0.002, 0.002, 0.003
-# Of a reference line that ends square to its lanes: the most that it is from its bound, that it turns to get there, and
-# that it bends per metre.
-NEAR_M, MOST_TURNED_RAD, MOST_BENT = 0.1, 0.3, 0.03
-# Stations at which widths and heights are measured; a point of a line is this long at least.
-STEP_M, LEAST_M = 0.5, 0.1
+# Limits for a reference line that ends square to its lanes: distance from its bound, turn, and curvature (1/m).
+MOST_OFF_BOUND_M, MOST_TURNED_RAD, MOST_BENT = 0.1, 0.3, 0.03
+# Step of the stations at which widths and heights are measured; least distance between points of a line.
+STATION_STEP_M, LEAST_M = 0.5, 0.1
 # A step of a polyline is at most this many times as long as the one beside it, so that a bend does not reach into it.
 GRADE = 2.0
 # Strips of pavement beyond the outermost lanes of traffic, where no kerb is there.
@@ -163,7 +162,7 @@ def road_of(name: Name, row: Sequence[LaneletBeside], is_left_hand: bool, is_in_
     middle = min(range(len(edges)), key=lambda i: (_skew(lines[i], lines), _bends(lines[i]), i != usual))
     plan, is_bound = _reference(lines[middle], lines)
     length_m = sum(piece.length_m for piece in plan)
-    s = np.linspace(0.0, length_m, 3 + int(length_m / STEP_M))
+    s = np.linspace(0.0, length_m, 3 + int(length_m / STATION_STEP_M))
     line = plan_line(plan)
     offsets, heights = np.zeros((len(edges), len(s))), np.zeros((len(edges), len(s)))
     for i, points in enumerate(lines):
@@ -171,7 +170,7 @@ def road_of(name: Name, row: Sequence[LaneletBeside], is_left_hand: bool, is_in_
         stations, t = line.project(fine[:, :2], _stations_near(fine[:, :2], line.xy(s, np.zeros(len(s))), s))
         if i == middle and is_bound:
             t = np.zeros(len(t))
-        if not (np.diff(stations) > -STEP_M).all():
+        if not (np.diff(stations) > -STATION_STEP_M).all():
             raise FormatError(
                 f"lanelet {row[min(i, len(row) - 1)].lanelet.id}: expected a bound that goes on, got it back"
             )
@@ -213,7 +212,7 @@ def road_of(name: Name, row: Sequence[LaneletBeside], is_left_hand: bool, is_in_
 
 def _reference(points: Polyline3, lines: Sequence[Polyline3]) -> tuple[tuple[PlanPiece, ...], bool]:
     """A reference line along a bound, and whether it is that. Where several lanes do not end square to the bound, it
-    leaves the bound by up to NEAR_M to end square to them, so that the next road begins there."""
+    leaves the bound by up to MOST_OFF_BOUND_M to end square to them, so that the next road begins there."""
     plan = arcs(points[:, :2])
     if len(lines) < 3 or not _skew(points, lines):
         return plan, True
@@ -227,7 +226,7 @@ def _reference(points: Polyline3, lines: Sequence[Polyline3]) -> tuple[tuple[Pla
     # On a short road or at a slanted end it would bend too much.
     if max(map(abs, turned)) > MOST_TURNED_RAD or max(map(abs, turned)) / length_m > MOST_BENT:
         return plan, True
-    return arcs(points[:, :2], (ends[0], ends[1]), NEAR_M), False
+    return arcs(points[:, :2], (ends[0], ends[1]), MOST_OFF_BOUND_M), False
 
 
 def _skew(points: Polyline3, lines: Sequence[Polyline3]) -> int:
@@ -270,7 +269,7 @@ def _marks(bound: LaneletBound, is_turned: bool, is_inner_left: bool) -> tuple[M
 def _fine(points: Polyline3) -> Polyline3:
     """The points of a line, and more between those that are far apart."""
     lengths = lengths_along(points)
-    more = np.linspace(0.0, lengths[-1], 2 + int(lengths[-1] / STEP_M))
+    more = np.linspace(0.0, lengths[-1], 2 + int(lengths[-1] / STATION_STEP_M))
     at = np.union1d(lengths, more)
     return np.column_stack([np.interp(at, lengths, column) for column in points.T])
 

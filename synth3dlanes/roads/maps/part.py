@@ -32,8 +32,7 @@ from synth3dlanes.system.schema import validation_problems
 
 # Roads are kept that come this close to the host; longer roads are cut to their pieces that do.
 KEPT_M, LONG_M = 500.0, 1000.0
-# Of metres and of radians.
-DECIMALS, ANGLE_DECIMALS = 6, 9
+LENGTH_DECIMALS, ANGLE_DECIMALS = 6, 9
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def _part_around(given: GivenMap, at: MapStation, rng: np.random.Generator) -> M
     }
     standing = tuple(filter(None, (frame.element(item, names) for item in given.elements)))
     bodies = tuple(body for body in map(frame.body, given.bodies) if _is_near([(body.x_m, body.y_m)]))
-    s_m = round(at.s_m - cuts[lane.road.id].from_m, DECIMALS)
+    s_m = round(at.s_m - cuts[lane.road.id].from_m, LENGTH_DECIMALS)
     rails = tuple(filter(None, (_rail(item, cuts) for item in given.rails)))
     return MapPart(RoadMap.model_validate(found), number - first, s_m, standing, bodies, rails)
 
@@ -130,7 +129,7 @@ def _painted(
         return item.model_copy(update={"outline": corners}) if _is_near(corners) else None
     if item.lane not in names:
         return None
-    s_m = round(item.s_m - cuts[item.lane.rsplit(".", 2)[0]].from_m, DECIMALS)
+    s_m = round(item.s_m - cuts[item.lane.rsplit(".", 2)[0]].from_m, LENGTH_DECIMALS)
     return item.model_copy(update={"lane": names[item.lane], "s_m": s_m})
 
 
@@ -180,7 +179,7 @@ def _shortened(road: MapRoad, cut: _Cut) -> MapRoad:
             "shapes": _shapes(road.shapes, cut),
             "bridges": _spans(road.bridges, cut),
             "tunnels": _spans(road.tunnels, cut),
-            "given_from_m": round(cut.from_m, DECIMALS),
+            "given_from_m": round(cut.from_m, LENGTH_DECIMALS),
             "given_section": cut.sections_before,
         }
     )
@@ -233,7 +232,7 @@ def _rounded_road(road: MapRoad) -> MapRoad:
 
 def _rounded(section: MapSection) -> MapSection:
     lanes = (lane.model_copy(update={"widths": rounded(lane.widths)}) for lane in section.lanes)
-    return MapSection(s_m=round(section.s_m, DECIMALS), lanes=tuple(lanes))
+    return MapSection(s_m=round(section.s_m, LENGTH_DECIMALS), lanes=tuple(lanes))
 
 
 def _is_near(corners: Sequence[GroundPoint]) -> bool:
@@ -258,7 +257,7 @@ class _Frame:
         """A place of the map in the world."""
         dx, dy = at[0] - self.x, at[1] - self.y
         cos, sin = math.cos(self.turn), math.sin(self.turn)
-        return round(cos * dx + sin * dy, DECIMALS), round(cos * dy - sin * dx, DECIMALS)
+        return round(cos * dx + sin * dy, LENGTH_DECIMALS), round(cos * dy - sin * dx, LENGTH_DECIMALS)
 
     def corners(self, outline: Iterable[GroundPoint]) -> tuple[GroundPoint, ...]:
         """An outline of the map in the world."""
@@ -276,13 +275,13 @@ class _Frame:
         if not _is_near([(x, y)]):
             return None
         lanes = tuple(names[name] for name in of.lanes if name in names)
-        yaw_rad = round(_wrapped(of.yaw_rad - self.turn), DECIMALS)
+        yaw_rad = round(_wrapped(of.yaw_rad - self.turn), LENGTH_DECIMALS)
         return item._replace(element=of.model_copy(update={"x_m": x, "y_m": y, "yaw_rad": yaw_rad, "lanes": lanes}))
 
     def body(self, item: GivenBody) -> GivenBody:
         """A building or a tree of the map in the world."""
         x, y = self.point((item.x_m, item.y_m))
-        return item._replace(x_m=x, y_m=y, heading_rad=round(_wrapped(item.heading_rad - self.turn), DECIMALS))
+        return item._replace(x_m=x, y_m=y, heading_rad=round(_wrapped(item.heading_rad - self.turn), LENGTH_DECIMALS))
 
     def _piece(self, piece: PlanPiece) -> PlanPiece:
         x, y = self.point((piece.x_m, piece.y_m))

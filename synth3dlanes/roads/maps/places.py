@@ -19,7 +19,7 @@ ONWARD_M, WIDE_M = 250.0, 2.0
 TRIES, MAX_ROUTE = 200, 1000
 # The least length of the way ahead of a host.
 LEAST_AHEAD_M = 10.0
-DECIMALS = 3
+MM_DECIMALS = 3
 
 
 class MapStation(NamedTuple):
@@ -42,7 +42,7 @@ def draw_place(given: GivenMap, rng: np.random.Generator) -> MapStation:
         i = min(int(np.searchsorted(ends, at, side="right")), len(names) - 1)
         place = given.lanes[names[i]]
         low, high = place.span_m
-        s_m = min(round(high - (float(ends[i]) - at), DECIMALS), high)
+        s_m = min(round(high - (float(ends[i]) - at), MM_DECIMALS), high)
         left_m = onward_m(given, MapStation(names[i], s_m)) if width_m(place, s_m) >= WIDE_M else 0.0
         if left_m > most_m:
             best, most_m = MapStation(names[i], max(s_m, low)), left_m
