@@ -80,7 +80,7 @@ def test_the_lights_of_a_head_are_those_of_its_state_at_the_time_of_the_picture(
     assert (len(red), len(both), len(amber), len(green), off) == (1, 2, 1, 1, [])
     assert red[0] > amber[0] > green[0]
     assert both == sorted([amber[0], red[0]])
-    assert {*site.lights(0.5)} == {site.first_element}, "of the head, in the numbers of structures"
+    assert {*site.lights(0.5)} == {*site.elements_by_id} == {instance_id("structure", 1)}, "of the head, after its pole"
 
 
 def test_lanes_that_are_not_there_are_refused():

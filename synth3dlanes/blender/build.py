@@ -19,10 +19,9 @@ from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.imaging.daylight import Daylight
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
 from synth3dlanes.scene.instance_ids import instance_id
-from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.schema import Color
-from synth3dlanes.world.bonnet import bonnet
+from synth3dlanes.world import bonnet
 from synth3dlanes.world.grass import Blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.meshes import Mesh
@@ -82,8 +81,8 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
     make_world()
     assets = load_assets(library)
     materials = make_materials(assets.roads, assets.terrains)
-    hood = new_mesh(bonnet(), [_host_paint()])
-    hood.name = "bonnet"
+    hood = new_mesh(bonnet.bonnet(), [_host_paint()])
+    hood.name = bonnet.KIND.series
     add_haze()
     add_lights()
     kept = frozenset(mesh.name for mesh in bpy.data.meshes)
@@ -91,7 +90,7 @@ def open_studio(library: Library = BUILT_IN) -> Studio:
 
 
 def _host_paint() -> bpy.types.Material:
-    material, graph = new_material("host", SEMANTIC_IDS["host"])
+    material, graph = new_material(bonnet.KIND.name, bonnet.KIND.semantic_id)
     car_paint(graph)
     return material
 
@@ -156,8 +155,8 @@ def _add_ground(materials: Materials, world: World) -> None:
 
 
 def _add_structures(materials: Materials, world: World) -> None:
-    for i, body in enumerate(world.site.structures):
-        _add_object("structures", structure_mesh(body, materials.structures), instance_id("structure", i))
+    for id_, body in world.site.bodies.items():
+        _add_object("structures", structure_mesh(body, materials.structures), id_)
 
 
 def _add_grass(materials: Materials, world: World, view: View) -> None:
@@ -167,8 +166,8 @@ def _add_grass(materials: Materials, world: World, view: View) -> None:
 
 
 def _add_lights(materials: Materials, world: World) -> None:
-    for number, body in world.site.lights(world.scene.shot.time_s).items():
-        _add_object("lights", structure_mesh(body, materials.structures), instance_id("structure", number))
+    for id_, body in world.site.lights(world.scene.shot.time_s).items():
+        _add_object("lights", structure_mesh(body, materials.structures), id_)
 
 
 def _add_lens(studio: Studio, view: View) -> None:
@@ -204,8 +203,8 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
         if name in strips and len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
             _add_object("paint", new_mesh(strips[name], [material]), instance_id("delimiter", number))
-    for number, mesh in enumerate(world.symbols(view)):
-        _add_object("paint", new_mesh(mesh, [materials.symbol]), instance_id("symbol", number))
+    for id_, mesh in zip(world.symbol_ids, world.symbols(view), strict=True):
+        _add_object("paint", new_mesh(mesh, [materials.symbol]), id_)
 
 
 def _objects(assets: LoadedAssets, view: View) -> list[MeshInstance]:
@@ -220,22 +219,16 @@ def _object(assets: LoadedAssets, item: PlacedObject) -> MeshInstance:
 
 
 def _trees(assets: LoadedAssets, world: World) -> list[MeshInstance]:
-    trees = world.scene.trees
-    yaw_rad = np.array([tree.yaw_rad for tree in trees], dtype=float)
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    poses = np.tile(np.eye(4), (len(trees), 1, 1))
-    poses[:, 0, 0], poses[:, 0, 1], poses[:, 1, 0], poses[:, 1, 1] = c, -s, s, c
-    poses[:, :3, 3] = world.site.trees_world
     return [
-        MeshInstance(assets.trees[tree.model - 1], pose, tree.scale, instance_id("tree", i))
-        for i, (tree, pose) in enumerate(zip(trees, poses, strict=True))
+        MeshInstance(assets.trees[tree.model - 1], pose, tree.scale, id_)
+        for tree, (id_, pose) in zip(world.scene.trees, world.site.world_from_trees.items(), strict=True)
     ]
 
 
 def _host(studio: Studio, view: View) -> list[MeshInstance]:
     pose, own = view.world_from_bonnet, view.scene.host
     body = (*[own.gray] * 3, own.gloss)
-    return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, instance_id("bonnet", 0), body)]
+    return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, bonnet.ID, body)]
 
 
 def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:

@@ -15,6 +15,7 @@ from synth3dlanes.imaging.haze import KOSCHMIEDER
 from synth3dlanes.imaging.sky import SKY_SHAPE, sun_direction
 from synth3dlanes.imaging.user_sky import UserSky, hang
 from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.things import KINDS, Glow
 from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.world.buildings import GLASS
 from synth3dlanes.world.solids import LIT_GLOSS, REFLECTOR_GLOSS, SHEETING_GLOSS
@@ -38,7 +39,12 @@ CAR_LAMPS = {"car_head": (0.03, 0.0275, 0.024), "car_tail": (0.006, 0.00003, 0.0
 WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3
 # What throws headlights back: the gloss above which faces do, and coefficient (cd/lx/m2) times the intensity towards
 # them. Signs hang above the beam's edge, reflectors stand at it.
-THROWN_BACK = {"sign": (SHEETING_GLOSS - 0.02, 250 * BEAM * STRAY), "pole": (REFLECTOR_GLOSS - 0.02, 300 * BEAM * 0.1)}
+THROWN_BACK: dict[Glow, tuple[float, float]] = {
+    "sheeting": (SHEETING_GLOSS - 0.02, 250 * BEAM * STRAY),
+    "reflector": (REFLECTOR_GLOSS - 0.02, 300 * BEAM * 0.1),
+}
+# What glows, by the names of materials.
+GLOWS = {kind.name: kind.glow for kind in KINDS if kind.glow}
 NEAREST_M = 4.0
 # Radiance of lit lenses of signals by day (about 6000 cd/m2), and the share of it in the dark.
 SIGNAL, SIGNAL_IN_THE_DARK = 0.15, 0.03
@@ -118,17 +124,22 @@ def add_lights() -> None:
         if name in bpy.data.materials:
             red, green, blue = (channel / max(radiance) for channel in radiance)
             _add_shine(ShaderGraph(bpy.data.materials[name].node_tree), (red, green, blue))
-    graph = ShaderGraph(bpy.data.materials["building"].node_tree)
-    gloss = graph.node("ShaderNodeAttribute", attribute_name="paint").outputs["Alpha"]
-    luck = graph.node("ShaderNodeNewGeometry").outputs["Random Per Island"]
-    is_glass, is_lit = graph.math("GREATER_THAN", gloss, 0.99 * GLASS[3]), graph.math("LESS_THAN", luck, LIT)
-    _add_shine(graph, WINDOW_COLOR, graph.math("MULTIPLY", is_glass, is_lit))
-    for name, (gloss_from, _) in THROWN_BACK.items():
-        _throw_back(ShaderGraph(bpy.data.materials[name].node_tree), gloss_from)
-    graph = ShaderGraph(bpy.data.materials["signal"].node_tree)
-    paint = graph.node("ShaderNodeAttribute", attribute_name="paint").outputs
-    _add_shine(graph, paint["Color"], graph.math("GREATER_THAN", paint["Alpha"], 0.99 * LIT_GLOSS))
-    for name in (*CAR_LAMPS, "building", "signal", *THROWN_BACK):
+    for name, glow in GLOWS.items():
+        graph = ShaderGraph(bpy.data.materials[name].node_tree)
+        if glow in THROWN_BACK:
+            _throw_back(graph, THROWN_BACK[glow][0])
+            continue
+        paint = graph.node("ShaderNodeAttribute", attribute_name="paint").outputs
+        if glow == "lens":
+            _add_shine(graph, paint["Color"], graph.math("GREATER_THAN", paint["Alpha"], 0.99 * LIT_GLOSS))
+            continue
+        luck = graph.node("ShaderNodeNewGeometry").outputs["Random Per Island"]
+        is_glass, is_lit = (
+            graph.math("GREATER_THAN", paint["Alpha"], 0.99 * GLASS[3]),
+            graph.math("LESS_THAN", luck, LIT),
+        )
+        _add_shine(graph, WINDOW_COLOR, graph.math("MULTIPLY", is_glass, is_lit))
+    for name in (*CAR_LAMPS, *GLOWS):
         if name in bpy.data.materials:
             bpy.data.materials[name].cycles.emission_sampling = "NONE"
 
@@ -212,8 +223,9 @@ def _set_lamps(scene: Scene, world_from_host: Matrix4, street_lamps: Points3) ->
     for i in range(N_STREET_LAMPS):
         _place(f"street_lamp_{i}", nearest[i] if i < len(nearest) else None, mathutils.Quaternion())
     shines = {name: is_lit * max(radiance) for name, radiance in CAR_LAMPS.items()}
-    shines["signal"] = SIGNAL * (SIGNAL_IN_THE_DARK if is_dark else 1.0)
-    shines |= {"building": is_dark * WINDOW, **{name: is_lit * gain for name, (_, gain) in THROWN_BACK.items()}}
+    glows: dict[Glow, float] = {glow: is_lit * gain for glow, (_, gain) in THROWN_BACK.items()}
+    glows |= {"lens": SIGNAL * (SIGNAL_IN_THE_DARK if is_dark else 1.0), "window": is_dark * WINDOW}
+    shines |= {name: glows[glow] for name, glow in GLOWS.items()}
     for name, radiance in shines.items():
         if name in bpy.data.materials:
             set_value(bpy.data.materials[name], "shine", radiance)

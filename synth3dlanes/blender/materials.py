@@ -58,6 +58,7 @@ TERRAIN_MEANS = {"terrain_1": (0.103, 0.109, 0.052), "terrain_2": (0.249, 0.179,
 WOODS, WOODS_LENGTH_M, WOODS_FROM_M = (0.035, 0.045, 0.025), 2900.0, 220.0
 # What snow lies on, beside the ground.
 CAPPED = {kind.semantic_id for kind in KINDS if kind.is_capped}
+CLEARED = {kind.semantic_id for kind in KINDS if kind.is_cleared}
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,12 +169,12 @@ def set_snow_caps(share: float) -> None:
         if output is None or not output.inputs["Surface"].links:
             continue
         tree, surface = material.node_tree, output.inputs["Surface"]
-        top, is_car = surface.links[0].from_node, material.pass_index == SEMANTIC_IDS["car"]
+        top, is_cleared = surface.links[0].from_node, material.pass_index in CLEARED
         if share and top.name != CAP:
-            cap = tree.nodes.get(CAP) or snow_cap(ShaderGraph(tree), surface.links[0].from_socket, is_car)
+            cap = tree.nodes.get(CAP) or snow_cap(ShaderGraph(tree), surface.links[0].from_socket, is_cleared)
             tree.links.new(cap.outputs[0], surface)
         if share:
-            set_value(material, "cap_level", cap_level(share, is_car))
+            set_value(material, "cap_level", cap_level(share, is_cleared))
         elif top.name == CAP:
             tree.links.new(top.inputs[1].links[0].from_socket, surface)
 

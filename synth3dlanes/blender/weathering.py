@@ -79,11 +79,11 @@ def snowed(graph: ShaderGraph, bare: Look, spare: Socket = 0.0, blur: Socket = 0
     )
 
 
-def snow_cap(graph: ShaderGraph, bare: Socket, is_car: bool) -> Any:
+def snow_cap(graph: ShaderGraph, bare: Socket, is_cleared: bool) -> Any:
     """The shader `bare` with snow where it looks up, controlled by the node value that `cap_level` gives."""
     up = graph.node("ShaderNodeSeparateXYZ", {0: graph.node("ShaderNodeNewGeometry").outputs["Normal"]}).outputs[2]
-    level, least = graph.value("cap_level"), CAR_CAP_FROM if is_car else CAP_FROM
-    if is_car:
+    level, least = graph.value("cap_level"), CAR_CAP_FROM if is_cleared else CAP_FROM
+    if is_cleared:
         # By the car's id and colour, so that it is the same in all frames of a clip.
         info = graph.node("ShaderNodeObjectInfo")
         red = graph.node("ShaderNodeSeparateColor", {0: info.outputs["Color"]}).outputs[0]
@@ -97,10 +97,10 @@ def snow_cap(graph: ShaderGraph, bare: Socket, is_car: bool) -> Any:
     return graph.node("ShaderNodeMixShader", {0: graph.math("MULTIPLY", flat, lies), 1: bare, 2: snow}, name=CAP)
 
 
-def cap_level(share: float, is_car: bool) -> float:
+def cap_level(share: float, is_cleared: bool) -> float:
     """The node value `cap_level` with this share of the ground under snow: the share of cars with snow on them, or the
     level of the map."""
-    return share * CAR_SHARE if is_car else rub_level(share)
+    return share * CAR_SHARE if is_cleared else rub_level(share)
 
 
 def wheel_tracks(graph: ShaderGraph, across_m: Socket) -> Any:

@@ -2,7 +2,6 @@
 rules. What only the lines of a frame tell (bends, hills, exits) is in `lines.scene_tags`."""
 
 from collections.abc import Iterator
-from typing import get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,7 +9,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels, Lane, SymbolLabel
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.things import VehicleClass
+from synth3dlanes.scene.things import DRIVEN
 
 AHEAD_M = 60.0
 NIGHT_RAD = np.radians(96.0)  # the sun 6 degrees below the horizon: the end of civil twilight
@@ -59,7 +58,7 @@ def _is_seen(item: SymbolLabel | Lane) -> bool:
 
 
 def _cars_ahead(labels: Labels) -> int:
-    cars = (item for item in labels.objects or () if item.category in get_args(VehicleClass))
+    cars = (item for item in labels.objects or () if item.category in DRIVEN)
     ahead = (item for item in cars if 0 < item.center_cam[1] < AHEAD_M)
     return sum(item.visible_fraction is None or item.visible_fraction >= SEEN for item in ahead)
 

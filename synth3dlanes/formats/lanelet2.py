@@ -43,6 +43,7 @@ from synth3dlanes.labels.labels import Lane
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound, read_lanelet
 from synth3dlanes.roads.maps.osm import Osm, read_osm
 from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of
+from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.arrays import Polyline3
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.world.elements import TrafficElement
@@ -63,6 +64,8 @@ BESIDE_M, LEAST_KERB_M = 0.15, 0.06
 # Smaller ones are seams between roads.
 LEAST_AREA_M2 = 0.05
 
+# Types of traffic elements; other ones are left out.
+TYPES, LIGHT = classes_in("lanelet2", of_elements=True), "traffic_light"
 SIGNS = {
     "stop": "de206",
     "give_way": "de205",
@@ -321,12 +324,13 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
         limit = kind.removeprefix(SPEED) if kind.removeprefix(SPEED).isdigit() else ""
         if not lanes:
             continue
-        if element.category == "traffic_light":
+        type_ = TYPES.get(element.category)
+        if type_ == LIGHT:
             light = _write_light(document, element)
             for lane in lanes:
                 lights.setdefault(lane, []).append(light)
-        elif element.category == "road_sign" and (kind in SIGNS or limit):
-            tags = {"type": "traffic_sign", "subtype": f"de274-{limit}" if limit else SIGNS[kind]}
+        elif type_ and (kind in SIGNS or limit):
+            tags = {"type": type_, "subtype": f"de274-{limit}" if limit else SIGNS[kind]}
             members = [("way", _write_board(document, element, tags), "refers")]
             last = [found.pieces[lane][-1] for lane in lanes]
             if limit:
@@ -347,7 +351,7 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
             (("way", name, role)) for head in heads for name, role in zip(head, ("refers", "light_bulbs"), strict=True)
         ]
         members += [("way", stops[lane], "ref_line")] if lane in stops else []
-        rule("traffic_light", members, [found.pieces[lane][-1]])
+        rule(LIGHT, members, [found.pieces[lane][-1]])
     yields = dict[str, list[str]]()
     for at in () if world.scene.map is None else world.scene.map.junctions:
         for one, other in at.yields:
@@ -365,7 +369,7 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
 
 def _write_light(document: _Document, element: TrafficElement) -> tuple[int, int]:
     """The lower edge of a head and its lenses."""
-    board = _write_board(document, element, {"type": "traffic_light", "subtype": "red_yellow_green"})
+    board = _write_board(document, element, {"type": LIGHT, "subtype": "red_yellow_green"})
     height_m, pose = element.place.size_m[2], element.place.world_from_face
     arrow = {"arrow": ARROW_BULBS[element.kind]} if element.kind in ARROW_BULBS else {}
     front = np.array([[0.0, -element.place.size_m[1] / 2, up * BULBS_APART * height_m] for _, up in BULBS])

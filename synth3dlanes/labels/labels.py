@@ -16,7 +16,7 @@ from synth3dlanes.geometry.frames import inside_image
 from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.labels.object_labels import ObjectLabel, object_document
-from synth3dlanes.scene.instance_ids import thing_of
+from synth3dlanes.scene.things import DRIVEN
 from synth3dlanes.system.json_arrays import JsonMask, JsonMatrix3, JsonMatrix4, JsonPairs, JsonPoints, rounded
 from synth3dlanes.system.schema import STRICT, DocumentPart, Name, Number, PixelCount, Positive, SymbolKind, Unit, parse
 
@@ -244,7 +244,7 @@ class Labels:
         such pixel, None until rendered."""
         if self.objects is None:
             return self.older_shares
-        cars = [item for item in self.objects if thing_of(item.id)[0] == "car"]
+        cars = [item for item in self.objects if item.category in DRIVEN]
         shares = tuple(item.visible_fraction for item in cars if item.visible_fraction is not None)
         return shares if len(shares) == len(cars) else None
 

@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Integer
 from synth3dlanes.geometry.frames import inside_image, invert, quaternion, transform
 from synth3dlanes.labels.labels import CameraLabel, LaneGraph
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
-from synth3dlanes.scene.instance_ids import instance_id, thing_of
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.system.schema import MAX_NUMBER
 from synth3dlanes.world.world import Site, View
@@ -59,13 +58,13 @@ def label_elements(site: Site, view: View, camera: CameraLabel, graph: LaneGraph
     """The labels of all traffic elements near a view, in the order of their ids, with the lanes that are in a graph."""
     cam_from_world, found = invert(camera.world_from_cam), []
     known = {segment.id for segment in graph.segments}
-    for number, element in enumerate(site.elements):
+    for id_, element in site.elements_by_id.items():
         cam_from_box = cam_from_world @ element.place.world_from_face
         if np.linalg.norm(cam_from_box[:3, 3]) > LABELLED_M:
             continue
         found.append(
             ObjectLabel(
-                id=instance_id("structure", site.first_element + number),
+                id=id_,
                 category=element.category,
                 kind=element.kind,
                 state=element.state(view.scene.shot.time_s),
@@ -162,8 +161,7 @@ def _pixel_share(item: ObjectLabel, site: Site, camera: CameraLabel, instance: I
     left, top = np.floor(item.box_px[:2]).astype(int)
     right, bottom = np.ceil(item.box_px[2:]).astype(int)
     shows = instance[top:bottom, left:right] == item.id
-    body = site.structures[thing_of(item.id)[1]]
-    corners_cam = transform(invert(camera.world_from_cam), body.corners_world)
+    corners_cam = transform(invert(camera.world_from_cam), site.bodies[item.id].corners_world)
     step = max(1, int(np.ceil(np.sqrt(shows.size / MAX_PIXELS))))
     v, u = np.mgrid[top:bottom:step, left:right:step]
     own = shows[::step, ::step].ravel()

@@ -7,10 +7,13 @@ import numpy as np
 
 from synth3dlanes.geometry.frames import turned
 from synth3dlanes.scene.host import HostCamera
+from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.things import FIRST_OF
 from synth3dlanes.system.arrays import Matrix4, Numbers
 from synth3dlanes.world.camera import rays
 from synth3dlanes.world.meshes import Mesh, grid
 
+KIND, ID = FIRST_OF["bonnet"], instance_id("bonnet", 0)
 HALF_WIDTH_M, FROM_M, TO_M = 0.78, 0.02, 1.6
 # It falls towards the nose and the sides; two folds run along it.
 NOSE, SIDES, FOLD_M, FOLD_AT_M, FOLD_WIDTH_M = (0.05, 0.07, 0.10), (0.05, 0.12), 0.012, 0.42, 0.05

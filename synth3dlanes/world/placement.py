@@ -6,6 +6,7 @@ from jaxtyping import Float
 from synth3dlanes.geometry.frames import cross, from_axes, transform
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import CarModel
+from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car, Tree
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.ground import Ground
@@ -62,6 +63,16 @@ def tree_positions(ground: Ground, trees: tuple[Tree, ...]) -> Float[np.ndarray,
     """The base points of trees on the ground as built."""
     xy = np.array([[tree.x_m, tree.y_m] for tree in trees]).reshape(-1, 2)
     return np.column_stack([xy, ground.height(xy) - TREE_SINK_M])
+
+
+def tree_poses(trees: tuple[Tree, ...], trees_world: Float[np.ndarray, "n 3"]) -> dict[int, Matrix4]:
+    """The poses of trees with these base points, by instance id, without their scale."""
+    yaw_rad = np.array([tree.yaw_rad for tree in trees], dtype=float)
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    poses = np.tile(np.eye(4), (len(trees), 1, 1))
+    poses[:, 0, 0], poses[:, 0, 1], poses[:, 1, 0], poses[:, 1, 1] = c, -s, s, c
+    poses[:, :3, 3] = trees_world
+    return {instance_id("tree", number): pose for number, pose in enumerate(poses)}
 
 
 Footprint = Float[np.ndarray, "4 2"]

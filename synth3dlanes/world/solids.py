@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from synth3dlanes.scene.things import KINDS
 from synth3dlanes.system.arrays import Points3
 
 QuadCorners = Float[np.ndarray, "f 4 3"]
 
 # The semantic names of a body's faces; `Body.surface` numbers them.
-SURFACES = ("barrier", "pole", "sign", "bridge", "building", "kerb", "signal")
+SURFACES = tuple(kind.name for kind in KINDS if kind.series == "structure")
 # How far bodies reach into the ground, so that none floats on a slope.
 SINK_M = 0.4
 # Linear red, green and blue, and gloss.

@@ -15,6 +15,7 @@ from synth3dlanes.roads.map_roads import map_network
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import paper_network
 from synth3dlanes.scene.host import HostCamera, Lidar
+from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
@@ -31,7 +32,7 @@ from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things
 from synth3dlanes.world.paint import paint_meshes
-from synth3dlanes.world.placement import tree_positions
+from synth3dlanes.world.placement import tree_poses, tree_positions
 from synth3dlanes.world.seams import ghost_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.symbols import SymbolShape, symbol_mesh, symbol_shapes
@@ -156,6 +157,11 @@ class Site:
         return self.ground.network.curves
 
     @cached_property
+    def world_from_trees(self) -> dict[int, Matrix4]:
+        """The poses of all trees by instance id, without their scale."""
+        return tree_poses(self.trees, self.trees_world)
+
+    @cached_property
     def trees_world(self) -> Float[np.ndarray, "n 3"]:
         """The base points of all trees."""
         return tree_positions(self.ground, self.trees)
@@ -171,16 +177,21 @@ class Site:
         """The traffic elements: heads of signals and faces of signs."""
         return traffic_elements(self.ground, self.roadside)
 
-    @property
-    def first_element(self) -> int:
-        """The number of the first traffic element among the structures."""
-        return len(self.structures) - len(self.elements)
+    @cached_property
+    def bodies(self) -> dict[int, Body]:
+        """The structures by instance id."""
+        return {instance_id("structure", number): body for number, body in enumerate(self.structures)}
+
+    @cached_property
+    def elements_by_id(self) -> dict[int, TrafficElement]:
+        """The traffic elements by instance id."""
+        last = list(self.bodies)[len(self.structures) - len(self.elements) :]
+        return dict(zip(last, self.elements, strict=True))
 
     def lights(self, time_s: float) -> dict[int, Body]:
-        """What shines of signals at a time of a clip, by the number of the structure that it belongs to."""
-        first = self.first_element
-        lit = ((first + i, element.light(time_s)) for i, element in enumerate(self.elements))
-        return {number: body for number, body in lit if body is not None}
+        """What shines of signals at a time of a clip, by instance id."""
+        lit = ((id_, element.light(time_s)) for id_, element in self.elements_by_id.items())
+        return {id_: body for id_, body in lit if body is not None}
 
     @cached_property
     def street_lamps(self) -> Float[np.ndarray, "n 3"]:
@@ -227,6 +238,11 @@ class World:
     def symbols(self, view: View) -> list[Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
         return [symbol_mesh(self.ground, form, view.eye_world) for form in self.symbol_shapes]
+
+    @property
+    def symbol_ids(self) -> list[int]:
+        """The instance ids of all symbols."""
+        return [instance_id("symbol", number) for number in range(len(self.symbol_shapes))]
 
     @cached_property
     def symbol_shapes(self) -> list[SymbolShape]:

@@ -51,6 +51,7 @@ from synth3dlanes.formats.cosmos.clip import (
 from synth3dlanes.formats.cosmos.scenario import Scenario, scenario
 from synth3dlanes.formats.cosmos.videos import (
     CATEGORIES,
+    ELEMENTS,
     depth_picture,
     edge_picture,
     lane_map_picture,
@@ -268,9 +269,9 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
         width_m, depth_m, height_m = label.size_m.tolist()
         box = {"map_id": str(label.id), "center": _xyz(placed[:3, 3]), "orientation": _xyzw(_flu(placed))}
         box["dimensions"] = _xyz((depth_m, width_m, height_m))
-        is_sign = label.category == "road_sign"
-        category = SIGN_CATEGORIES.get(label.kind or "", "TRAFFIC_SIGN_INFORMATION") if is_sign else "traffic_light"
-        rows["traffic_sign" if is_sign else "traffic_light"].append({**box, "category": category})
+        table = ELEMENTS[label.category]
+        category = SIGN_CATEGORIES.get(label.kind or "", "TRAFFIC_SIGN_INFORMATION") if label.state is None else table
+        rows[table].append({**box, "category": category})
     return {name: rows[name] for name in TABLES if name not in MOVING}
 
 
@@ -465,10 +466,9 @@ def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> C
 def _elements(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
     """Corners of traffic lights and signs by their ids; those of other pictures of the clip are left out."""
     found = Comparison()
-    for table in ("traffic_light", "traffic_sign"):
-        is_sign = table == "traffic_sign"
+    for table in sorted({*ELEMENTS.values()}):
         ours = {str(item.id): (item.corners_cam, "") for item in picture.labels.traffic_elements or ()
-                if (item.category == "road_sign") == is_sign}  # fmt: skip
+                if ELEMENTS[item.category] == table}  # fmt: skip
         boxes = [box for box in clip.elements(table) if box.name in ours]
         found += _compared(table.replace("_", " "), boxes, ours, cam_from_clip)
     return found

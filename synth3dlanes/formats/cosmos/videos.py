@@ -23,10 +23,10 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Labels, PaintColor
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
-from synth3dlanes.scene.things import BOXED, GROUND, KINDS, SEMANTIC_IDS, Rgb, classes_in
+from synth3dlanes.scene.things import BOXED, GROUND, KINDS, OWN, Rgb, classes_in
 from synth3dlanes.system.arrays import Passes, Points3, RgbImage
 
-CATEGORIES = classes_in("cosmos")
+CATEGORIES, ELEMENTS = classes_in("cosmos"), classes_in("cosmos", of_elements=True)
 EDGE_LOW, EDGE_HIGH = 100, 200
 """The thresholds of Canny's edges that inference takes by default."""
 CLASS_COLORS = np.zeros((256, 3), np.uint8)
@@ -80,7 +80,7 @@ def nearness(passes: Passes) -> Float[np.ndarray, "h w"]:
 
 def nearness_span(passes: Passes) -> tuple[float, float]:
     """The least and the greatest nearness of a picture, but for the host's own bonnet, which would darken all else."""
-    found = nearness(passes)[passes["semantic"] != SEMANTIC_IDS["host"]]
+    found = nearness(passes)[~np.isin(passes["semantic"], OWN)]
     return (float(found.min()), float(found.max())) if found.size else (0.0, 0.0)
 
 
@@ -181,9 +181,9 @@ def lane_map_picture(picture: SourceSample, around: Scenario) -> RgbImage:
 
 
 def _element_color(label: ObjectLabel) -> Rgb:
-    if label.category == "road_sign":
+    if label.state is None:
         return SIGN
-    state = label.state or "off"
+    state = label.state
     light = "red" if "red" in state else "green" if "green" in state else "yellow" if "amber" in state else ""
     return STATE_COLORS.get(light, LIGHT)
 

@@ -27,7 +27,7 @@ HALF_PX = 0.5
 START_US, ROOM_US = 10**15, 4 * 10**6
 """The first timestamp, and how much later the next picture's scene begins at least."""
 DATE = "2001-09-09"
-CATEGORIES = classes_in("nuscenes")
+CATEGORIES, ELEMENTS = classes_in("nuscenes"), classes_in("nuscenes", of_elements=True)
 CLASSES = (
     "animal", "human.pedestrian.adult", "human.pedestrian.child", "human.pedestrian.construction_worker",
     "human.pedestrian.personal_mobility", "human.pedestrian.police_officer", "human.pedestrian.stroller",

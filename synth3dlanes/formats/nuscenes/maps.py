@@ -9,7 +9,15 @@ from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
-from synth3dlanes.formats.nuscenes.convention import LAYERS, LINKS, PATHS, level_from_world, segment_type, token
+from synth3dlanes.formats.nuscenes.convention import (
+    ELEMENTS,
+    LAYERS,
+    LINKS,
+    PATHS,
+    level_from_world,
+    segment_type,
+    token,
+)
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import stretches, thinned
 from synth3dlanes.labels.labels import LaneGraph
@@ -247,7 +255,7 @@ class _Layers:
 
     def _signals(self) -> list[tuple[int, TrafficElement]]:
         elements = enumerate(self.world.site.elements)
-        return [(number, element) for number, element in elements if element.category == "traffic_light"]
+        return [(number, element) for number, element in elements if element.category in ELEMENTS]
 
     def stop_lines(self, areas: Mapping[str, BaseGeometry], crossings: Mapping[str, BaseGeometry]) -> None:
         """Stop lines with what they are for: lights and signs of the lanes that they cross, or a crosswalk beyond."""

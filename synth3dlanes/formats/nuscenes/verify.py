@@ -27,6 +27,7 @@ from synth3dlanes.formats.format import ReadFrame
 from synth3dlanes.formats.lane_map import link_gaps
 from synth3dlanes.formats.nuscenes.convention import (
     CATEGORIES,
+    ELEMENTS,
     FRONT_CAMERA,
     LIDAR,
     REAR_M,
@@ -382,7 +383,7 @@ def _thing_problems(found: PlaceMap, above: Labels, truth: SourceSample, global_
                 yield f"expected a {word} on a {symbol.kind}, got none nearer than {off_m:.3g} m"
     lights = np.array([(row.pose.tx, row.pose.ty, row.pose.tz) for row in found.traffic_light]).reshape(-1, 3)
     for item in truth.labels.traffic_elements or ():
-        if item.category == "traffic_light":
+        if item.category in ELEMENTS:
             (place,) = transform(global_from_cam, item.center_cam[None])
             off_m = float(np.linalg.norm(lights - place, axis=1).min(initial=np.inf))
             if not off_m <= RULE.limit:

@@ -35,7 +35,6 @@ from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, ob
 from synth3dlanes.geometry.frames import from_axes, invert
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import ObjectLabel
-from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.world.motion import host_driven
@@ -95,7 +94,8 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
             ego_from_lidar = ego_from_cam @ labels.lidar.cam_from_lidar
         lidar = data(LIDAR, "pcd.bin", ego_from_lidar)
         files[lidar["file"]], picture["data"] = _sweep(frame), [camera, lidar]
-    parked = {instance_id("car", i) for i, car in enumerate(frame.scene.cars) if not car.track}
+    # Cars come first among the objects.
+    parked = {item.id for item, car in zip(labels.objects, frame.scene.cars, strict=False) if not car.track}
     boxes = [
         _box(item, item.id in parked, ego_from_cam if frame.cameras else None)
         for item in objects_of(labels, CATEGORIES)
