@@ -10,9 +10,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 from scipy.special import stdtrit
 
-from synth3dlanes.validate.centroids import PaintOffset, image_offsets, line_views, paint_offsets
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import Lane
+from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Problem, Signed
 
@@ -48,43 +52,88 @@ TESTS = {
     "image_outward_m": MeanTest(0.006, "paint in the image under its labels", "outward", "inward", _WIDTH),
     "image_right_m": MeanTest(0.006, "paint in the image under its labels", "to the right", "to the left", _SIDE),
 }
-# Least amount of paint for a value: pixels, or slices of an image.
+# Least amount of paint for a value: pixels, or profiles across a line of an image.
 MIN_WEIGHT = {"paint": 30.0, "image": 15.0, "exit": 30.0}
 # Lines this close to the camera's vertical plane count as on neither side.
 ASIDE_M = 0.5
+# Range of paint, how far from it pixels are compared, at least, and how many of them at most.
+RANGE_M, REACH_M, REACH_PX, MOST = 80.0, 0.25, 3.0, 40_000
+
+
+class PaintOffset(NamedTuple):
+    """How far the paint of a line is from its label, in parts: where each is beside the camera, its weight, and this
+    times its offset to the right, as the camera looks."""
+
+    lane: Lane
+    x_cam: Scalars
+    weight: Scalars
+    moment_m: Scalars
 
 
 def signed_values(evidence: Evidence) -> Iterator[Signed]:
-    """The signed values of paint of this sample, of a clip those of its first frame: its frames are alike, and the
-    tests over the data set take samples as independent. `surface_above_m` is measured where points are (`points`)."""
+    """The signed values of paint in the passes."""
+    lines = list(paint_offsets(evidence))
+    yield from sides("paint", evidence, lines)
+    network = evidence.world.network
+    if any(road.parting for road in network.roads):
+        of_exit = [line for line in lines if line.lane.road != network.main.id]
+        along = evidence.camera.road_from_cam[1, :3]
+        ways = [np.sign((line.lane.xyz_cam[-1] - line.lane.xyz_cam[0]) @ along) for line in of_exit]
+        yield from _mean("exit_outward_m", of_exit, [network.rightward * way for way in ways], MIN_WEIGHT["exit"])
+
+
+def paint_offsets(evidence: Evidence) -> Iterator[PaintOffset]:
+    """The offset of every delimiter with visible paint, in parts of a pixel each.
+
+    A pass has one sample at each pixel's centre. So the pixels of paint are compared with those whose points the
+    scene's paint covers. If both show one world, these are the same pixels, without rounding errors; if not, the offset
+    of the centroid is the difference of their first moments divided by the number of pixels. Each pixel is asked for
+    the line that is nearest to it in the image, where it shows this line or bare ground.
+    """
+    instance, paint = evidence.passes["instance"], evidence.paint
+    numbers = numbers_of("delimiter", instance)
+    away_px, nearest = distance_transform_edt(numbers < 0, return_indices=True)
+    depth_m = evidence.passes["depth"]
+    reach_px = np.maximum(REACH_M * evidence.camera.img_from_cam[0, 0] / depth_m, REACH_PX)
+    is_near = (away_px < reach_px) & (depth_m < RANGE_M)
+    lines = numbers[tuple(nearest)]
+    # Where the image cuts a line off at its side, a part of its width is missing.
+    rows = np.arange(len(lines))[:, None] + lines * len(lines)
+    is_near &= ~np.isin(rows, rows[:, [0, -1]][is_near[:, [0, -1]]])
+    on = evidence.seen(is_near & ((numbers >= 0) | (instance == 0)), MOST).on_road
+    assert on.pixels is not None, "just taken from pixels"
+    own, shown = lines[tuple(on.pixels.T)], on.number("delimiter")
+    x_cam = transform(invert(evidence.camera.world_from_cam), on.points_world)[:, 0]
+    for number, lane in enumerate(lane for lane in evidence.labels.lanes if lane.kind == "delimiter"):
+        at = own == number
+        if lane.id not in paint.ids or not at.any():
+            continue
+        place = on.places.at(at)
+        right_m, is_inside = paint.right_m(lane.id, place), paint.beyond_m(lane.id, place) < 0
+        is_own = shown[at] == number
+        surplus = np.where(np.isfinite(right_m), is_own.astype(float) - is_inside, 0.0)
+        if is_own.any():
+            seen = np.flatnonzero(lane.visible)
+            towards = seen.size and lane.xyz_cam[seen[-1], 1] < lane.xyz_cam[seen[0], 1]
+            moment_m = surplus * np.nan_to_num(right_m, posinf=0.0) * (-1 if towards else 1)
+            yield PaintOffset(lane, x_cam[at], is_own.astype(float), moment_m)
+
+
+def sides(name: str, evidence: Evidence, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
+    """Mean offsets of paint to the right, and outward, away from the camera's vertical plane. Of a clip those of its
+    first frame: its frames are alike, and the tests over the data set take samples as independent."""
     if evidence.scene.shot.frame or evidence.scene.shot.view:
         return
-    network, labels = evidence.world.network, evidence.labels
-    views = line_views(evidence.paint, labels)
-    if "instance" in evidence.passes:
-        lines = list(paint_offsets(views, evidence.passes["instance"]))
-        yield from _sides("paint", lines)
-        exit_lines = [line for line in lines if line.lane.road != network.main.id]
-        if any(road.parting for road in network.roads) and exit_lines:
-            ways = [line.lane.xyz_cam[-1] - line.lane.xyz_cam[0] for line in exit_lines]
-            out = network.rightward * np.sign(np.array(ways) @ labels.camera.road_from_cam[1, :3])
-            n_px = sum(float(line.n_px.sum()) for line in exit_lines)
-            moment = sum(float(line.moment_m.sum()) * sign for line, sign in zip(exit_lines, out, strict=True))
-            if n_px >= MIN_WEIGHT["exit"]:
-                yield Signed("exit_outward_m", moment / n_px)
-    if evidence.paint.shows:
-        yield from _sides("image", list(image_offsets(views, evidence.luma)))
+    outward = [np.sign(line.x_cam) * (np.abs(line.x_cam) > ASIDE_M) for line in lines]
+    yield from _mean(f"{name}_right_m", lines, [1.0] * len(lines), MIN_WEIGHT[name])
+    yield from _mean(f"{name}_outward_m", lines, outward, MIN_WEIGHT[name])
 
 
-def _sides(name: str, lines: Sequence[PaintOffset]) -> Iterator[Signed]:
-    """Offsets of paint to the right, and outward, away from the camera's vertical plane."""
-    points_cam = np.concatenate([np.zeros((0, 3)), *(line.points_cam for line in lines)])
-    n_px, moment_m = (np.concatenate([np.zeros(0), *(line[i] for line in lines)]) for i in (2, 3))
-    side = np.sign(points_cam[:, 0]) * (np.abs(points_cam[:, 0]) > ASIDE_M)
-    for which, sign in (("right", np.ones(len(side))), ("outward", side)):
-        weight = float(n_px @ np.abs(sign))
-        if weight >= MIN_WEIGHT[name]:
-            yield Signed(f"{name}_{which}_m", float(moment_m @ sign) / weight)
+def _mean(name: str, lines: Sequence[PaintOffset], signs: Sequence[float | Scalars], least: float) -> Iterator[Signed]:
+    weight = sum(float((line.weight * np.abs(sign)).sum()) for line, sign in zip(lines, signs, strict=True))
+    if weight >= least:
+        moment_m = sum(float((line.moment_m * sign).sum()) for line, sign in zip(lines, signs, strict=True))
+        yield Signed(name, moment_m / weight)
 
 
 @dataclass

@@ -10,10 +10,10 @@ from synth3dlanes.validate.boxes import check_boxes, check_cars, instant
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
 from synth3dlanes.validate.integrity import check_row
-from synth3dlanes.validate.labels import check_form, check_host, check_labels, check_objects
-from synth3dlanes.validate.passes import check_bonnet, check_kinds, check_normals, check_sky
+from synth3dlanes.validate.labels import check_form, check_labels, check_objects
+from synth3dlanes.validate.passes import check_bonnet, check_height, check_kinds, check_normals, check_sky
 from synth3dlanes.validate.picture import check_appearance, check_colours, check_frame, check_sharpness
-from synth3dlanes.validate.points import check_height, check_points
+from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.seen import check_lidar, check_seen
 from synth3dlanes.validate.standing import check_roadside, check_standing
@@ -49,11 +49,6 @@ CHECKS = (
     Check("index", _row, "index columns that do not match their sample", frozenset({"row"})),
     Check("form", check_form, "lanes that turn back or jump, masks that do not fit the camera", frozenset()),
     Check("labels", check_labels, "labels that are not those of the scene"),
-    Check(
-        "host",
-        check_host,
-        "a host that is not at the scene's offset from the middle of its lane, or that overlaps a car",
-    ),
     Check("bonnet", check_bonnet, "a bonnet of the host that is not in the picture", _needs("semantic")),
     Check(
         "objects",
@@ -87,7 +82,7 @@ CHECKS = (
         "be hidden; depth in another unit",
         _needs("aim"),
     ),
-    Check("height", check_height, "a height map that is too high or low, or some cells off", _needs("aim height")),
+    Check("height", check_height, "a height map that is too high or low, or some cells off", _needs("height")),
     Check("ridges", check_ridges, "paint in the image that is not where its delimiter is", _needs("aim image")),
     Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
     Check("colours", check_colours, "swapped colour channels", _needs("aim image")),
@@ -157,5 +152,5 @@ CHECKS = (
         "from picture to picture of a clip or rig: objects that do not move as the velocities of their labels say, or "
         "that cameras have in different places",
     ),
-    Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim image")),
+    Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim depth instance")),
 )

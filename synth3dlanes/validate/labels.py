@@ -1,9 +1,8 @@
-"""Check labels by themselves, against the recomputed labels of their scene, and what they say of the host and of what
-is hidden. No pixels.
+"""Check labels by themselves, against the recomputed labels of their scene, and what they say of what is hidden. No
+pixels.
 
 A point can only be hidden by an object if its line of sight meets a box of the object, and it must be hidden if the
-line goes through the core of a car. The host's place is computed from the labels' points and is independent of
-`geometry.camera`, which places the camera.
+line goes through the core of a car.
 """
 
 import json
@@ -12,17 +11,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
-from synth3dlanes.geometry.frames import invert, road_from_cam, transform, turned
+from synth3dlanes.geometry.frames import road_from_cam, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, to_json
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.bodies import cores, meet, outlines
 from synth3dlanes.validate.documents import Tolerance, differences, some
 from synth3dlanes.validate.evidence import BORDER_PX, Evidence, inside_px
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 
 # labels.json rounds points to 0.1 mm and matrices to 1e-9.
 POINT_M = 1e-4
@@ -42,12 +38,6 @@ RENDERED = ("object_visible", "car_visible_fraction", "visible_fraction", "seen_
 # Keys of paint that older labels do not have, and groups that they do not have at all.
 PAINT = ("color", "double", "pair")
 GROUPS = ("lanes", "symbols", "objects", "traffic_elements")
-# Error of the host's offset from the middle of its lane.
-LAW_M = 0.001
-# Points of measured lines are a metre apart wherever the host is: distance of a chord's middle from a sharp bend.
-CHORD_M = 0.03
-# The longest end of a lane of a map without points: they are a metre apart, and a line has two.
-REST_M = 2.0
 # The most that a line of a map moves aside from one point to the next by a bend: 1.1 m for a line 7 m beside an arc of
 # 3 m.
 MAX_JUMP_M = 1.5
@@ -146,33 +136,6 @@ def _first_apart(expected: list[str], found: list[str]) -> str:
     return f"with {wanted}, got {len(found)} with {got}"
 
 
-def check_host(evidence: Evidence) -> Iterator[Finding]:
-    """Findings about the host's position."""
-    world, labels, camera = evidence.world, evidence.labels, evidence.world.view.camera
-    segment = world.network.host_lane(camera.lane, camera.y_m).id
-    # Of the last metres of a lane of a map there is no line; the next one begins there.
-    reach_m, law_m = (REST_M, CHORD_M) if world.network.host_way(camera).is_measured else (0.0, LAW_M)
-    own = {segment, world.network.host_lane(camera.lane, camera.y_m + reach_m).id}
-    paths = {path for found in labels.graph.segments if found.id in own for path in found.centerlines}
-    lanes = [lane for lane in labels.lanes if lane.id in paths]
-    world_from_host = _host_of(world.scene, labels.camera)
-    foot, ahead = world_from_host[:2, 3], world_from_host[:2, 1]
-    asides_m = [aside_m for lane in lanes for aside_m in _asides(labels, lane, foot)]
-    if not asides_m:
-        yield Finding("", f"host: expected a centre line of its lane {segment}, got none")
-    elif min(abs(aside_m - camera.offset_m) for aside_m in asides_m) > law_m:
-        found = min(asides_m, key=lambda aside_m: abs(aside_m - camera.offset_m))
-        yield Finding(
-            lanes[0].id, f"host: expected {camera.offset_m:+.3f} m from its lane's middle, got {found:+.3f} m"
-        )
-    body = footprint(foot, ahead / np.linalg.norm(ahead), *HOST_SIZE_M)
-    for i, (car, pose) in enumerate(zip(world.scene.cars, world.view.world_from_cars, strict=True)):
-        model, along = world.scene.assets.car_models[car.model - 1], pose[:2, 1] / np.linalg.norm(pose[:2, 1])
-        place = footprint(pose[:2, 3], along, model.length_m * car.scale, model.width_m * car.scale)
-        if overlaps_any(body, place[None]):
-            yield Finding("", f"cars.{i}: overlaps the host's body")
-
-
 def check_objects(evidence: Evidence) -> Iterator[Finding]:
     """Findings about lanes and symbols with points marked hidden without an object in the way, or visible behind a
     car."""
@@ -239,24 +202,3 @@ def order(camera: CameraLabel, lane: Lane) -> Iterator[Finding]:
 def _at(wrong: np.ndarray) -> str:
     """The number and the first of the wrong points, in words."""
     return f"{int(wrong.sum())} of {len(wrong)} points, the first is {int(wrong.argmax())}"
-
-
-def _host_of(scene: Scene, camera: CameraLabel) -> Matrix4:
-    """The host's road frame, from the labels' camera and its place on the host."""
-    place = turned(0.0, scene.camera.right_m, scene.camera.forward_m)
-    return np.asarray(camera.world_from_cam @ invert(camera.road_from_cam) @ invert(place))
-
-
-def _asides(labels: Labels, lane: Lane, foot: Float[np.ndarray, "2"]) -> tuple[float, ...]:
-    """Estimates of how far right of a lane a point beside it is: the distance to the line through the lane's point
-    nearest to it and the next one, the signed distance to that point (for a lane that opens, which is not parallel to
-    the road), and the distance to the parabola through three points there (for a bend that begins there)."""
-    points = transform(labels.camera.world_from_cam, lane.xyz_cam)[:, :2]
-    nearest = min(int(np.hypot(*(points - foot).T).argmin()), len(points) - 2)
-    first, second = points[nearest : nearest + 2]
-    (dx, dy), (x, y) = (second - first) / np.linalg.norm(second - first), foot - first
-    across_m = float(x * dy - y * dx)
-    three = points[max(min(nearest - 1, len(points) - 3), 0) :][:3] - first
-    along, aside = three @ [dx, dy], three @ [dy, -dx]
-    bent_m = float(np.polyval(np.polyfit(along, aside, len(three) - 1), x * dx + y * dy))
-    return across_m, float(np.copysign(np.hypot(x, y), across_m)), across_m - bent_m

@@ -36,12 +36,11 @@ Stretches = Float[np.ndarray, "m 2"]
 @dataclass(frozen=True, eq=False)
 class Strip:
     """Points along a line, the unit vectors to its right in the surface, the surface normals, and whether all stripes
-    are painted at each point and large enough there to appear in single pixels."""
+    are painted at each point, and large enough to appear in single pixels."""
 
     points_cam: Points3
     across_cam: Points3
     normal_cam: Points3
-    painted: Bool[np.ndarray, " n"]
     resolved: Bool[np.ndarray, " n"]
 
 
@@ -131,7 +130,7 @@ class WorldPaint:
         height_px = np.abs(course[:, 1]) / 0.02 * painted_m
         width_px = np.abs(side[:, 0] * course[:, 1] - side[:, 1] * course[:, 0]) / np.hypot(*course.T)
         resolved = (height_px >= RESOLVED_PX) & (width_px >= RESOLVED_PX)
-        return Strip(points_cam, across, np.cross(across, along), painted_m > 0, resolved)
+        return Strip(points_cam, across, np.cross(across, along), resolved)
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -149,11 +148,14 @@ class WorldPaint:
         markings = self.world.scene.markings
         return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
 
+    def right_m(self, id_: str, place: AnyPlaces) -> Scalars:
+        """How far points on the road are to the right of a line; infinite where it is not near."""
+        return self.world.network.rightward * place.right_of(self._curves[id_])
+
     def beyond_m(self, id_: str, place: AnyPlaces) -> Scalars:
         """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
         inside."""
-        curve = self._curves[id_]
-        right_m, s = self.world.network.rightward * place.right_of(curve), place.station(curve)
+        right_m, s = self.right_m(id_, place), place.station(self._curves[id_])
         of_stripes = [
             np.maximum(np.abs(right_m - middle_m) - self.width_m(id_) / 2, _beyond(stretches, s) - END_M)
             for middle_m, stretches in zip(self.stripes_m(id_), self._stretches[id_], strict=True)

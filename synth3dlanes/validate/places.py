@@ -4,7 +4,7 @@ Follows the meshes that Blender renders: surfaces are straight between their row
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -168,10 +168,12 @@ class RoadPlaces:
 
 @dataclass(frozen=True, eq=False)
 class MapPlaces:
-    """Points on the ground of a map, by the questions that `RoadPlaces` answers for the paper's roads."""
+    """Points on the ground of a map, by the questions that `RoadPlaces` answers for the paper's roads; `known` has
+    their places beside curves by the ids of these."""
 
     ground: MapGround
     xy_world: Points2
+    known: dict[str, tuple[Scalars, Scalars]] = field(default_factory=dict)
 
     def at(self, which: Bool[np.ndarray, " n"]) -> "MapPlaces":
         """The selected points."""
@@ -240,7 +242,9 @@ class MapPlaces:
         return self._beside(curve)[0]
 
     def _beside(self, curve: LaneCurve) -> tuple[Scalars, Scalars]:
-        """Stations and distances to the right: of the piece to which a point is nearest."""
+        """Stations and distances to the right, computed once: of the piece to which a point is nearest."""
+        if curve.id in self.known:
+            return self.known[curve.id]
         station, right = np.zeros(len(self.xy_world)), np.full(len(self.xy_world), np.inf)
         best = np.full(len(self.xy_world), BESIDE_M)
         for piece in curve.pieces:
@@ -252,6 +256,7 @@ class MapPlaces:
             nearer = apart < best
             station = np.where(nearer, piece.stations(on), station)
             right, best = np.where(nearer, aside, right), np.where(nearer, apart, best)
+        self.known[curve.id] = station, right
         return station, right
 
     def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:

@@ -43,7 +43,6 @@ MEASURES = {
     "image_ridge_m": "metres from delimiters to the ridge of brightness across them (image)",
     "depth_m": "metres along y between label points and the rendered surface (depth pass)",
     "surface_m": "metres along the normal between label points and the rendered surface (depth pass)",
-    "height_m": "metres between label points on the main road and the height map",
     "lidar_ground_m": "metres between lidar points on the pavement and the world's ground, by their range",
     "lidar_depth_m": "metres of range between lidar points and the depth pass",
     "terrain_visible": "share of points whose terrain_visible the passes contradict",

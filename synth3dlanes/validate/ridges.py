@@ -20,6 +20,8 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
+from synth3dlanes.system.arrays import Points3
+from synth3dlanes.validate.bias import PaintOffset, sides
 from synth3dlanes.validate.bodies import may_show_objects, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result, judged
@@ -78,19 +80,29 @@ class Cut(NamedTuple):
 
 
 class LineProfiles(NamedTuple):
-    """One line in the image. For each profile: its column, the pixels per metre along the row, its distance ahead, and
-    how much brighter than the road to its left and to its right a stripe at each of PLACES_M is."""
+    """One line in the image. For each profile: its column, the pixels per metre along the row, its middle, and how much
+    brighter than the road to its left and to its right a stripe at each of PLACES_M is."""
 
     lane: str
     u_px: Float[np.ndarray, " n"]
     px_per_m: Float[np.ndarray, " n"]
-    y_m: Float[np.ndarray, " n"]
+    points_cam: Points3
     over: Float[np.ndarray, "2 n m"]
 
     @property
     def ridges(self) -> Float[np.ndarray, "n m"]:
         """How much brighter than its surroundings a stripe is."""
         return np.asarray(self.over.mean(axis=0))
+
+    @property
+    def offset_m(self) -> float:
+        """The place of the ridge, finer than a step: the centroid of what exceeds half its height about it."""
+        strength = np.abs(np.median(self.ridges, axis=0))
+        best = int(strength.argmax())
+        over = np.maximum(strength - strength[best] / 2, 0)
+        ends = np.flatnonzero(np.concatenate([[True], over == 0, [True]])) - 1
+        ridge = slice(ends[ends < best].max() + 1, ends[ends > best].min())
+        return float(over[ridge] @ PLACES_M[ridge] / over[ridge].sum())
 
 
 class Contrast(NamedTuple):
@@ -117,7 +129,8 @@ class Contrast(NamedTuple):
 
 
 def check_ridges(evidence: Evidence) -> Iterator[Result]:
-    """Findings about lines and the whole image, and measure `image_ridge_m`: distances of ridges from their labels."""
+    """Findings about lines and the whole image, `image_ridge_m`: distances of ridges from their labels, and the signed
+    values of paint in the image."""
     paint = evidence.paint
     if not paint.shows or evidence.scene.weather.snow:
         return
@@ -141,6 +154,16 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
     clear = [line for line in contrasts if line.verdict != "unclear" and line.ridge >= CONTRAST]
     y_m, ridges_m = np.array([[line.y_m, abs(line.ridge_m)] for line in clear]).reshape(-1, 2).T
     yield Measure("image_ridge_m", y_m, ridges_m)
+    # At the road's edges the surfaces on both sides of a line differ.
+    inner = {lane.id: lane for lane in lanes if lane.left is not None and lane.right is not None}
+    named = {line.lane for line in clear} & inner.keys()
+    yield from sides("image", evidence, [_offset(inner[line.lane], line) for line in lines if line.lane in named])
+
+
+def _offset(lane: Lane, line: LineProfiles) -> PaintOffset:
+    n, middle = float(len(line.u_px)), np.median(line.points_cam[:, :1], axis=0)
+    side = np.sign(np.median(line.px_per_m))
+    return PaintOffset(lane, middle, np.array([n]), np.array([n * side * line.offset_m]))
 
 
 def _cut(evidence: Evidence, lane: Lane) -> Iterator[Cut]:
@@ -185,7 +208,7 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[LineProfiles]:
             px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
             # A line across the view, as cameras that look aside see it, has its profiles along columns.
             px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
-            yield LineProfiles(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1, 1], over)
+            yield LineProfiles(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1], over)
 
 
 def _beside(
@@ -227,7 +250,7 @@ def _contrast(line: LineProfiles) -> Contrast:
     stripe = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
     at = int(stripe.argmax())
     ridges = PLACES_M[best], strength[best], in_place, PLACES_M[at], stripe[at]
-    return Contrast(line.lane, len(line.u_px), float(line.y_m.mean()), *map(float, ridges))
+    return Contrast(line.lane, len(line.u_px), float(line.points_cam[:, 1].mean()), *map(float, ridges))
 
 
 def check_move(lines: Sequence[LineProfiles], width_px: int) -> Iterator[Finding]:

@@ -22,7 +22,7 @@ from synth3dlanes.world.spans import PASSAGE_M
 from synth3dlanes.world.world import World
 
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
-# 5 cm), and beyond RANGE_M along the road the ground's faces are metres long. A tree's base is 0.1 m below the ground
+# 5 cm), and beyond RANGE_M of the host the ground's faces are metres long. A tree's base is 0.1 m below the ground
 # and its root reaches 0.3 m deeper.
 MAX_WHEEL_M, MAX_TREE_M, RANGE_M = 0.25, 0.4, 100.0
 # Every eighth foot of a structure is checked; structures reach as deep into the ground as trees do.
@@ -50,7 +50,7 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
         known = np.isfinite(ground_m)
         gap_m = np.abs(points[:, 2] - ground_m)[known]
         yield Measure(name, _in(camera.world_from_cam, points)[known, 1], gap_m)
-        near_m = gap_m[np.abs(_in(world.view.world_from_host, points)[known, 1]) < RANGE_M]
+        near_m = gap_m[np.hypot(*_in(world.view.world_from_host, points)[known, :2].T) < RANGE_M]
         reason = f"{name}: expected at most {limit_m} m, got {{wrong}} of {{n}} beyond, up to"
         reason += f" {near_m.max(initial=0):.2f} m"
         yield from counted(f"standing.{name}", near_m > limit_m, reason, single=0)

@@ -13,17 +13,21 @@ SHAPE = (200, 100)
 STEPS = 12
 
 
+def cells_road(height_m: Float[np.ndarray, "200 100"]) -> Float[np.ndarray, "20000 3"]:
+    """The points of a height map's cells, row by row. Road frame."""
+    rows, columns = SHAPE
+    x = (np.arange(columns) + 0.5) * CELL_M[0] - columns * CELL_M[0] / 2
+    y = rows * CELL_M[1] - (np.arange(rows) + 0.5) * CELL_M[1]
+    return np.column_stack([*(axis.ravel() for axis in np.meshgrid(x, y)), height_m.ravel()])
+
+
 def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "200 100"]:
     """Height of the ground as built at each cell's centre, over the plane that touches the road at the host; where one
     road passes over another, of that which is nearer to the plane.
 
     Column c lies at x = (c + 0.5) 0.2 - 10 m, row r at y = 80 - (r + 0.5) 0.4 m.
     """
-    rows, columns = SHAPE
-    x = (np.arange(columns) + 0.5) * CELL_M[0] - columns * CELL_M[0] / 2
-    y = rows * CELL_M[1] - (np.arange(rows) + 0.5) * CELL_M[1]
-    points_road = np.zeros((rows * columns, 3))
-    points_road[:, 0], points_road[:, 1] = (axis.ravel() for axis in np.meshgrid(x, y))
+    points_road = cells_road(np.zeros(SHAPE))
     for _ in range(STEPS):
         points_world = transform(world_from_road, points_road)
         below = ground.height_near(points_world) - points_world[:, 2]

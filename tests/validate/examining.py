@@ -34,7 +34,8 @@ def measures(evidence: Evidence, *names: str) -> dict[str, np.ndarray]:
 
 def signed(evidence: Evidence) -> dict[str, float]:
     """The signed values by name."""
-    return {found.name: found.value for found in examine(evidence, "bias", "points") if isinstance(found, Signed)}
+    found = examine(evidence, "bias", "points", "ridges")
+    return {result.name: result.value for result in found if isinstance(result, Signed)}
 
 
 def seen(labels: Labels) -> Labels:

@@ -53,7 +53,6 @@ def test_a_clean_dataset_passes_with_and_without_passes(dataset):
     assert numbers["paint_px"]["0-40 m"]["p95"] < 1
     assert numbers["surface_m"]["0-40 m"]["p95"] < 0.02
     assert numbers["depth_m"]["0-40 m"]["median"] < 0.01
-    assert numbers["height_m"]["0-40 m"]["p99"] < 0.02
     assert min(numbers[name]["all"]["n"] for name in ("terrain_visible", "object_visible")) > 100
     drop_passes(dataset)
     report = check(dataset)
@@ -92,9 +91,7 @@ def test_a_lane_lifted_by_ten_centimetres_is_off_the_rendered_surface(dataset):
             ),
         ),
     )
-    found = reasons(check(dataset), NAME, lane)
-    assert "m of the rendered surface" in found
-    assert lane.startswith("exit") or "m of the height map" in found
+    assert "m of the rendered surface" in reasons(check(dataset), NAME, lane)
 
 
 @pytest.mark.parametrize(

@@ -142,8 +142,8 @@ def test_paint_has_moved_if_it_has_on_the_road_and_not_in_the_pixels_of_a_large_
 
     def line(name: str) -> LineProfiles:
         seen = 30 * np.clip(1 - np.abs(PLACES_M - 8 / px_per_m) / 0.12, 0, 1)
-        of_each = np.ones(100)
-        return LineProfiles(name, 300 * of_each, px_per_m * of_each, 10 * of_each, np.tile(seen, (2, 100, 1)))
+        of_each, points_cam = np.ones(100), np.tile([0.0, 10.0, 0.0], (100, 1))
+        return LineProfiles(name, 300 * of_each, px_per_m * of_each, points_cam, np.tile(seen, (2, 100, 1)))
 
     assert bool(list(check_move([line("a"), line("b")], 600))) == is_shifted
 
