@@ -32,7 +32,8 @@ VISIBLE = 0.5
 LEAST_DEPTH_M = 0.5
 """Points closer to the camera's plane are not drawn in the image."""
 
-# The figure in pixels: the image is this high beside the views, or as wide as both above them.
+# The figure in pixels: height of the image and width of the views beside it; width of the image and height of the views
+# below it.
 HEIGHT_PX, VIEWS_WIDTH_PX, WIDTH_PX, VIEWS_HEIGHT_PX = 500, 600, 1100, 440
 WIDE = 2.2
 """Aspect from which an image is above the views instead of beside them."""

@@ -12,7 +12,7 @@ from synth3dlanes.system.words import counted
 
 from .options import json_option, output_console
 
-# The sum of shares may differ from 1 by this much, so that thirds may be written as 0.33.
+# Thirds may be written as 0.33.
 SUM_TOLERANCE = 0.015
 
 

@@ -33,10 +33,11 @@ from synth3dlanes.system.errors import FormatError
 CAR_LENGTH_M, TREE_HEIGHT_M = (2.5, 20.0), (0.3, 60.0)
 TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000}
 TOO_MANY = 10  # this many times the limit is an error
-# A car's lowest point may be this far from z = 0; it is moved there. A tree may start this far above z = 0, or its
-# roots reach this share of its height below it.
+# Tolerances: of a car's lowest point around z = 0 (it is moved there), of a tree's above it, and of its roots below it,
+# as a share of its height.
 STANDS_M, FLOATS_M, ROOTS = 0.05, 0.02, 0.15
-# Unnamed tyres are the vertices this close to the ground; without any, the wheels are these shares of the body's size.
+# Without a material named as tyres, these are the vertices within CONTACT_M of the ground; without any, wheels have
+# these shares of the body's size.
 CONTACT_M, WHEELBASE, TRACK, WHEEL_RADIUS = 0.03, 0.6, 0.84, 0.2
 MIN_TEXTURE_PX = 256
 SIZE_DECIMALS = 4

@@ -18,9 +18,9 @@ from synth3dlanes.system.arrays import Matrix4
 
 # Beams whose spacing is even to this tolerance are rendered in one image: Cycles' directions are no more exact.
 EVEN_RAD = 1e-7
-# Blender renders no image of fewer rows. A beam that is rendered alone has more, this far apart, below it.
+# Blender renders no image of fewer rows, so a beam that is rendered alone gets spare rows below it.
 MIN_ROWS, SPARE_ROWS_RAD = 4, 1e-3
-# Measured: with its narrowest filter Cycles' rays start this share of a row above its middle.
+# Measured: with its narrowest filter Cycles' rays start above the middle of a row, by this share of it.
 ABOVE_MIDDLE = 4.84e-4
 
 

@@ -15,7 +15,7 @@ from mathutils.bvhtree import BVHTree
 from synth3dlanes.blender.build import MeshInstance
 from synth3dlanes.geometry.frames import invert, transform
 
-# Rays end this far before the point, so that surfaces touching the point do not hide it.
+# Rays end before the point, so that surfaces touching it do not hide it.
 END_M = 0.02
 
 Bounds = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]

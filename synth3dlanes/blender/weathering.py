@@ -13,7 +13,7 @@ from synth3dlanes.blender.shaders import ShaderGraph, Socket, texture
 from synth3dlanes.scene.assets.built_in import assets_dir
 
 # Tiles of the map of hollows, along x and y, as roads go: water is deeper where it is dark, in patches of about a metre
-# by three, and in wheel tracks, by this much of the map.
+# by three, and in wheel tracks, by RUT of the map's range.
 HOLLOWS_M, RUT = (38.0, 110.0), 0.06
 # The wetness at which puddles begin, and the share of its albedo that pavement keeps under a film of water.
 PUDDLES_FROM, WET_ALBEDO = 0.5, 0.45
@@ -26,8 +26,8 @@ MAP = "terrain_macro.jpg"
 # in wheel tracks, this far from the middle of a lane and this wide.
 SNOW, SNOW_STRETCH, SNOW_SOFTNESS = (0.72, 0.76, 0.82), 2.5, 0.12
 TRACK, TRACK_M, TRACK_HALF_M = 0.35, 0.8, 0.32
-# Snow on what stands or drives lies on faces that look up by more than this (the normal's z); of the cars, this share
-# of the ground's has some.
+# Snow lies on faces of trees, structures and cars whose normal's z exceeds the limit, and on CAR_SHARE of the share of
+# cars that the ground has.
 CAP, CAP_FROM, CAR_CAP_FROM, CAR_SHARE = "snow cap", 0.3, 0.8, 0.7
 
 

@@ -26,9 +26,9 @@ from synth3dlanes.world.posts import post_frames
 
 # Between two instants that are checked nobody moves by more than the room between bodies.
 CHECK_EVERY_S, ROOM_M = 0.1, 0.1
-# Instants of tracks are this far apart.
+# Time between instants of tracks.
 TRACK_EVERY_S = 0.5
-# Vehicles farther from the host's places are left out; bodies whose middles are this far apart do not touch.
+# Vehicles farther from the host's places are left out; bodies whose middles are farther apart do not touch.
 VEHICLES_M, APART_M = 110.0, 14.0
 # Sizes of what stands: poles with what they hold, trunks. Bushes are as wide as their crowns.
 POLE_M, TRUNK_M, BUSH_MAX_M = 0.4, 0.6, 2.5

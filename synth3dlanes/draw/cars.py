@@ -21,7 +21,7 @@ from synth3dlanes.world.motion import stations_after
 
 # Free length and width around a car, and draws of a place for each.
 CAR_GAP_M, TRIES = (1.0, 0.3), 300
-# Cars park at least this far from where roads part.
+# Least distance of parked cars from where roads part.
 PARKING_BEFORE_M = 20.0
 # Between two instants that are checked no car gains more on another than the gap between them.
 CHECK_EVERY_S = 0.05

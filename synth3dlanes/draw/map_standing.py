@@ -30,7 +30,7 @@ WAIT: tuple[tuple[SignalState, float], ...] = (("red", 0.94), ("red_amber", 0.06
 RAIL_COLORS = {"guardrail": (0.36, 0.37, 0.38), "concrete": (0.4, 0.39, 0.37)}
 # Places along a rail from which its distance is measured.
 RAIL_STEP_M = 10.0
-# Walls and trunks keep this far from pavements.
+# Least distance of walls and trunks from pavements.
 WALL_M, TRUNK_M = 0.3, 0.6
 
 

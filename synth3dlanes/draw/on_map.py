@@ -150,7 +150,7 @@ def _line_ahead(way: LaneCurve, lines: Mapping[LaneName, float], front_m: float)
 
 
 def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, line_m: float = math.inf) -> float:
-    """The speed with which a car can drive along a way for so long, if its middle must not pass a place."""
+    """The speed with which a car can drive along a way for this time, if its middle must not pass a place."""
     if at_m + speed_m_s * duration_s > line_m:
         speed_m_s = max(line_m - at_m, 0.0) / max(duration_s, 1e-9)
     end_m = min(at_m + speed_m_s * duration_s, way.end_m)

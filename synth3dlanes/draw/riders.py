@@ -22,7 +22,7 @@ MAX_FROM_HOST_M, TRIES = 60.0, 12
 # Room before and behind riders, and beside them; of a cyclist from the middle to the edge of the lane.
 ROOM_M: dict[str, tuple[float, float]] = {"cyclist": (0.8, 0.2), "motorcyclist": (2.5, 0.2)}
 KERB_M, PARKED_M, LEAST_LANE_M = 0.30, 0.55, 2.5
-# Motorcyclists keep this far from the middle of their lane at most.
+# Greatest distance of motorcyclists from the middle of their lane.
 MIDDLE_M = 0.4
 # Distance before the end of a street, where crosswalks and lines are, at which riders stop, and their deceleration.
 LINE_M, DECELERATION = 7.5, 1.5

@@ -32,7 +32,7 @@ BuildingKind = Literal["house", "hall", "block"]
 MM_DECIMALS, TRIES = 3, 30
 # Stations from behind the host to where rails cannot be told from the road, and the least length of a rail.
 BEHIND_M, AHEAD_M, MIN_RAIL_M = 30.0, 330.0, 14.0
-# Barriers on the edge of a raised road stand this close to it, because the ground falls away there.
+# Distance of barriers from the edge of a raised road, where the ground falls away; the height from which it is raised.
 RAISED_ASIDE_M, RAISED_FROM_M = 0.3, 0.3
 # Least distance of a rail's back from any pavement, and limits of the ground at its front over its edge.
 BACK_M, LEVEL_M = 0.25, (-0.8, 0.15)
@@ -173,7 +173,7 @@ def _ahead(ground: Ground, things: Draw, key: str) -> float:
 
 
 def _free(ground: Ground, edge: Edge, s: Scalars, aside_m: float) -> Bool[np.ndarray, " n"]:
-    """At which stations a place `aside_m` outside an edge is as far from every other pavement."""
+    """At which stations a place `aside_m` outside an edge has this distance from every other pavement, too."""
     return ground.clearance(beside(ground, edge.road, edge.side, s, aside_m)) > aside_m - 0.02
 
 

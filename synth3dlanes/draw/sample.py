@@ -34,7 +34,7 @@ LIDAR_DECIMALS = 9
 MAKERS: dict[tuple[str, str], Maker] = {("town", "junction"): town_roads, ("mountain", "road"): mountain_roads}
 # The parts of a scene whose fields are one parameter each.
 PARTS = ("markings", "surface", "light", "air", "sensor", "weather", "host", "vegetation")
-# From this many scenes on, several processes are faster than one; each draws CHUNK scenes at a time.
+# Number of scenes from which several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
 
 

@@ -10,7 +10,7 @@ from synth3dlanes.world.roadside import footprints
 
 # Draws of places for all trees that have none yet.
 TRIES = 300
-# Least distance of a tree from the pavement: metres plus this share of its crown's radius.
+# Least distance of a tree from the pavement: TREE_GAP_M plus a share of its crown's radius.
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 

@@ -13,7 +13,7 @@ from synth3dlanes.params.distributions import Choice, Distribution, Integers, Un
 from synth3dlanes.system.arrays import Scalars
 
 _UNITS = {"m": "m", "deg": "°", "px": "px"}
-# Discrete parameters with at most this many values get a bin for each.
+# Greatest number of values of a discrete parameter that get a bin each.
 _MAX_SINGLE_BINS = 30
 
 

@@ -22,7 +22,7 @@ from synth3dlanes.world.world import World, resolve
 
 BEHIND_M = 10.0
 AHEAD_M = 120.0
-# A frustum is drawn at most this far to the side, in metres.
+# Greatest angle to the side at which a frustum is drawn.
 WIDEST_RAD = 1.3
 
 
@@ -46,7 +46,7 @@ class TreeOutline:
 
 @dataclass(frozen=True)
 class SceneView:
-    """A scene in the road frame of its camera, as far ahead and behind as its labels reach."""
+    """A scene in the road frame of its camera, within the range of its labels."""
 
     scene: Scene | None
     labels: Labels

@@ -20,7 +20,7 @@ from synth3dlanes.world.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M, paint_color
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import World
 
-# The area shown extends this far to each side of the camera, in metres.
+# Extent of the area to each side of the camera.
 _ASIDE_M = 70.0
 _LANE_HALF_WIDTH_M = 0.06
 _LANE_OVER_PAINT_M = 0.006

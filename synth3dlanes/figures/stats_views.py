@@ -15,7 +15,7 @@ from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
 from synth3dlanes.system.words import counted
 
 _COLUMNS = 7
-# Inches over and under the plots. Matplotlib's own layouts would take as long as the drawing.
+# Inches over and under the plots; Matplotlib's own layouts would take as much time as the drawing.
 _TOP, _BOTTOM = 0.65, 0.5
 
 

@@ -17,7 +17,7 @@ Style = Literal["full", "dotted", "hollow"]
 _SUPERSAMPLING = 4
 # A mask has no longer edge, so that one of the largest image takes 64 MB.
 _MASK_PX = 8192
-# Pieces of a line are one as long as they are no longer, and turn by no more.
+# Greatest length and turn of pieces of a line that are joined into one.
 _STRAIGHT_PX, _STRAIGHT_RAD = 40.0, 0.035
 _DOTTED_OPACITY = 0.6
 # Widths of a hollow line and of its inside, in those of a full one.

@@ -28,7 +28,7 @@ Points = Float[np.ndarray, "_ d"]
 Distances = Float[np.ndarray, " _"]
 Flags = Bool[np.ndarray, " _"]
 
-# A line must be in an export if this many of its points are sure to be seen: at a border, rounding decides.
+# Number of points sure to be seen from which a line must be in an export: at a border, rounding decides.
 SURE_POINTS = 8
 BORDER_PX = 2.0
 # Lines that begin farther ahead are not beside the camera.

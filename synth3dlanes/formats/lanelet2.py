@@ -57,8 +57,8 @@ SEGMENT = "synth3dlanes.segment"
 """The tag that names a lanelet's segment in our lane graph."""
 PLACE_DECIMALS, DEGREE_DECIMALS = 4, 11
 STRAIGHT_RAD = math.radians(30)
-# A bound without paint is the edge of the pavement if this share of it is this near to that. Kerbs are steps of the
-# ground between both sides of an edge.
+# A bound without paint is the edge of the pavement if the share ON_BORDER of it is within ON_BORDER_M of that. Kerbs
+# are steps of the ground between both sides of an edge.
 ON_BORDER, ON_BORDER_M, BORDER_STEP_M = 0.9, 0.1, 0.1
 BESIDE_M, LEAST_KERB_M = 0.15, 0.06
 # Smaller ones are seams between roads.

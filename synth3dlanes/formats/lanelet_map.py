@@ -30,7 +30,7 @@ REACH_M = 250.0
 # Distance between the points of bounds before thinning, and the most that thinning moves a line.
 BOUND_STEP_M, LINE_M = 0.5, 0.002
 LEAST_WIDTH_M = 0.1
-# Lines this near to each other are one. Paint is that of a line at most PAINT_M from a lane's edge, or of a line of
+# Lines within SAME_M of each other are one. Paint is that of a line at most PAINT_M from a lane's edge, or of a line of
 # another road along the share ON_LINE of it; where paint changes nearer than LEAST_M to an end, it does so there.
 SAME_M, PAINT_M, ON_LINE, LEAST_M = 0.02, 0.05, 0.9, 1.0
 # Lanes are joined over gaps of up to JOIN_M; the next points are at least NEXT_M from where they then meet.

@@ -88,10 +88,10 @@ LEAST_POINTS = 11  # what the benchmark compares
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 LIMIT_PX = 0.02
 GAP_M = 1e-3
-# What is this near to the area's border may be out of it.
+# Tolerance at the border of the area.
 BORDER_M = 2.0
-# Error of rounded rectangles. A traffic element must be in an export if at least this share of it is seen, if its
-# rectangle has sides of at least this length, and if its face is seen at less than 84 degrees (this cosine).
+# Error of rounded rectangles. A traffic element must be in an export if at least the share CLEAR of it is seen, its
+# rectangle's sides are at least CLEAR_PX long, and its face is seen at less than 84 degrees (its cosine is CLEAR_COS).
 BOX_PX, CLEAR, CLEAR_PX, CLEAR_COS = 0.2, 0.3, 4.0, 0.1
 
 README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A otherwise.

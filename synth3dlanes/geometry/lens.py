@@ -30,7 +30,7 @@ MAX_TILT_RAD = 0.5
 WIDEST_RAD: dict[LensModel, float] = {"pinhole": np.pi / 2, "opencv": np.radians(89.0), "fisheye": np.pi}
 # Newton's steps, the knots that they start from, and the largest error of an inverse, in units of x/y.
 STEPS, KNOTS, TOLERANCE = 20, 512, 1e-10
-# A Newton step this small is the last one.
+# The last Newton step is smaller.
 ENOUGH = 1e-9
 # Coefficients of polynomials below this count as 0.
 NEGLIGIBLE = 1e-15

@@ -14,7 +14,7 @@ from synth3dlanes.imaging.haze import seen_through_haze
 from synth3dlanes.imaging.sky import AZIMUTH_RAD, ELEVATION_RAD, HORIZON, LUMINANCE, SKY_SHAPE, irradiance
 from synth3dlanes.scene.scene import Scene
 
-# A lamp renders the sun, so the picture is limited to this many times its median luminance.
+# Limit of the picture as a multiple of its median luminance, because a lamp renders the sun.
 BRIGHTEST = 24.0
 SPOT_PX = 4.0  # standard deviation of the blur before the search for the brightest spot
 

@@ -19,7 +19,7 @@ BYTES_OF_TEXT = 80_000
 SECONDS_PER_RAY, BYTES_PER_RAY = 7e-6, 2.5
 # Seconds until a worker has loaded Blender and its first scene.
 SECONDS_TO_START = 3.0
-# A sample is given up after this many times the expected seconds, which slow machines and large cameras need.
+# Multiple of the expected seconds after which a sample is given up: slow machines and large cameras need more.
 PATIENCE, LEAST_PATIENCE_S = 60.0, 120.0
 # More core-seconds than a scene takes to draw and label.
 TRY_S = 2.0

@@ -31,7 +31,7 @@ from typing import Any, Literal
 import psutil
 
 STDERR_TAIL = 8000
-# A worker makes progress if it gets this share of the seconds allowed as CPU time; on a busy machine it may get little.
+# Share of the seconds allowed that a worker must get as CPU time to make progress; on a busy machine it may get little.
 PROGRESS = 0.01
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 PR_SET_PDEATHSIG = 1

@@ -13,8 +13,8 @@ from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve, Piece, TableLine
 from synth3dlanes.roads.road_table import Indices, Ragged, RoadTable
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 
-# Points of the labels are this far apart, measured along each line from its beginning; one this close to the end of its
-# line is left out: two coinciding points have no direction.
+# Distance between points of labels along each line from its beginning. One within APART_M of the end is left out: two
+# coinciding points have no direction.
 POINTS_STEP_M, APART_M = 1.0, 0.01
 
 
@@ -129,8 +129,8 @@ class LineTable:
     def in_range(
         self, foot_world: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"], lengths_m: Scalars
     ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
-        """The stations of the points of every line that are at most as far from a place as the greatest of these
-        lengths, and not farther behind it than the least, with those between them, in the line's order."""
+        """The stations of every line's points from the least of these lengths (negative: behind a place) to the
+        greatest, with those between them, in the line's order."""
         near, numbers, samples = self._near(foot_world, forward, lengths_m)
         found = {}
         for number, (first, end) in zip(numbers, pairwise(samples.starts), strict=True):
@@ -173,5 +173,5 @@ class LineTable:
 def _is_within(
     foot: Float[np.ndarray, "2"], reach_m: float, xy_world: Float[np.ndarray, "n 2"]
 ) -> Bool[np.ndarray, " n"]:
-    """Which places are at most so far from a point."""
+    """Which places are within this distance of a point."""
     return np.asarray(np.hypot(*(xy_world - foot).T) <= reach_m)

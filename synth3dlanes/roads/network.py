@@ -23,13 +23,13 @@ from synth3dlanes.system.errors import InputError
 
 # The lane graph ends at these stations of roads that have no end.
 GRAPH_END_M = 100.0
-# Points of the middle and the edges of lanes are this far apart, and where a lane begins at the end of another that is
-# on another road at least so far beyond that.
+# Distance between points of the middle and the edges of lanes, and the least gap behind the point where a lane begins
+# at the end of another road's.
 LINES_STEP_M, LEAST_GAP_M = 0.5, 0.25
 # On a route, the surface's normal and the host's direction are measured over these lengths to both sides.
 ACROSS_M, TANGENT_M = 0.5, 0.01
-# What lies at most this many times a reach from a place, from above, is near it: roads turn.
-AS_FAR = 2.0
+# Ratio of the search radius to a reach along roads: roads turn.
+SEARCH_RATIO = 2.0
 
 
 class LanePattern(NamedTuple):
@@ -384,4 +384,4 @@ class Network:
 
 def _is_near(points: Float[np.ndarray, "n _"], xy_world: Float[np.ndarray, "2"], reach_m: float) -> bool:
     """Whether any of some points is within about `reach_m` of a place."""
-    return bool((np.linalg.norm(points[:, :2] - xy_world, axis=1) < AS_FAR * reach_m).any())
+    return bool((np.linalg.norm(points[:, :2] - xy_world, axis=1) < SEARCH_RATIO * reach_m).any())

@@ -23,15 +23,15 @@ from synth3dlanes.system.arrays import AnyScalars
 LanesBeside = tuple[str | None, str | None]
 Parts = list[tuple[Road, Offset, float]]
 
-# An exit continues straight from where the inside of a bend would compress its length per station below this share of
-# the main road's: beyond that the displaced curve would fold back on itself.
+# Least length of an exit per station, as a share of the main road's: from where a bend would compress it further, it
+# goes on straight, because the displaced curve would fold back on itself.
 MIN_STRETCH = 0.3
 # Lower limit of the ramp's length; avoids a division by zero.
 MIN_RAMP_LENGTH_M = 0.1
 # Length behind the split over which the pavement of a lane that leaves narrows to nothing (topology 4).
 TAPER_M = 20.0
-# min(q, width) has a corner at the nose. It is rounded where q is this close to the width, so that the lane is smooth;
-# this moves the lane by at most 1.5 cm.
+# min(q, width) has a corner at the nose. It is rounded where q is within CORNER_M of the width, so that the lane is
+# smooth; this moves the lane by at most 1.5 cm.
 CORNER_M = 0.06
 # The host drives between these stations, and a little beyond.
 HOST_ROAD_M = 115.0

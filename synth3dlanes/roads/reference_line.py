@@ -18,9 +18,9 @@ from synth3dlanes.system.arrays import AnyPoints2, AnyScalars
 NEWTON_STEPS = 4
 # After steps below this, a projection has converged.
 SETTLED_M = 1e-9
-# First guesses are looked for among places this far apart.
+# Distance between the places of first guesses.
 GUESS_STEP_M = 4.0
-# A step goes no farther than this, and takes no piece of the line for shorter than this share of its length.
+# Longest Newton step, and the least speed along the line that it assumes, as a share of the true one.
 MAX_STEP_M, MIN_SHARE = 20.0, 0.3
 
 

@@ -27,12 +27,12 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 # Straight pieces between `Ramp.stations` are nowhere farther than this from the ramp: less than paint floats.
 RAMP_SAG_M = 0.001
-# Where roads part, places of the branch are looked for up to this far behind the station on the other road, this deep
-# in that one's pavement, and up to so many times its opening beside it.
+# Where roads part, places of the branch are searched up to BEFORE_M behind the station on the other road, OVERLAP_M
+# deep in the other's pavement, and up to WIDER times its opening beside it.
 BEFORE_M, OVERLAP_M, WIDER = 20.0, 1.0, 1.5
 # Width that is assumed where a road has no lanes of traffic.
 LANE_WIDTH_M = 3.5
-# An offset this close to the middle between two carriageways counts as on it, and that as of the right one.
+# Tolerance of the middle between two carriageways, which belongs to the right one.
 HAIR_M = 1e-6
 
 
@@ -51,7 +51,7 @@ class Ramp:
 
     @property
     def stations(self) -> Float[np.ndarray, " _"]:
-        """Stations from its start to its end, as far apart as its curvature allows."""
+        """Stations from its start to its end, spaced for its curvature."""
         # A piece of length d is off by d^2 / 8 times the curvature, which is 6 height / length^2 at both ends.
         pieces = int(np.ceil(np.sqrt(6 * self.height_m / (8 * RAMP_SAG_M))))
         return self.start_m + self.length_m * np.linspace(0, 1, max(pieces, 1) + 1)

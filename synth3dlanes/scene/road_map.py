@@ -17,7 +17,7 @@ from synth3dlanes.system.schema import DocumentPart, Name, Number, SymbolKind
 
 # The most roads of the part of a map that a scene keeps, and lanes on one side of a road.
 MAX_ROADS, MAX_LANES = 2000, 20
-# Pieces of a plan, and roads of linked lanes, end this near to each other.
+# Greatest gap between pieces of a plan, and between roads of linked lanes.
 MAX_GAP_M = 50.0
 # Where an edge of a lane steps farther aside, or up, it is another line.
 JUMP_M = 0.03

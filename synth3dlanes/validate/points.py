@@ -39,7 +39,7 @@ OBJECTS = [kind.semantic_id for kind in KINDS if kind.series and not kind.is_gro
 MIN_MOVED, MOVED = 3, 2
 # Depth by this factor off is in another unit; objects hide few points that the labels have as visible.
 OTHER_UNIT, MIN_SCALED = 1.5, 10
-# Farther away, a pixel at a crest shows what lies behind it.
+# Beyond this distance a pixel at a crest shows what is behind it.
 SCALED_M = 30.0
 # Range ahead for the test of the surface's height over the data set.
 HEIGHT_WITHIN_M = 25.0

@@ -17,7 +17,7 @@ from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M, WALL_M, Span
 INSET_M = 0.12
 # Rows along decks and tunnels; the width of a deck beside its pavement, and the height of its parapets over that.
 ROW_M, SIDE_M, PARAPET_M = 2.0, 0.35, 0.95
-# Where another road goes on beside an edge, this far from it and nearly as high, there is no parapet.
+# There is no parapet where another road goes on within BESIDE_M of an edge and LEVEL_M of its height.
 BESIDE_M, LEVEL_M = 0.5, 1.5
 # Distance of piers, half of their section, how far from pavement they stand, and the least room below a deck for any.
 PIERS_M, PIER_M, CLEAR_M, LEAST_PIER_M = 22.0, 0.45, 1.0, 2.0

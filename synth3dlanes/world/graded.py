@@ -24,7 +24,7 @@ ROAD_SEARCH_M = 3.0
 EMBANKMENT_M = 40.0
 # Between the stations at which a road's height over the terrain is asked, it changes by less than this.
 BETWEEN_M = 0.5
-# The ground is this much lower than the lower side of a deck above it. A tunnel covers places nearer to it than this.
+# Gap between the ground and the lower side of a deck above it; distance within which a tunnel covers places.
 BELOW_DECK_M, COVERED_M = 0.3, 0.5
 # Limits of the ground: the size of the cells in which they are found, and a height that nothing has. They are asked of
 # rows of places across roads, at shares of their width; between these, a road is higher by less than ROUGH_M.

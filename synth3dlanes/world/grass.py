@@ -21,13 +21,13 @@ PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
 LEAST_EDGES = 4  # that random numbers are drawn for
 # More of them for each metre that the host drives.
 PER_M = 40
-# Grass is mown next to the road: its height grows from this share at the edge to all of it at FULL_AT_M.
+# Grass is mown next to the road: its height grows from the share SHORT at the edge to all of it at FULL_AT_M.
 SHORT, FULL_AT_M = 0.35, 1.5
 # A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
 BLADES, RADIUS_M, LEAN, WIDTH = 9, 0.14, 0.7, 0.12
 SINK_M = 0.04
-# Lines of sight to points of lanes, every SIGHT_STEP_M up to RANGE_M, pass tufts by this much and by this share of the
-# distance, which is more than a pixel.
+# Lines of sight to points of lanes, every SIGHT_STEP_M up to RANGE_M, pass tufts by ROOM_M and by ROOM of the distance,
+# which is more than a pixel.
 SIGHT_STEP_M, RANGE_M, ROOM_M, ROOM = 1.0, 115.0, 0.1, 0.004
 
 
@@ -55,7 +55,7 @@ def blades(
 
 
 def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
-    """Points of all lane curves around the host, as far apart as those of the labels, and farther."""
+    """Points of all lane curves around the host, spaced as those of the labels, up to RANGE_M."""
     s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M))
     return np.concatenate(
         [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]

@@ -44,7 +44,7 @@ GROWTH = 0.06
 PAINT_ROOM_M = 0.05
 # How far beyond the host fine cells reach: where it looks, and where it does not.
 FINE_M, FINE_BEHIND_M = 165.0, 10.0
-# The crests of a ramp continue this far beyond the scene, and this far from the host.
+# Least station at which the crests of a ramp end, and their reach from the host.
 CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
 # Least distance beyond the verges within which roads are searched.
 ROAD_SEARCH_M = 3.0
@@ -55,7 +55,7 @@ ROAD_BEHIND_M = 30.0
 FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
 # A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
 STEEP_M = 1.0
-# A median this wide is grass between inner shoulders; a narrower one is all shoulder.
+# Least width of a median that is grass between inner shoulders; a narrower one is all shoulder.
 GRASS_FROM_M, INNER_SHOULDER_M = 3.0, 0.5
 
 

@@ -13,8 +13,8 @@ BEGIN_M, WHOLE_M = 500.0, 1600.0
 N_WAVES = 14
 LENGTHS_M = np.geomspace(600.0, 3000.0, N_WAVES)
 MAX_HEIGHT_M = 90.0
-# Beyond this station a road lies on the faces of the ground, which are large there, on a dam that rises by this much
-# per metre: the road's own faces would otherwise cut through edges of the ground's. It gets there within DAM_FADE_M.
+# Beyond DAM_FROM_M a road lies on the faces of the ground, which are large there, on a dam that rises by DAM_RISE per
+# metre: the road's own faces would otherwise cut through edges of the ground's. It gets there within DAM_FADE_M.
 DAM_FROM_M, DAM_RISE, DAM_FADE_M = 400.0, 0.0006, 60.0
 
 

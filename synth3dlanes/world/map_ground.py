@@ -54,8 +54,8 @@ COARSE_M = 4.0
 HALF_STREET_M = 6.0
 # Depth of the terrain below the edges of the pavement, times the size of its cells.
 UNDER_FALL_M = 0.03
-# Kerbs this near to the host's way hide what is labelled: the tolerance of their simplified lines, and the distance of
-# points along these.
+# Distance from the host's way within which kerbs hide what is labelled; the tolerance of their simplified lines, and
+# the distance of points along these.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 # Paint farther than this from the host's way is not drawn; places along a line that are asked.
 PAINT_M, PAINT_STEP_M = 250.0, 20.0

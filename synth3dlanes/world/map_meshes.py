@@ -25,7 +25,7 @@ from synth3dlanes.world.solids import Body
 
 # Faces of lanes are no wider than this; cells of junctions, by how far these are from the host.
 COLUMN_M, CELLS_M, CELLS_TO_M = 0.9, (0.75, 1.5, 3.0), (60.0, 150.0)
-# What lies beside a surface extends this far under it, this much lower, and kerbs reach this far down.
+# What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M down.
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
 SKIRT_M = 0.12

@@ -28,7 +28,7 @@ from synth3dlanes.world.solids import Body
 SEAM_M, SEAM_FALL_M = 0.05, 0.01
 LANE_COLUMNS, SHOULDER_COLUMNS = 4, 4
 ROAD, SHOULDER, MEDIAN = 0, 1, 2
-# Carriageways closer than this share a line.
+# Least distance between carriageways; nearer ones share a line.
 LEAST_MEDIAN_M = 0.01
 
 

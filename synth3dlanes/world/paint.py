@@ -22,7 +22,7 @@ from synth3dlanes.world.meshes import LANE_COLUMNS, Mesh, grid, is_facing_up, ov
 # Height of the paint over the road, by distance: more than the road's faces can rise between two rows.
 PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12, 2.0)
 PAINT_LIFT_AT_M = (0.0, 40.0, 80.0, 160.0, 250.0, 4000.0)
-# Between its columns, the pavement of another road may lie so far over a hollow without covering paint.
+# Greatest height of another road's pavement over a hollow, between its columns, that covers no paint.
 HOLLOW_M = 0.001
 # Upper limit of the ratio of paint height to camera height by which paint is moved sideways (see `_floating`).
 MAX_SHARE = 0.05
@@ -32,7 +32,7 @@ ALONG_M = 0.01
 # width is reduced to the share of paint.
 DASHES_M = 420.0
 # Botts' dots: their number in place of a dash, diameter and height, and the distance up to which they are single discs;
-# beyond it they merge into dashes, as much narrower as their shapes cover less of the image.
+# beyond it they merge into dashes that cover the same share of the image.
 DOTS, DOT_M, DOT_HEIGHT_M, DOTS_M = 4, 0.1, 0.018, 60.0
 EYE_M = 1.5  # the camera's height over the road, for the share that far dots cover
 # Half the side of a regular octagon, and places of the rows of a disc, in radii.

@@ -13,7 +13,7 @@ from synth3dlanes.world.ground import Ground
 
 # Length and width of the host's own body, which is centred on the camera.
 HOST_SIZE_M = (5.0, 2.0)
-# Trunks are sunk into the ground by this much, so that none floats on a slope.
+# Depth of trunks in the ground, so that none floats on a slope.
 TREE_SINK_M = 0.1
 
 

@@ -29,7 +29,7 @@ RoadPart = tuple[Road, float, float]
 
 # Distance from lines; up to 1 m is compared with a line's own paint.
 CLEAR_M = 1.1
-# All of it lies below paint, by this share of its height over the road; farther from the host's way there is none.
+# Height over the road as a share of that of paint, and the distance from the host's way up to which there is any.
 LIFT_SHARE, SEEN_M = 0.6, 250.0
 # Along the road a lane has at most one crack in a part of this length, at a chance of 1 where tar is 1.
 PART_M = 230.0

@@ -30,7 +30,7 @@ END_STEP_M, LEAST_GROUND_M = 1.0, 12.0
 # Most depth of the valley below the deck of a bridge of a file; height of the ceiling of tunnels and of the ground over
 # that, and thickness of their walls.
 VALLEY_M, CEILING_M, COVER_M, WALL_M = 4.0, 5.5, 1.0, 0.6
-# The ground over a tunnel begins this much before its ends.
+# Overlap of the ground over a tunnel beyond its ends.
 BEFORE_M = 0.02
 
 

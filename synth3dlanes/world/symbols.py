@@ -46,9 +46,9 @@ ARROWS: dict[SymbolKind, Polygon] = {
 }
 # Extents along the road.
 LENGTHS_M: dict[SymbolKind, float] = {**dict.fromkeys(ARROWS, 5.0), "stop_line": 0.5, "crosswalk": 4.0}
-# Bars of a crosswalk and their gaps are about this wide.
+# Mean width of a crosswalk's bars and their gaps.
 BAR_M = 0.55
-# A line across a lane ends this far from its edges. Teeth of a give-way line, their bases towards the junction.
+# Gap between a line across a lane and its edges. Teeth of a give-way line, their bases towards the junction.
 INSET_M, TOOTH_M, TOOTH_GAP_M, TOOTH_LENGTH_M = 0.1, 0.5, 0.3, 0.6
 # Chevrons of a gore, along the road: their period and the length of an arm. They begin where the gore is GORE_FROM_M
 # wide, and end GORE_GAP_M beside the lines.

@@ -8,7 +8,7 @@ from synth3dlanes.world.ground import Ground
 SIGHT_STEP_M = 2.0
 # Ground above the line of sight by less than this does not count: points lie on the ground themselves.
 TOLERANCE_M = 0.01
-# Lines of sight this near to the direction of a crest's end are asked, too.
+# Tolerance around the direction of a crest's end within which lines of sight are tested, too.
 TOLERANCE_RAD = 1e-9
 
 

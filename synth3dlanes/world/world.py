@@ -37,7 +37,7 @@ from synth3dlanes.world.seams import ghost_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.symbols import SymbolShape, symbol_mesh, symbol_shapes
 
-# Only cameras this close to the host's middle, along it, look over the bonnet.
+# Greatest distance from the host's middle, along it, of cameras that look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
 
 

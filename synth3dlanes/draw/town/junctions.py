@@ -27,7 +27,7 @@ TURN_FROM_RAD, STRAIGHT_SIDE_RAD = np.radians(35.0), np.radians(150.0)
 # Distance of the beginning of an arm behind its corners, and its least distance from the junction's middle.
 SETBACK_M, LEAST_SETBACK_M = 0.5, 5.0
 OUTLINE_STEP_M = 0.5
-# A kerb's arc begins at most this far from where the kerbs would meet: acute corners have smaller radii.
+# Greatest distance from the beginning of a kerb's arc to where the kerbs would meet: acute corners have smaller radii.
 LONGEST_TANGENT_M = 15.0
 
 

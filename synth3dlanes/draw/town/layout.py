@@ -21,9 +21,9 @@ from synth3dlanes.scene.town import Control, JunctionKind, Town
 from synth3dlanes.system.arrays import Points2
 
 Rng = np.random.Generator
-# A street is straight for so long at a junction, and bends by spirals and an arc of these lengths.
+# Length of the straight at a junction, and of the spirals and the arc of a bend.
 STRAIGHT_M, SPIRAL_M, ARC_M = 20.0, 25.0, 30.0
-# Middles of streets keep this far apart, away from the junctions that they share.
+# Least distance between middles of streets, farther than SHARED_M from the junctions that they share.
 APART_M, SHARED_M = 42.0, 55.0
 LEAST_ISLAND_M = 6.0
 # Shares of the bends, and whether there are further junctions, of one attempt after the other.

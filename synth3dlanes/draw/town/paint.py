@@ -13,7 +13,7 @@ from synth3dlanes.system.schema import SymbolKind
 
 # From where an arm begins: a crosswalk, and the lines before and without one.
 CROSSWALK_M, LINE_BEHIND_CROSSWALK_M, LINE_M = (0.8, 4.4), 5.6, 0.6
-# Arrows in front of the line; those of long turn lanes again, so much farther back.
+# Distance of arrows before the line; long turn lanes have another ARROWS_APART_M behind it.
 ARROW_M, ARROWS_APART_M = 7.5, 18.0
 # Raised medians: least width, distance from lanes to kerbs, step along the street.
 LEAST_MEDIAN_M, MEDIAN_GAP_M, MEDIAN_STEP_M = 1.2, 0.25, 2.0

@@ -11,7 +11,7 @@ from synth3dlanes.roads.map_lines import line_of
 from synth3dlanes.scene.road_map import PlanPiece
 from synth3dlanes.system.arrays import Points2, Scalars
 
-# Of a turn's angle this share lies in its two spirals, the rest in the arc between them.
+# Share of a turn's angle in its two spirals; the rest is in the arc between them.
 SPIRAL_SHARE = 0.4
 # Turns between these angles have an arc; others are one cubic.
 ARC_FROM_RAD, ARC_TO_RAD = 0.2, 2.8

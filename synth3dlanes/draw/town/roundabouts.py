@@ -17,9 +17,9 @@ RING_LANE_M = {1: 5.0, 2: 4.2}
 EDGE_M = 0.4
 # Radii of the arcs of the outermost lanes and of the kerbs beside them.
 ENTRY_M, KERB_ENTRY_M = 14.0, 13.0
-# The least length of the ring between two arms, and how much it grows until there is so much.
+# The least length of the ring between two arms, and the step by which the radius grows until it is reached.
 BETWEEN_M, GROWTH_M = 4.0, 1.0
-# A splitter island keeps this far from lanes, and has at least this area.
+# Gap between a splitter island and the lanes, and its least area.
 SPLITTER_GAP_M, LEAST_SPLITTER_M2 = 0.45, 3.0
 SETBACK_M = 1.0
 

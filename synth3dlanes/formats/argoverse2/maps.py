@@ -44,7 +44,7 @@ from synth3dlanes.world.motion import host_driven
 from synth3dlanes.world.world import World
 
 REACH_M = 150.0
-"""How far the map reaches beyond all places of the host in the clip, and as far the other way."""
+"""Reach of the map ahead of and behind all places of the host in the clip."""
 PIECE_M = 30.0
 """The API draws the middle of a lane segment with ten points, however long it is."""
 MOST_PIECES = 1000

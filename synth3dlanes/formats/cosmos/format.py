@@ -99,7 +99,7 @@ GRID, ROUNDS = (41, 31), 30
 # Lanes are within this of the labels from above, heights within the slack; painted lines in space.
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 BOX_M = 0.002
-# Points of a line are this far back at most: labels are rounded.
+# Greatest step back from one point of a line to the next: labels are rounded.
 BACK_M = 0.01
 CAM_OF_FLU = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 # Corners of a box with x forward and y left, in the order of CORNERS.

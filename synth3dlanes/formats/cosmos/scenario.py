@@ -16,7 +16,7 @@ from synth3dlanes.world.paint import is_double, paint_color, pair_of
 from synth3dlanes.world.world import World
 
 REACH_M = 150.0
-"""How far lanes reach beyond all places of the host in the clip, and as far the other way."""
+"""Reach of lanes ahead of and behind all places of the host in the clip."""
 
 
 @dataclass(frozen=True, eq=False)

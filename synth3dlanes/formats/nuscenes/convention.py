@@ -58,7 +58,7 @@ MASKS = {
 }
 """The files of masks that the devkit looks for by the name of a place."""
 MASK_PX_PER_M, MASK_M = 10, 3000.0
-"""The devkit's resolution, and how far masks reach: as far as the original's."""
+"""The devkit's resolution, and the reach of masks, which is the original's."""
 SCENES: dict[Part, str] = {
     "train": "1-2 4-11 19-34 41-76 120-135 138-139 149-152 154-155 157-168 170-185 187-188 190-196 199-200 202-204 "
     "206-214 218-220 222 224-264 283-306 315-318 321 323-324 328 347-386 388-403 405-408 410-459 461-465 467-469 "
@@ -87,7 +87,7 @@ LAYERS = (
 """Lists of records; `road_block` and `carpark_area` stay empty."""
 PATHS, LINKS = "arcline_path_3", "connectivity"
 REACH_M = 150.0
-"""How far a map reaches beyond all places of the host in the clip, and as far the other way."""
+"""Reach of a map ahead of and behind all places of the host in the clip."""
 
 
 def table_file(version: str, name: str) -> str:

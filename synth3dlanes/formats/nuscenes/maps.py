@@ -288,7 +288,7 @@ class _Layers:
 
 
 def _parts(area: BaseGeometry) -> list[shapely.Polygon]:
-    """The polygons of an area with corners of as many decimals as nodes have, still valid."""
+    """The valid polygons of an area with its corners rounded as nodes are."""
     return polygons_of(shapely.set_precision(valid(area), 10.0**-MM_DECIMALS))
 
 
@@ -300,7 +300,7 @@ def walkway(ground: Ground, rail: Rail) -> BaseGeometry:
 
 
 def arcline_paths(middle: Points2) -> list[Record]:
-    """The middle of a lane as arcs and straight pieces, each as long as it is within ARC_M of all points."""
+    """The middle of a lane as arcs and straight pieces, the longest that are within ARC_M of all points."""
     paths, first = [], 0
     while first < len(middle) - 1:
         last, step = first + 1, 1

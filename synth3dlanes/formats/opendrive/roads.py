@@ -24,7 +24,7 @@ from synth3dlanes.system.arrays import Points2, Points3, Scalars
 REACH_M = 250.0
 FIT_STEP_M = 0.1
 MIN_END_M = 10.0
-# Where roads part, the junction ends when their lanes are this far from each other.
+# Distance between the lanes of roads that part at which the junction ends.
 APART_M = 0.06
 # Steps to a point's station; in bends, each leaves a share of the way.
 FOOT_STEPS = 20

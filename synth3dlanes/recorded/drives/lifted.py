@@ -10,9 +10,9 @@ from synth3dlanes.recorded.drives.drive import Drive, MarkedLane
 from synth3dlanes.system.arrays import Polyline2
 from synth3dlanes.system.errors import InputError
 
-# A lane that ends this far from where a frame has it again goes on as another line.
+# Gap in a lane from which it goes on as another line.
 GAP_M = 5.0
-# Lines keep this near to the lane with as few points as they need; shorter ones are left out.
+# Tolerance with which lines are simplified; shorter ones are left out.
 OFF_M, LEAST_M = 0.03, 5.0
 
 

@@ -17,7 +17,7 @@ from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import DocumentPart, parse
 
 POSES_FORMAT, POSES_VERSION = "synth3dlanes.poses", 1
-# Between poses this far apart in time, those of a car are not known to a centimetre; nor beyond the last one.
+# Longest time between poses, and beyond the last one, in which a car's pose is known to a centimetre.
 MAX_GAP_S, MAX_BEYOND_S = 1.0, 0.02
 UNIT = 0.02
 NANO = 1e-9

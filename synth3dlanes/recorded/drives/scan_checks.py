@@ -26,8 +26,8 @@ PAIRS, LEAST_APART_M, MOST_APART_M = 6, 1.5, 8.0
 REACH_M, STANDING_M, HIGHEST_STANDING_M, MOST_POINTS, LEAST_STANDING = 35.0, 0.3, 5.0, 3000, 40
 # Least height within a square of what stands upright.
 UPRIGHT_M = 0.6
-# Scans that fit together are a few centimetres apart, sparse ones some decimetres; distances count up to 1 m. Another
-# reading is named where its distance is below this share of the first one's.
+# Scans that fit together are a few centimetres apart, sparse ones some decimetres; distances count up to CAP_M. Another
+# reading is named where its distance is below the share BETTER of the first one's.
 CAP_M, FITS_M, BETTER = 1.0, 0.2, 0.65
 
 

@@ -12,8 +12,8 @@ from synth3dlanes.recorded.lift.path import Path
 from synth3dlanes.recorded.lift.tracks import Track, on_ground, unplaced
 from synth3dlanes.system.arrays import Scalars
 
-# Delimiters this far apart bound a lane, along at least this length without a gap: where lines meet or part they pass
-# through these widths.
+# Widths between delimiters that bound a lane, along at least MIN_LENGTH_M without a gap: where lines meet or part they
+# pass through these widths.
 WIDTHS_M = (2.2, 5.0)
 MIN_LENGTH_M = 10.0
 # How the ids of delimiters begin that pictures show.

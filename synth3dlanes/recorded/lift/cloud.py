@@ -11,7 +11,7 @@ from synth3dlanes.recorded.drives.drive import Scan
 from synth3dlanes.recorded.lift.path import Path
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 
-# Points are kept up to here beside the path, and this far from the lidar.
+# Greatest distance of points that are kept from the path, and from the lidar.
 REACH_M, MAX_RANGE_M = 30.0, 100.0
 # Side of a square, and the most points of one scan that are kept in it: near the lidar there are more than are of use.
 SQUARE_M, IN_SQUARE = 0.25, 3

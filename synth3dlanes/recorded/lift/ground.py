@@ -24,7 +24,7 @@ WINDOWS_M = (2.0, 1.0, 0.5, 0.3)
 # Support of a plane: the least number of points in its window, and how far their mean may be from the cell, as a share
 # of the window.
 MIN_POINTS, OFF_CENTRE = 6.0, 0.6
-# Slopes along a direction that the points do not span are those of the wider plane: this share of the window squared.
+# Weight of the wider plane's slopes, as a share of the window squared: it counts in directions that points do not span.
 RIDGE = 0.05
 # Points farther from the rough ground, and from the planes of each following round, count nothing.
 ROUNDS_M = (0.4, 0.2, 0.1, 0.06)

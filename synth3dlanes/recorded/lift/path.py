@@ -11,7 +11,7 @@ from synth3dlanes.system.errors import InputError
 
 # Poses closer than this are one place: a car that stands makes no path.
 APART_M = 1.0
-# The curve may miss poses by about this much, so that it has not their noise. Places beside it are exact all the same.
+# Tolerance of the curve at poses, so that it has not their noise; places beside it are exact.
 MISSES_M = 0.03
 # The curve's knots; how far straight ahead of its last pose, and behind its first, it is continued.
 KNOTS_M, BEYOND_M = 2.0, 130.0

@@ -15,15 +15,15 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.errors import InputError
 
 SQUARE_M = 1.0
-# The lowest height of a square is that which this share of its points are below: some points are below the ground.
+# The lowest height of a square is this quantile of its points' heights, because some points are below the ground.
 LOW_SHARE = 0.15
 # How far the ground beside the path may be above or below it: a constant, and a share of the distance to the side.
 BAND_M, BAND_PER_M = 0.4, 0.25
 # The steepest rise of the ground relative to the path, and the distance over which it is compared.
 STEEPEST, CONE_M = 0.2, 6
-# A square that lies lower than its neighbours by this much holds wrong points.
+# Depth below its neighbours from which a square holds wrong points.
 SUNK_M = 0.4
-# Points this near the path tell how high the host's frame is over the ground.
+# Greatest distance from the path of points that give the height of the host's frame over the ground.
 UNDER_M = 1.5
 MIN_POINTS = 20
 

@@ -30,7 +30,8 @@ MIN_SHARED, CLOSE_M, CLOSE_STD, NEXT_M = 4, 0.4, 2.0, 1.7
 SAME_M, SAME_PLACES = 0.8, 5
 # A track shorter than this is noise.
 MIN_LENGTH_M = 5.0
-# A track is dropped if another is nearer than any lane is wide and this one has fewer sights than this share of its.
+# A track is dropped if another is nearer than NARROWEST_M and its own sights are at most the share STRAY_SHARE of the
+# other's.
 STRAY_SHARE, NARROWEST_M = 0.5, 2.0
 
 

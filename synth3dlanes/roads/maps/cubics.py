@@ -16,7 +16,7 @@ from synth3dlanes.scene.road_map import MapMark, Polynomial
 from synth3dlanes.system.arrays import Scalars
 
 Cubics = tuple[Polynomial, ...]
-# Stations this near to each other are one: files round them.
+# Stations within this distance are one, because files round them.
 SAME_M = 1e-3
 # A product is split into cubics until they are this exact, measured at SHARES of them, or shorter than SHORT_M.
 EXACT, SHORT_M, SHARES = 1e-7, 5.0, (0.25, 0.5, 0.75)

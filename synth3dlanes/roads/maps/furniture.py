@@ -38,9 +38,9 @@ ARROW_SUBTYPES: dict[str, SymbolKind] = {
     "50": "arrow_straight_right",
 }
 ISLAND_M, MAX_ISLAND_M, MAX_CORNERS = 0.12, 1.0, 1000
-# Files put things at most this far beyond an end of their road.
+# Greatest distance of things in files beyond an end of their road.
 BEYOND_M = 1.0
-# A crosswalk is crossed along its longer sides, where these are longer by so much.
+# Ratio of its sides from which a crosswalk is crossed along the longer ones.
 OBLONG = 1.2
 
 

@@ -150,7 +150,7 @@ class GivenMap:
 
     @cached_property
     def reach_m(self) -> dict[LaneName, float]:
-        """How far traffic gets from the beginning of each lane, at most FAR_ENOUGH_M; in a circle it gets as far."""
+        """Length of the way from the beginning of each lane, at most FAR_ENOUGH_M, which a circle has."""
         found: dict[LaneName, float] = {}
         open_ends = {name: len(self.following.get(name, ())) for name in self.lanes}
         known = [name for name, n in open_ends.items() if not n]
@@ -440,7 +440,7 @@ def _shape(element: Element, where: str) -> MapShape:
 
 
 def _spans(element: Element, tag: str, length_m: float, where: str, left_out: Counter[str]) -> tuple[MapSpan, ...]:
-    """The bridges or tunnels of a road, as far as they are on it."""
+    """The bridges or tunnels of a road, cut to its ends."""
     found = []
     for item in element.iterfind(f"objects/{tag}"):
         with passing_over(item, left_out):

@@ -52,7 +52,7 @@ from synth3dlanes.system.schema import MAX_NUMBER, Name, SymbolKind, shown, vali
 
 # Lanelets cross each other where they share this area (m^2), seam left out, and their heights differ by less than this.
 CROSSED_M2, SEAM_M, SAME_LEVEL_M = 1.0, 0.3, 2.5
-# A line across lanes belongs to those whose middle it crosses, at most this far beyond their ends.
+# A line across lanes belongs to those whose middle it crosses, at most BEYOND_M beyond their ends.
 BEYOND_M = 1.0
 # The cosine of the angle that tells what lies along a lane from what lies across.
 ALONG = 0.7

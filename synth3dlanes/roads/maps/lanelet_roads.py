@@ -40,7 +40,7 @@ ARCS_M, WIDTH_M, HEIGHT_M = 0.002, 0.002, 0.003
 MOST_OFF_BOUND_M, MOST_TURNED_RAD, MOST_BENT = 0.1, 0.3, 0.03
 # Step of the stations at which widths and heights are measured; least distance between points of a line.
 STATION_STEP_M, LEAST_M = 0.5, 0.1
-# A step of a polyline is at most this many times as long as the one beside it, so that a bend does not reach into it.
+# Greatest ratio of neighbouring steps of a polyline, so that a bend does not reach into a long one.
 GRADE = 2.0
 # Strips of pavement beyond the outermost lanes of traffic, where no kerb is there.
 BORDER_M = 0.3

@@ -22,8 +22,7 @@ UNPAINTED = ("grass", "curb", "edge")
 YELLOW, WHITE = ("yellow", "orange"), ("white", "standard", "")
 # Widths of stripes without one in the file, and the widest.
 STANDARD_M, BOLD_M, WIDEST_M = 0.12, 0.25, 2.0
-# Two stripes are as far apart as each is wide, so that each has a third of the width of both together. A wider value
-# is that of both.
+# The gap of two stripes is as wide as each of them, a third of both together. A wider value is that of both.
 WIDE_M = 0.2
 # Lines closer together than this are one.
 ONE_M = 0.02

@@ -30,7 +30,7 @@ from synth3dlanes.scene.road_map import (
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import validation_problems
 
-# Roads are kept that come this close to the host; longer roads are cut to their pieces that do.
+# Roads that come within KEPT_M of the host are kept; those longer than LONG_M are cut to the pieces that do.
 KEPT_M, LONG_M = 500.0, 1000.0
 LENGTH_DECIMALS, ANGLE_DECIMALS = 6, 9
 

@@ -57,7 +57,7 @@ def width_m(place: LanePlace, s_m: float) -> float:
 
 
 def onward_m(given: GivenMap, at: MapStation) -> float:
-    """How far the way goes on from a place, as far as ways are followed."""
+    """Length of the way ahead of a place, up to where ways are followed."""
     place = given.lanes[at.lane]
     low, high = place.span_m
     beyond = max((given.reach_m[after] for after in given.following.get(at.lane, ())), default=0.0)

@@ -15,7 +15,7 @@ from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import MAX_NUMBER
 
-# Pieces may begin this far from where the one before ends; shorter curves are points.
+# Greatest gap between pieces; curves shorter than POINT_M are points.
 GAP_M, POINT_M = 1.0, 1e-6
 # Pieces longer than this are divided.
 LONG_M = 1000.0
@@ -100,7 +100,7 @@ def _four(form: Element, axis: str, where: str) -> tuple[float, float, float, fl
 
 
 def _parameter_at(u: Sequence[float], v: Sequence[float], length: float) -> float:
-    """The parameter up to which a cubic is so long."""
+    """The parameter up to which a cubic has this length."""
     end = length
     # A curve over u is never shorter than u.
     p = np.linspace(0, end, N_LENGTH)
