@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.roads.cross_section import KERB_M, RAISED
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.network import AS_FAR, Junction
+from synth3dlanes.roads.network import SEARCH_RATIO, Junction
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland, MapLane
@@ -252,7 +252,7 @@ class MapGround(Ground):
         for road in self.network.roads:
             rows = [(at, self.stretch_rows(at)) for at in road.stretches]
             left, right = (np.concatenate([at.points(s, edge(at)(s)) for at, s in rows]) for edge in EDGES)
-            if (np.hypot(*(left[:, :2] - xy_world).T) < AS_FAR * reach_m).any():
+            if (np.hypot(*(left[:, :2] - xy_world).T) < SEARCH_RATIO * reach_m).any():
                 yield left, right
 
     def carriageway(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
@@ -563,7 +563,7 @@ class MapGround(Ground):
 
 def _around(xy_world: Float[np.ndarray, "2"], reach_m: float) -> tuple[float, float, float, float]:
     """The box about a place in which roads are near it."""
-    (x0, y0), (x1, y1) = xy_world - AS_FAR * reach_m, xy_world + AS_FAR * reach_m
+    (x0, y0), (x1, y1) = xy_world - SEARCH_RATIO * reach_m, xy_world + SEARCH_RATIO * reach_m
     return float(x0), float(y0), float(x1), float(y1)
 
 

@@ -36,7 +36,7 @@ from synth3dlanes.formats.nuscenes.convention import (
     token,
 )
 from synth3dlanes.formats.writing import PARTS, Part
-from synth3dlanes.roads.network import AS_FAR
+from synth3dlanes.roads.network import SEARCH_RATIO
 from synth3dlanes.system.arrays import Matrix4
 
 
@@ -73,7 +73,7 @@ class _Grid:
         """A square or nearly one."""
         reach_m = max((scene.reach_m for scene in scenes), default=0.0)
         columns = max(1, int(np.ceil(np.sqrt(len(scenes)))))
-        return cls(10 * np.ceil(2 * AS_FAR * reach_m / 10 + 1), columns, max(1, -(-len(scenes) // columns)))
+        return cls(10 * np.ceil(2 * SEARCH_RATIO * reach_m / 10 + 1), columns, max(1, -(-len(scenes) // columns)))
 
 
 def _scenes(lines: Path) -> list[_Scene]:
