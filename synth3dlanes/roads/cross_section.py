@@ -62,7 +62,7 @@ class Shapes:
     given: tuple[MapShape, ...]
 
     @cached_property
-    def _rows(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k n"], Float[np.ndarray, "4 k n"]]:
+    def rows(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k n"], Float[np.ndarray, "4 k n"]]:
         """The stations, and of each the starts in t of its cubics, infinite beyond the last one, and their
         coefficients."""
         by_station: dict[float, list[MapShape]] = {}
@@ -77,7 +77,7 @@ class Shapes:
 
     def __call__(self, s: AnyScalars, t_left: AnyScalars) -> AnyScalars:
         """Heights at places."""
-        stations, starts, table = self._rows
+        stations, starts, table = self.rows
         s, t_left = np.broadcast_arrays(s, t_left)
         after = np.clip(np.searchsorted(stations, s, side="right"), 1, max(len(stations) - 1, 1))
         before = after - 1

@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.roads.cross_section import CrossSection, Profile
+from synth3dlanes.roads.cross_section import CrossSection, Profile, Shapes
 from synth3dlanes.roads.lane_curves import TableLine, n_knots
 from synth3dlanes.roads.map_lines import Spiral, spiral_frames
 from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, LineFrames, dot
@@ -24,6 +24,8 @@ from synth3dlanes.system.arrays import AnyScalars, Points2, Points3, Scalars
 
 # Steps of a projection, and how far from the perpendicular through a foot its point may be.
 MOST_STEPS, FOOT_M = 12, 1e-3
+# Farther than any place is from a road that it is near.
+APART_M = 1e5
 
 Indices = Int[np.ndarray, " n"]
 
@@ -91,6 +93,35 @@ class _Cubics:
         return np.asarray(a + x * (b + x * (c + x * d)))
 
 
+class _ManyShapes:
+    """Many `Shapes`."""
+
+    def __init__(self, shapes: Sequence[Shapes | None]) -> None:
+        rows = [of.rows if of else (np.zeros(1), np.zeros((1, 1)), np.zeros((4, 1, 1))) for of in shapes]
+        self._stations = Ragged.of(stations for stations, _, _ in rows)
+        most = max((starts.shape[1] for _, starts, _ in rows), default=0)
+        self._starts = np.full((len(self._stations.starts), most), np.inf)
+        self._numbers = np.zeros((4, *self._starts.shape))
+        for first, (_, starts, table) in zip(self._stations.first, rows, strict=False):
+            here = slice(first, first + len(starts)), slice(starts.shape[1])
+            self._starts[here], self._numbers[:, *here] = starts, table
+
+    def __call__(self, shape: Indices, s: Scalars, t_left: Scalars) -> Scalars:
+        """The height of shapes at a place each."""
+        of, last = self._stations, self._stations.first[shape + 1] - 1
+        before = np.maximum(np.minimum(of.at(shape, s), last - 1), of.first[shape])
+        after = np.minimum(before + 1, last)
+        z_before, z_after = (self._at(row, t_left) for row in (before, after))
+        length_m = np.maximum(of.starts[after] - of.starts[before], 1e-9)
+        share = np.clip((s - of.starts[before]) / length_m, 0, 1)
+        return np.asarray(z_before + share * (z_after - z_before))
+
+    def _at(self, row: Indices, t_left: Scalars) -> Scalars:
+        column = np.clip((self._starts[row] <= t_left[:, None]).sum(axis=1) - 1, 0, None)
+        x, (a, b, c, d) = t_left - self._starts[row, column], self._numbers[:, row, column]
+        return np.asarray(a + x * (b + x * (c + x * d)))
+
+
 class RoadTable:
     """The lines, sections and heights of roads as arrays."""
 
@@ -120,9 +151,9 @@ class RoadTable:
         self._banks = _Cubics([at.banks or nothing for at in sections])
         self._is_banked = np.array([at.banks is not None for at in sections])
         self._has_heights = np.array([at.heights is not None for at in sections])
-        # Sections whose heights have more to them than a line and a bank.
-        self._is_shaped = np.array([at.shapes is not None or any(lane.level for lane in at.lanes) for at in sections])
-        self._is_shaped &= self._has_heights
+        self._shapes = _ManyShapes([at.shapes for at in sections])
+        self._is_shaped = self._has_heights & np.array([at.shapes is not None for at in sections], dtype=bool)
+        self._has_level = self._has_heights & np.array([any(lane.level for lane in at.lanes) for at in sections], bool)
 
     def frames(self, road: Indices, s: Scalars) -> LineFrames:
         """Each road's line at a station."""
@@ -235,10 +266,15 @@ class RoadTable:
 
     def _height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
         at = np.clip(s, self._section_start_m[section], self._section_end_m[section])
-        z, banked = self._heights(section, at), self._is_banked[section]
+        z, banked, shaped = self._heights(section, at), self._is_banked[section], self._is_shaped[section]
+        bank = np.zeros(len(s))
         if banked.any():
-            z[banked] -= np.tan(self._banks(section[banked], at[banked])) * t[banked]
-        for i in np.unique(section[self._is_shaped[section]]):
+            bank[banked] = self._banks(section[banked], at[banked])
+            z[banked] -= np.tan(bank[banked]) * t[banked]
+        if shaped.any():
+            fall = np.cos(bank[shaped])
+            z[shaped] += self._shapes(section[shaped], at[shaped], -t[shaped] / fall) / fall
+        for i in np.unique(section[self._has_level[section]]):
             here = section == i
             z[here] = self._sections[i].height(s[here], t[here])
         return z
@@ -255,13 +291,13 @@ class Nearby(NamedTuple):
 
 class _Index(NamedTuple):
     """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
-    line, the stations of these, and a tree of them."""
+    line, the stations of these, and a tree of the places, roads one above the other APART_M from each other."""
 
     low: Float[np.ndarray, "r 2"]
     high: Float[np.ndarray, "r 2"]
     half_m: Float[np.ndarray, " r"]
-    stations: list[Scalars]
-    trees: list["scipy.spatial.cKDTree"]
+    stations: Scalars
+    tree: "scipy.spatial.cKDTree"
 
 
 class RoadIndex:
@@ -289,24 +325,22 @@ class RoadIndex:
     def places(self, xy_world: Float[np.ndarray, "n 2"], reach_m: Float[np.ndarray, " r"] | float) -> OnRoads:
         """Where points are along every road whose pavement they may be within `reach_m` of, a number or that of each
         road: road by road, points in ascending order."""
-        index, points, roads, guesses = self._index, [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
-        reach = np.broadcast_to(reach_m, len(self.roads))[:, None]
+        index, reach = self._index, np.broadcast_to(reach_m, len(self.roads))[:, None]
         low, high, from_line_m = index.low - reach, index.high + reach, index.half_m + reach[:, 0]
-        ends = xy_world.min(axis=0, initial=np.inf), xy_world.max(axis=0, initial=-np.inf)
         order = np.argsort(xy_world[:, 0])
-        x = xy_world[order, 0]
-        for i in np.flatnonzero(((low < ends[1]) & (high > ends[0])).all(axis=1)).tolist():
-            first, end = np.searchsorted(x, [low[i, 0], high[i, 0]])
-            y = xy_world[order[first:end], 1]
-            at = np.sort(order[first:end][(y > low[i, 1]) & (y < high[i, 1])])
-            if at.size:
-                _, place = index.trees[i].query(xy_world[at], distance_upper_bound=from_line_m[i])
-                is_near = place < index.trees[i].n
-                points.append(at[is_near])
-                roads.append(np.full(len(points[-1]), i))
-                guesses.append(index.stations[i][place[is_near]])
-        point, road = np.concatenate(points), np.concatenate(roads)
-        s, t, is_foot = self.table.project(road, xy_world[point], np.concatenate(guesses))
+        first, end = (np.searchsorted(xy_world[order, 0], at[:, 0]) for at in (low, high))
+        counts = np.maximum(end - first, 0)
+        road = np.repeat(np.arange(len(counts)), counts)
+        point = order[np.arange(len(road)) + np.repeat(first - np.cumsum(counts) + counts, counts)]
+        y = xy_world[point, 1]
+        is_near = (y > low[road, 1]) & (y < high[road, 1])
+        point, road = point[is_near], road[is_near]
+        above = np.column_stack([xy_world[point], APART_M * road])
+        away_m, place = index.tree.query(above, distance_upper_bound=max(from_line_m.max(initial=0.0), 0.0))
+        found = np.flatnonzero(away_m < from_line_m[road])
+        found = found[np.lexsort((point[found], road[found]))]
+        point, road, guesses = point[found], road[found], index.stations[np.asarray(place)[found]]
+        s, t, is_foot = self.table.project(road, xy_world[point], guesses)
         return OnRoads(point, road, s, t).of(is_foot)
 
     @property
@@ -328,6 +362,6 @@ class RoadIndex:
             np.minimum.reduceat(sides.min(axis=1), starts) - step_m[:, None],
             np.maximum.reduceat(sides.max(axis=1), starts) + step_m[:, None],
             widest_m + step_m,
-            stations,
-            [scipy.spatial.cKDTree(own) for own in np.split(points, starts[1:])],
+            s,
+            scipy.spatial.cKDTree(np.column_stack([points, APART_M * road])),
         )

@@ -14,6 +14,7 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.truth.object_truth import label_elements, label_objects
 from synth3dlanes.world.motion import host_driven, host_stations
 from synth3dlanes.world.paint import is_double, paint_color, pair_of
+from synth3dlanes.world.symbols import symbol_points
 from synth3dlanes.world.visibility import seen_over_ground
 from synth3dlanes.world.world import View, World, resolve
 
@@ -48,7 +49,7 @@ def label(world: World, view: View) -> Labels:
     sampled = dict(zip(stations, network.points_along(stations), strict=True))
     known = _known(world, stations)
     forms = world.symbol_shapes
-    outlines = [form.points_world(form.outline) for form in forms]
+    outlines = symbol_points(forms, [form.outline for form in forms])
     points_world = np.concatenate([*sampled.values(), *outlines])
     points_cam = transform(invert(view.world_from_cam), points_world)
     in_image = camera.shows(points_cam)

@@ -154,9 +154,11 @@ class GradedGround:
         is_off = away_m >= EDGE_M
         bounds.beside(places.point[is_off], away_m[is_off], raised_m[is_off])
         if self.spans:
-            z = height_at(self.network.terrain, xy_world)
+            z, near = height_at(self.network.terrain, xy_world), set(found.road.tolist())
             for span in self.spans:
-                own = found.of(found.road == self._numbers[span.road.id])
+                if (number := self._numbers[span.road.id]) not in near:
+                    continue
+                own = found.of(found.road == number)
                 if span.is_tunnel:
                     bounds.covers(own.point, *self._over_tunnel(span, own.s, own.t))
                 else:
@@ -186,9 +188,11 @@ class GradedGround:
         table, terrain = self.network.index.table, self.network.terrain
         on = np.clip(places.s, table.start_m[places.road], table.end_m[places.road])
         if on_ground and self.spans:
+            near = set(places.road.tolist())
             for name, spans in self.spans_of.items():
-                at = np.flatnonzero(places.road == self._numbers[name])
-                on[at] = _on_ground(spans, places.s[at], on[at])
+                if (number := self._numbers[name]) in near:
+                    at = np.flatnonzero(places.road == number)
+                    on[at] = _on_ground(spans, places.s[at], on[at])
             known = np.isfinite(on)
             places, on = places.of(known), on[known]
         across = np.clip(places.t, *table.edges(places.road, on))

@@ -309,13 +309,17 @@ class MapGround(Ground):
         """Height of the built ground over the analytic terrain at any points (0 away from roads): on decks, and over
         tunnels."""
         flat = xy_world.reshape(-1, 2)
-        above = self._graded_above(flat)
+        return self._built_above(flat, self._graded_above(flat)).reshape(xy_world.shape[:-1])
+
+    def _built_above(self, flat: Points2, graded_m: Scalars) -> Scalars:
+        """Height of the built ground over the terrain, by that of the ground below all decks."""
+        above = graded_m.copy()
         for span in self.decks:
             at = np.flatnonzero(contains(span.area, flat))
             above[at] = np.maximum(above[at], span.height(flat[at]) - height_at(self.network.terrain, flat[at]))
         for polygon, raised_m in self._raised:
             above[contains(polygon, flat)] += raised_m
-        return above.reshape(xy_world.shape[:-1])
+        return above
 
     def _graded_above(self, flat: Points2) -> Scalars:
         """Height over the terrain of the ground below all decks, without kerbs."""
@@ -346,14 +350,16 @@ class MapGround(Ground):
 
     def _is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
         """What `is_in` says of points that are near the ground, or on or below a deck, or in or over a tunnel."""
-        found = super().is_in(points_world)
-        for span, at in self._spans_at(points_world[:, :2]):
-            z, floor_m = points_world[at, 2], span.height(points_world[at, :2])
+        xy = points_world[:, :2]
+        terrain_m, above_m = height_at(self.network.terrain, xy), self._graded_above(xy)
+        graded_m, found = terrain_m + above_m, terrain_m + self._built_above(xy, above_m) > points_world[:, 2]
+        for span, at in self._spans_at(xy):
+            z, floor_m = points_world[at, 2], span.height(xy[at])
             if span.is_tunnel:
                 found[at] &= (z < floor_m) | (z > floor_m + CEILING_M)
             else:
-                found[at] &= (z < self.graded(points_world[at, :2])) | (z > floor_m - DECK_M)
-        return found
+                found[at] &= (z < graded_m[at]) | (z > floor_m - DECK_M)
+        return np.asarray(found)
 
     def height_near(self, points_world: Points3) -> Scalars:
         """Height of the ground as built at points: on a bridge or below it, over a tunnel or in it."""

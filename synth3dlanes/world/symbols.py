@@ -6,7 +6,7 @@ crosswalk metres along its first side and towards the third one. For a gore they
 of one road (0) to that of the road that parts from it (1), and the station.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -62,13 +62,31 @@ COLUMN_M, ROW_M, OUTLINE_STEP_M = 0.45, 0.5, 1.0
 @dataclass(frozen=True, eq=False)
 class SymbolShape:
     """A kind, painted polygons and an outline in a frame of its own, the places of that frame in the world, and
-    the size of COLUMN_M in it."""
+    the size of COLUMN_M in it. Those of a map's crosswalk have no height of their own but that of the ground `under`
+    it."""
 
     kind: SymbolKind
     polygons: list[Polygon]
     outline: Polygon
-    points_world: Callable[[Polygon], Float[np.ndarray, "_ 3"]]
+    places_world: Callable[[Polygon], Float[np.ndarray, "_ 3"]]
     column: float
+    under: Ground | None = None
+
+    def points_world(self, places: Polygon) -> Float[np.ndarray, "_ 3"]:
+        """World points of places of its frame."""
+        return np.concatenate(symbol_points([self], [places]))
+
+
+def symbol_points(forms: Sequence[SymbolShape], places: Sequence[Polygon]) -> list[Float[np.ndarray, "_ 3"]]:
+    """World points of places of each of some symbols on one ground."""
+    found = [form.places_world(at) for form, at in zip(forms, places, strict=True)]
+    low = {i: form.under for i, form in enumerate(forms) if form.under is not None}
+    for ground in list(low.values())[:1]:
+        heights = ground.height(np.concatenate([found[i][:, :2] for i in low]))
+        ends = np.cumsum([len(found[i]) for i in low])[:-1]
+        for i, z in zip(low, np.split(heights, ends), strict=True):
+            found[i][:, 2] = z
+    return found
 
 
 def symbol_shapes(ground: Ground, scene: Scene) -> list[SymbolShape]:
@@ -103,12 +121,14 @@ def shape(ground: Ground, item: Symbol | MapPaint) -> SymbolShape:
     return SymbolShape(item.kind, polygons, dense(outline, OUTLINE_STEP_M), places, COLUMN_M)
 
 
-def symbol_mesh(ground: Ground, form: SymbolShape, eye_world: Float[np.ndarray, "3"]) -> Mesh:
-    """The paint of a symbol over the road, moved towards the eye so that it looks in place from there."""
-    quads = np.concatenate([_quads(polygon, form.column) for polygon in form.polygons])
-    places = quads.reshape(-1, 2)
-    vertices = towards_eye(ground, form.points_world(places), eye_world)
-    return facing_up(vertices, places)
+def symbol_meshes(ground: Ground, forms: Sequence[SymbolShape], eye_world: Float[np.ndarray, "3"]) -> list[Mesh]:
+    """The paint of symbols over the road, moved towards the eye so that it looks in place from there."""
+    if not forms:
+        return []
+    places = [np.concatenate([_quads(polygon, form.column) for polygon in form.polygons]) for form in forms]
+    places = [quads.reshape(-1, 2) for quads in places]
+    vertices = towards_eye(ground, np.concatenate(symbol_points(forms, places)), eye_world)
+    return list(map(facing_up, np.split(vertices, np.cumsum(list(map(len, places)))[:-1]), places))
 
 
 def gore_of(network: Network) -> tuple[Road, float, float] | None:
@@ -167,16 +187,16 @@ def _between(ground: Ground, corners: Float[np.ndarray, "4 2"]) -> SymbolShape:
     a, b, c, d = corners
     length_m, depth_m = float(np.hypot(*(b - a))), float(np.hypot(*(d - a)))
 
-    def points_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
+    def places_world(places: Polygon) -> Float[np.ndarray, "_ 3"]:
         u, v = (places / [length_m, depth_m]).T[..., None]
         xy = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-        return np.column_stack([xy, ground.height(xy)])
+        return np.column_stack([xy, np.zeros(len(xy))])
 
     n = max(round(length_m / (2 * BAR_M)), 1)
     bars = (np.arange(n)[:, None] + [0.25, 0.75]) * length_m / n
     polygons = [_rectangle(np.array([x0, 0.0]), np.array([x1, depth_m])) for x0, x1 in bars]
     outline = _rectangle(np.zeros(2), np.array([length_m, depth_m]))
-    return SymbolShape("crosswalk", polygons, dense(outline, OUTLINE_STEP_M), points_world, COLUMN_M)
+    return SymbolShape("crosswalk", polygons, dense(outline, OUTLINE_STEP_M), places_world, COLUMN_M, ground)
 
 
 def _gore(ground: Ground, s_m: float) -> SymbolShape:

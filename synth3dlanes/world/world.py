@@ -35,7 +35,7 @@ from synth3dlanes.world.paint import paint_meshes
 from synth3dlanes.world.placement import tree_poses, tree_positions
 from synth3dlanes.world.seams import ghost_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
-from synth3dlanes.world.symbols import SymbolShape, symbol_mesh, symbol_shapes
+from synth3dlanes.world.symbols import SymbolShape, symbol_meshes, symbol_shapes
 
 # Greatest distance from the host's middle, along it, of cameras that look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
@@ -237,7 +237,7 @@ class World:
 
     def symbols(self, view: View) -> list[Mesh]:
         """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
-        return [symbol_mesh(self.ground, form, view.eye_world) for form in self.symbol_shapes]
+        return symbol_meshes(self.ground, self.symbol_shapes, view.eye_world)
 
     @property
     def symbol_ids(self) -> list[int]:
