@@ -70,6 +70,7 @@ class Mutant:
     """A file with the bytes `[start:end]` replaced; `key` names the place without numbers of lines."""
 
     path: str
+    function: str
     line: int
     start: int
     end: int
@@ -103,7 +104,7 @@ def mutants(path: str, text: bytes) -> Iterator[Mutant]:
             name = f"{path} {function} {source(node)} -> {new}"
             seen[name] += 1
             key = hashlib.sha1(f"{name} {seen[name]}".encode()).hexdigest()
-            yield Mutant(path, node.lineno, *span(node), source(node), new, key)  # type: ignore[attr-defined]
+            yield Mutant(path, function, node.lineno, *span(node), source(node), new, key)  # type: ignore[attr-defined]
 
 
 def _code(node: ast.AST, function: str) -> Iterator[tuple[ast.AST, str]]:
@@ -173,18 +174,18 @@ def _is_text_or_type(*nodes: ast.AST) -> bool:
     return any(map(is_one, nodes))
 
 
-def sampled(n: int, subjects: list[str]) -> Iterator[tuple[str, Mutant]]:
+def sampled(tree: Path, n: int, subjects: list[str]) -> Iterator[tuple[str, Mutant]]:
     """The fixed sample of n mutants of all subjects, of those that are asked for."""
     for subject in subjects:
-        paths = sorted({path for pattern in SUBJECTS[subject] for path in ROOT.glob(pattern)})
-        found = [m for path in paths for m in mutants(str(path.relative_to(ROOT)), path.read_bytes())]
-        ordered = filter(_is_python, sorted(found, key=lambda m: m.key))
-        yield from ((subject, mutant) for mutant in islice(ordered, n // len(SUBJECTS)))
+        paths = sorted({path for pattern in SUBJECTS[subject] for path in tree.glob(pattern)})
+        found = [m for path in paths for m in mutants(str(path.relative_to(tree)), path.read_bytes())]
+        valid = (m for m in sorted(found, key=lambda m: m.key) if _is_python(m.applied((tree / m.path).read_bytes())))
+        yield from ((subject, mutant) for mutant in islice(valid, n // len(SUBJECTS)))
 
 
-def _is_python(mutant: Mutant) -> bool:
+def _is_python(text: bytes) -> bool:
     try:
-        ast.parse(mutant.applied((ROOT / mutant.path).read_bytes()))
+        ast.parse(text)
     except SyntaxError:
         return False
     return True
@@ -209,17 +210,17 @@ def copy_checkout(tree: Path) -> None:
 
 
 @cache
-def imports(path: Path) -> frozenset[Path]:
+def imports(tree: Path, path: Path) -> frozenset[Path]:
     """The files of ours that a file imports."""
     found = []
     for node in ast.walk(ast.parse(path.read_bytes())):
         match node:
             case ast.ImportFrom(module, names, level):
-                place = (path.parent if level else ROOT).joinpath(*(module or "").split("."))
+                place = (path.parent if level else tree).joinpath(*(module or "").split("."))
                 found += [place, *(place / name.name for name in names)]
             case ast.Import(names):
-                found += [ROOT.joinpath(*name.name.split(".")) for name in names]
-    files = [(ROOT / _real(name.relative_to(ROOT))).with_suffix(".py") for name in found]
+                found += [tree.joinpath(*name.name.split(".")) for name in names]
+    files = [(tree / _real(name.relative_to(tree))).with_suffix(".py") for name in found]
     return frozenset(filter(Path.is_file, files))
 
 
@@ -228,18 +229,21 @@ def _real(name: Path) -> Path:
     return Path(LINKS.get(name.parts[0], name.parts[0]), *name.parts[1:]) if name.parts else name
 
 
-def files_of_tests(path: Path) -> Iterator[list[Path]]:
+def files_of_tests(tree: Path, path: Path, names: list[str]) -> Iterator[list[Path]]:
     """Files of tests that reach a file by imports, a few at a time: nearest first, those that render last; then those
-    that have a word of its name, and those that import little."""
+    that have one of the names, or a word of the file's name, and those that import little."""
     words = {*path.stem.split("_"), path.parent.name}
 
-    def order(file: Path) -> tuple[bool, bool, int]:
-        return "mark.render" in file.read_text(), not words & {*file.stem.split("_")}, len(imports(file))
+    def order(file: Path) -> tuple[bool, bool, bool, int]:
+        text = file.read_text()
+        is_named = bool({*names} & {*re.findall(r"\w+", text)} - {""})
+        is_akin = bool(words & {*file.stem.split("_")})
+        return "mark.render" in text, not is_named, not is_akin, len(imports(tree, file))
 
     reached = {path}
     folders = ("tests", "synth3dlanes", "cli", "baseline_model")
-    everything = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
-    while near := {file for file in everything if file not in reached and imports(file) & reached}:
+    everything = [file for folder in folders for file in (tree / folder).rglob("*.py")]
+    while near := {file for file in everything if file not in reached and imports(tree, file) & reached}:
         found = sorted((file for file in near if file.name.startswith("test_")), key=order)
         yield from (found[i : i + FILES_AT_ONCE] for i in range(0, len(found), FILES_AT_ONCE))
         reached |= near
@@ -252,10 +256,10 @@ def kill(mutant: Mutant, tree: Path) -> str:
     end_s = cpu_s() + LIMIT_S
     try:
         path.write_bytes(mutant.applied(text))
-        for files in files_of_tests(ROOT / mutant.path):
+        for files in files_of_tests(tree, path, mutant.function.split(".")):
             if cpu_s() > end_s:
                 break
-            names = [str(file.relative_to(ROOT)) for file in files]
+            names = [str(file.relative_to(tree)) for file in files]
             options = ["-p", "no:cacheprovider", "-qx", "-rfE", "--timeout", str(TEST_LIMIT_S), *names]
             done = subprocess.run(
                 [sys.executable, "-m", "pytest", *options],
@@ -284,12 +288,12 @@ def cpu_s() -> float:
 @click.option("--only", multiple=True, type=click.Choice([*SUBJECTS]), help="A subject; may be given again.")
 @click.option("--killed", type=click.Path(path_type=Path), help="Only mutants that were killed by this results.jsonl.")
 def main(folder: Path, n: int, only: tuple[str, ...], killed: Path | None) -> None:
-    """Run the mutants that have no result, and print all results."""
+    """Copy the checkout as it is, run the mutants that have no result, and print all results."""
     tree, results = folder.resolve() / "tree", folder / "results.jsonl"
     copy_checkout(tree)
     done, asked = read(results), read(killed) if killed else {}
     rows = []
-    for subject, mutant in sampled(n, [*(only or SUBJECTS)]):
+    for subject, mutant in sampled(tree, n, [*(only or SUBJECTS)]):
         if killed and not asked.get(mutant.key):
             continue
         if mutant.key not in done:

@@ -101,9 +101,11 @@ def peak_mb() -> int:
 
 
 def read_all(folder: Path) -> None:
-    """Read the files of the cases, whose bytes another process has made; print what each says and takes."""
+    """Read the files of the cases that another process has made; print what each says and takes."""
     resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
     for number, (name, (_, read)) in enumerate(CASES.items()):
+        if not (folder / str(number)).exists():
+            continue
         data, before = (folder / str(number)).read_bytes(), peak_mb()
         try:
             read(data, folder)
@@ -113,8 +115,11 @@ def read_all(folder: Path) -> None:
         print(json.dumps([name, len(data) >> 10, peak_mb() - before, said]), flush=True)  # noqa: T201
 
 
-def test_small_files_are_refused_before_they_take_gigabytes(tmp_path: Path) -> None:
-    for number, (make, _) in enumerate(CASES.values()):
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.thorough)])
+def test_small_files_are_refused_before_they_take_gigabytes(tmp_path: Path, every: int) -> None:
+    asked = [*enumerate(CASES)][::every]
+    for number, name in asked:
+        make, _ = CASES[name]
         pid = os.fork()  # what takes much to make is gone afterwards
         if not pid:
             (tmp_path / str(number)).write_bytes(make())
@@ -125,7 +130,7 @@ def test_small_files_are_refused_before_they_take_gigabytes(tmp_path: Path) -> N
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=240)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [row[0] for row in rows] == list(CASES), done.stderr[-2000:]
+    assert [row[0] for row in rows] == [name for _, name in asked], done.stderr[-2000:]
     for name, _, taken_mb, said in rows:
         assert taken_mb < MOST_MB, (name, taken_mb, said)
         assert "\n" not in said

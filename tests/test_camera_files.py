@@ -187,7 +187,7 @@ KEYS = [*CameraSpec.model_fields, "fx", "K", "calibration", "camera_matrix", "di
 KEYS += ["intrinsics", "resolution", "distortion_model", "fisheye_model", "image_width", "image_height"]
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=4), VALUES, max_size=8), st.booleans())
 def test_no_document_breaks_the_reader(tmp_path: Path, document: dict[object, object], complete: bool) -> None:
     if complete:

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[1]
 GENERATED = ("cli.md", "params.md", "decisions.md")
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").glob("*.md") if page.name not in GENERATED)]
 # Those that `make test` runs. Of the others it looks up the commands and their options.
-FIRST = [ROOT / "README.md", ROOT / "docs/quickstart.md"]
+FIRST = [ROOT / "README.md"]
 BLOCK = re.compile(r"(?:<!-- (not run|file)[ :]*(.*?) -->\n)?^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # Programs that prepare machines: of these lines only our own part is looked at.
 FOREIGN = (".", "cd", "docker", "hf", "pip", "python", "torchrun")

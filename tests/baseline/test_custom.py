@@ -99,6 +99,7 @@ def _tiny(**overrides):
     return train_config("tiny", settings | overrides)
 
 
+@pytest.mark.thorough
 def test_training_starts_from_the_weights_it_is_given(samples, tmp_path):
     """A step of no length leaves the network where it began."""
     first = train_on(_tiny(seed=1), samples, samples, tmp_path / "first")

@@ -90,6 +90,7 @@ def test_the_shell_completes_names_of_weights(in_tmp_path):
         assert names[:3] == WEIGHTS.split("|"), (words, told.output)
 
 
+@pytest.mark.thorough
 def test_hints_how_to_install_work_before_a_wheel_is_published():
     """No text names the project as a package of an index, and one function makes the hints."""
     for path in (*ROOT.glob("docs/**/*.md"), ROOT / "README.md"):

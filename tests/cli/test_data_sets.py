@@ -27,6 +27,7 @@ def test_stats_of_a_data_set(run: Run, folder: Path, in_tmp_path: Path) -> None:
     assert {"grade [%]", "curvature [1/km]"} <= {row["name"] for row in document["labels"]}
 
 
+@pytest.mark.thorough
 def test_stats_of_scenes_drawn_now(run: Run) -> None:
     drawn = ("stats", "--params", "tiny", "--n", 30, "--json")
     document = json.loads(run(*drawn).stdout)

@@ -69,7 +69,7 @@ COMMANDS = {
 }
 
 
-QUICK = ("generate", "apollo", "gallery")
+QUICK = ("generate",)
 
 
 class InlinePool(Pool):

@@ -17,6 +17,7 @@ from synth3dlanes.params.params import load_params
 Run = Callable[..., Result]
 
 
+@pytest.mark.thorough
 def test_nothing_is_cut_where_nobody_draws_a_screen(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     scene = run("sample").stdout

@@ -91,6 +91,7 @@ def check_switches(page: Page, shown: Locator, names: list[str]) -> None:
     assert differ(start, picture(shown)) < 20
 
 
+@pytest.mark.thorough
 def test_the_page_of_a_scene(open_page, exit_scene, gray_image):
     page = open_page(scene_page(ShownScene(exit_scene, some_behind_cars(ground_truth(exit_scene)), gray_image)))
     masks = [f"points {name}" for name in ("seen", "hidden by the ground", "hidden by objects")]

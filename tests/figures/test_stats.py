@@ -87,7 +87,7 @@ def test_three_per_cent_of_the_roads_with_other_lanes_are_found():
 
 def test_weather_is_held_against_the_tables_that_replace_the_parameters():
     params = load_params("streets", [*FEW["streets"], "weather.kind={rain: 1, snow: 1}", "cars.n=0"])
-    scenes = [sample_scene(Scenes(params, 4, "train"), index) for index in range(60)]
+    scenes = [sample_scene(Scenes(params, 4, "train"), index) for index in range(40)]
     assert all(is_fine(row) for row in scene_statistics(scenes, params).parameters)
     dry = [scene.model_copy(update={"surface": scene.surface.model_copy(update={"wetness": 0.3})}) for scene in scenes]
     assert [row.key for row in scene_statistics(dry, params).parameters if not is_fine(row)] == ["surface.wetness"]

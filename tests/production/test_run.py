@@ -195,7 +195,7 @@ def test_a_second_run_in_the_folder_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("maker", "limits", "reasons"),
     first(
-        2,
+        1,
         [
             (fake_samples.make_what_no_reader_takes, Limits(), {3: "camera.height_px: expected"}),
             (fake_samples.crash_on_bad, Limits(), {3: "worker ended with 1"}),
@@ -305,6 +305,7 @@ def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
         go(plan(tmp_path, n=100))
 
 
+@pytest.mark.thorough
 def test_waits_for_room_for_a_folder_and_for_a_join(tmp_path, whole, monkeypatch):
     full, opened, appear, seen = iter([True]), Shard.open, Draft.appear, []
     full_join = iter([True, True])
