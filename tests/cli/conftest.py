@@ -17,7 +17,7 @@ def run(in_tmp_path: object) -> Callable[..., Result]:
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """A data set of 12 scenes of Appendix I, labelled, on images without contents."""
     from synth3dlanes.dataset.folder import claim
     from synth3dlanes.dataset.format import Picture, encode
@@ -31,14 +31,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
     recipe = Recipe(Scenes(params), RenderSettings(), "png")
-    root = tmp_path_factory.mktemp("whole") / "d"
-    with claim(root, {**recipe.description(), "shard_size": 5}, "train", 12, range(3)) as split:
-        for number in range(3):
-            shard = Shard(split, number, 5, recipe.names)
-            for index in shard.indices(12):
-                scene = sample_scene(Scenes(params), index)
-                image = np.full((360, 480, 3), 20 * index, np.uint8)
-                members = encode(Picture(image, ground_truth(scene)), scene_module.to_json(scene), "png")
-                shard.write_part(index, members)
-            shard.join(12)
-    return root
+
+    def make(made: Path) -> None:
+        with claim(made / "d", {**recipe.description(), "shard_size": 5}, "train", 12, range(3)) as split:
+            for number in range(3):
+                shard = Shard(split, number, 5, recipe.names)
+                for index in shard.indices(12):
+                    scene = sample_scene(Scenes(params), index)
+                    image = np.full((360, 480, 3), 20 * index, np.uint8)
+                    members = encode(Picture(image, ground_truth(scene)), scene_module.to_json(scene), "png")
+                    shard.write_part(index, members)
+                shard.join(12)
+
+    return made_once("cli", make) / "d"

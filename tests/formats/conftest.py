@@ -52,9 +52,11 @@ def write_split():
 
 
 @pytest.fixture(scope="session")
-def dataset(tmp_path_factory, write_split):
+def dataset(made_once, write_split):
     """A folder with the splits `train` and `test`."""
-    root = tmp_path_factory.mktemp("dataset")
-    write_split(root, "train", N_TRAIN)
-    write_split(root, "test", N_TEST)
-    return root
+
+    def make(root):
+        write_split(root, "train", N_TRAIN)
+        write_split(root, "test", N_TEST)
+
+    return made_once("dataset", make)
