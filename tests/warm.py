@@ -1,4 +1,4 @@
-"""A worker that outlives its pool: the next pool of this process goes on with it, Blender and assets loaded.
+"""Workers that outlive their pool: the next pool of this process goes on with them, Blender and assets loaded.
 
 A start of Blender takes some three seconds, and the tests ask for dozens. That bytes do not depend on what a worker has
 made before is a promise of its own (tests/blender/test_clips.py). Tests of the processes themselves have fresh ones.
@@ -25,6 +25,8 @@ with Pool(0, Limits(), pinned=False):
 USERS = (bench, local, made_again, renderer, workers)
 # What differs between tests and does not matter to a worker.
 NOT_ASKED = ("PYTEST_CURRENT_TEST", "COLUMNS", "LINES")
+# Those that are kept, the last used last: as many as most pools have.
+MOST = 2
 _kept: list[tuple[dict[str, str], Worker]] = []
 # Folders of the workers, each of its own; some tests have other temporary folders.
 HOME = Path(tempfile.mkdtemp(prefix="synth3dlanes-warm-"))
@@ -50,8 +52,7 @@ def _end(worker: Worker) -> None:
 
 
 class Warm(Pool):
-    """A pool that begins with a worker of an earlier one, if its environment was the same, and leaves one to the
-    next."""
+    """A pool that begins with workers of earlier ones whose environment was the same, and leaves its own to the next."""
 
     def __enter__(self) -> Pool:
         # A core of its own would be another pool's at other times.
@@ -62,9 +63,11 @@ class Warm(Pool):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for slot, worker in enumerate(self._workers):
-            if worker and worker.task is None and worker.process.poll() is None and not _kept and not any(self.masks):
+            if worker and worker.task is None and worker.process.poll() is None and not any(self.masks):
                 _kept.append((_environment(), worker))
                 self._workers[slot] = None
+        while len(_kept) > MOST:
+            _end(_kept.pop(0)[1])
         super().__exit__(kind, error, trace)
 
     def start(self, task: Any, function: Callable[..., Any], *args: Any, slot: int | None = None) -> None:
@@ -72,11 +75,10 @@ class Warm(Pool):
         super().start(task, _in_folder, os.getcwd(), function, *args, slot=slot)
 
     def _launch(self, slot: int) -> Worker:
-        if _kept:
-            environment, worker = _kept.pop()
+        for place, (environment, worker) in enumerate(_kept):
             if environment == _environment() and worker.process.poll() is None and not any(self.masks):
+                del _kept[place]
                 return worker
-            _end(worker)
         # What it prints must stay when this pool's own folder goes.
         self._scratch, scratch = Path(tempfile.mkdtemp(dir=HOME)), self._scratch
         worker = super()._launch(slot)
