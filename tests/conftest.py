@@ -25,6 +25,9 @@ from tests import checked  # noqa: F401 - before all that it checks
 settings.register_profile("house", deadline=None, derandomize=True)
 settings.register_profile("long", deadline=None, max_examples=5000)
 settings.load_profile("house")
+# What the tests write need not outlive a power cut, and waiting for the disk took a tenth of the time of exports. That
+# files are synced, and in which order, is seen by those who watch the calls (tests/power_cut.py).
+os.fsync = lambda descriptor: None
 
 EXIT_STATUS = pytest.StashKey[int]()
 collect_ignore_glob = [] if importlib.util.find_spec("torch") else ["baseline/*"]

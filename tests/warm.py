@@ -52,7 +52,8 @@ def _end(worker: Worker) -> None:
 
 
 class Warm(Pool):
-    """A pool that begins with workers of earlier ones whose environment was the same, and leaves its own to the next."""
+    """A pool that begins with workers of earlier ones, if their environment was the same, and leaves its own to the
+    next."""
 
     def __enter__(self) -> Pool:
         # A core of its own would be another pool's at other times.
