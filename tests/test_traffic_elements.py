@@ -129,6 +129,7 @@ def test_arrays_have_what_labels_have():
     for i, item in enumerate(labels.traffic_elements):
         assert [segments[k] for k in np.flatnonzero(arrays.governs[i])] == list(item.lanes)
         np.testing.assert_allclose(arrays.cam_from_object[i][:3, :3], rotation(item.rotation_wxyz))
+        np.testing.assert_array_equal(arrays.cam_from_element[i], item.cam_from_element)
         np.testing.assert_allclose(arrays.corners_cam[i], item.corners_cam)
         np.testing.assert_allclose(arrays.normal_cam[i], item.normal_cam)
     assert np.isnan(arrays.visible_fraction).all()

@@ -94,6 +94,11 @@ class ObjectLabel:
         return from_axes(x, y, z, self.center_cam)
 
     @property
+    def cam_from_element(self) -> Matrix4:
+        """The name that `cam_from_object` of a traffic element had before objects and elements were one class."""
+        return self.cam_from_object
+
+    @property
     def corners_cam(self) -> Float[np.ndarray, "8 3"]:
         """The corners of the box in the order of CORNERS."""
         return transform(self.cam_from_object, CORNERS * self.size_m / 2)
@@ -130,6 +135,11 @@ class Objects:
 
     def __len__(self) -> int:
         return len(self.id)
+
+    @property
+    def cam_from_element(self) -> Float[np.ndarray, "n 4 4"]:
+        """The name that `cam_from_object` of traffic elements had before objects and elements were one class."""
+        return self.cam_from_object
 
 
 def rows(items: Sequence[object], name: str, *shape: int) -> Float[np.ndarray, "..."]:
