@@ -45,7 +45,7 @@ DIGESTS = {
     "diverse": "d2b5a78071901bfb",
     "openlane_camera": "dcc2f6314b26bb47",
     "realistic": "d751078fbd6c641a",
-    "streets": "1eaa2517cb9294a8",
+    "streets": "c10d931f60293ff1",
     "tiny": "2a9096fd964a295f",
     "town": "3fa5b9f7ed31d310",
     "tusimple_camera": "c102a5cd2b705728",

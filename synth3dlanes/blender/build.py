@@ -194,7 +194,12 @@ def _name_in_order() -> None:
 
 def _add_paint(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> None:
     """Add what lies on the road, moved a little so that it looks in place from the view."""
-    for seam, material in ((world.tar(view), materials.tar), (world.ghost_lines(view), materials.ghost)):
+    seams = (
+        (world.tar(view), materials.tar),
+        (world.ghost_lines(view), materials.ghost),
+        (world.removed_lines(view), materials.removed),
+    )
+    for seam, material in seams:
         if seam is not None:
             _add_object("paint", new_mesh(seam, [material]), 0)
     strips = world.paint(view, all_round=False)

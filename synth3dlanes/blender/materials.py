@@ -73,6 +73,7 @@ class Materials:
     symbol: bpy.types.Material
     tar: bpy.types.Material
     ghost: bpy.types.Material
+    removed: bpy.types.Material
     grass: bpy.types.Material
     structures: tuple[bpy.types.Material, ...]
 
@@ -100,7 +101,8 @@ def make_materials(roads: Sequence[TextureFiles], terrains: Sequence[TextureFile
         _paint("yellow_marking", "marking", YELLOW),
         _paint("symbol", "symbol", WHITE),
         _tar(),
-        _ghost(),
+        _ghost("ghost"),
+        _ghost("removed"),
         _grass(),
         structure_materials(),
     )
@@ -134,13 +136,17 @@ def set_materials(materials: Materials, world: World) -> None:
         set_value(paint, "rub_level", rub_level(scene.markings.wear))
         set_value(paint, "is_rubbed", float(scene.markings.wear > 0))
         set_value(paint, "road_gloss", surface.road_gloss)
-    for like_road in (paved_shoulder, materials.ghost, *materials.paints):
+    ghosts = materials.ghost, materials.removed
+    for like_road in (paved_shoulder, *ghosts, *materials.paints):
         like_road.node_tree.nodes["albedo"].image = road.node_tree.nodes["albedo"].image
-    set_value(materials.ghost, "shade", ghost_shade(surface.ghost_lines, scene.stream))
-    for paved in (road, shoulder, materials.ghost, *materials.paints):
+    works = scene.road.works if scene.road is not None else None
+    contrasts = surface.ghost_lines, works.removed if works is not None else 0.0
+    for ghost, contrast in zip(ghosts, contrasts, strict=True):
+        set_value(ghost, "shade", ghost_shade(contrast, scene.stream))
+    for paved in (road, shoulder, *ghosts, *materials.paints):
         set_value(paved, "wetness", surface.wetness)
         set_value(paved, "retro", weather.headlights * (1 - (1 - LEFT_WET) * surface.wetness))
-    for paved in (road, materials.tar, materials.ghost, *materials.paints):
+    for paved in (road, materials.tar, *ghosts, *materials.paints):
         _set_snow(paved, weather.snow_on_road)
     for bare in (shoulder, terrain):
         _set_snow(bare, weather.snow)
@@ -376,9 +382,9 @@ def _tar() -> bpy.types.Material:
     return material
 
 
-def _ghost() -> bpy.types.Material:
+def _ghost(name: str) -> bpy.types.Material:
     """The gray of the road's pavement, lighter or darker by `shade`."""
-    material, graph = new_material("ghost", SEMANTIC_IDS["road"])
+    material, graph = new_material(name, SEMANTIC_IDS["road"])
     position = graph.node("ShaderNodeNewGeometry").outputs["Position"]
     road = _albedo(texture(graph, "road_1_albedo.jpg", graph.scale(position, 1 / ROAD_TILE_M), is_color=True))
     gray = graph.node("ShaderNodeRGBToBW", {0: road}).outputs[0]

@@ -55,6 +55,8 @@ ADDED: dict[str, int | float | bool | str] = {
     "n_posts": 0,
     "n_crossings": 0,
     "n_buildings": 0,
+    "works": "none",
+    "works_lines": "none",
 }
 ARROW_TYPES: dict[object, pa.DataType] = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
 ADDED_SCHEMA = pa.schema([(column, ARROW_TYPES[type(default)]) for column, default in ADDED.items()])

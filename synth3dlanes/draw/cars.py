@@ -10,6 +10,7 @@ from jaxtyping import Float
 from synth3dlanes.draw.car_colors import sold_color
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
 from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.works import closed_area
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.scene import Car, Scene
@@ -28,6 +29,8 @@ CHECK_EVERY_S = 0.05
 # Speeds that are drawn for a car before it gets one of those that others have.
 SPEED_TRIES = 8
 
+NOTHING = np.zeros((0, 4, 2))
+
 BodySize = tuple[float, float]
 # The corners of a car at distances that it has driven.
 Way = Callable[[Scalars], Float[np.ndarray, "t 4 2"]]
@@ -42,11 +45,12 @@ class CarPlace(NamedTuple):
 
 
 class Traffic:
-    """Host and cars on their ways through a clip, to which cars are added one by one."""
+    """Host and cars on their ways through a clip, to which cars are added one by one; none touches what is closed."""
 
-    def __init__(self, shot: Shot, host: Way) -> None:
+    def __init__(self, shot: Shot, host: Way, closed: Float[np.ndarray, "k 4 2"] = NOTHING) -> None:
         self.times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
         self.ways, self.speeds = host(shot.speed_m_s * self.times_s)[None], [shot.speed_m_s]
+        self.ways = np.concatenate([self.ways, np.repeat(closed[:, None], len(self.times_s), axis=1)])
 
     def join(self, way: Way, speeds: list[float]) -> float | None:
         """Add a car with the first of these speeds at which it never touches another; return that speed, None without
@@ -129,7 +133,8 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
 
     own_lane = network.host_lane(camera.lane, camera.y_m).id
     own_way = partial(way, own_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M)
-    traffic = Traffic(scene.shot, own_way if is_clip else lambda _: host)
+    closed = closed_area(network.main, scene.road)
+    traffic = Traffic(scene.shot, own_way if is_clip else lambda _: host, closed)
     cars = list[Car]()
     for car in draw_cars(looks, scene.assets, traffic, places, added):
         if car is None and len(cars) < looks.least("n"):

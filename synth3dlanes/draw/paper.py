@@ -7,6 +7,7 @@ from synth3dlanes.draw.roadside import draw_roadside
 from synth3dlanes.draw.rules import lane_of_host
 from synth3dlanes.draw.symbols import draw_symbols
 from synth3dlanes.draw.traffic_elements import draw_elements
+from synth3dlanes.draw.works import with_works
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import is_wide_enough, paper_network
@@ -24,6 +25,9 @@ def paper_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     u_lane, y_m = draw.rng.random(), draw("y_m")
     lane = lane_of_host(of.params.camera.lane, road.lanes_present(y_m)).draw(u_lane)
     camera = _on_its_road(network, draw_camera(draw, lane, y_m), shot)
+    road, camera = with_works(road, camera, of("works"))
+    if road.works is not None:
+        network = paper_network(road, terrain)
 
     def stand(scene: Scene, ground: Ground) -> Roadside:
         own = of("structures")
@@ -42,7 +46,7 @@ def paper_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
 
 def draw_road(draw: Draw) -> PaperRoad:
     """The numbers of the road, by its rules (docs/params.md)."""
-    drawn = {field: draw(field.replace("_rad", "_deg")) for field in PaperRoad.model_fields}
+    drawn = {field: draw(field.replace("_rad", "_deg")) for field in PaperRoad.model_fields if field != "works"}
     if drawn["topology"] > 2:
         drawn["n_lanes"] = max(drawn["n_lanes"], 2)
     if drawn["n_oncoming"] == 0 or drawn["median_m"] < MIN_MEDIAN_M:

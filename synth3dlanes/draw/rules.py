@@ -72,8 +72,9 @@ class ParameterRules:
         else:
             found["road.median_m"] = median_of(params.road.median_m, road.n_oncoming)
         found["camera.lane"] = lane_of_host(params.camera.lane, road.lanes_present(scene.camera.y_m))
-        if scene.shot.n_frames > 1 and road.topology > 2:
-            found["camera.lane"] = None  # a host whose lane leaves its road gets the lane beside it
+        if (scene.shot.n_frames > 1 and road.topology > 2) or road.works is not None:
+            # A host whose lane leaves its road gets the lane beside it, and along works lanes have other numbers.
+            found["camera.lane"] = None
         return found
 
     def _of_town(self, found: dict[str, Distribution | None], town: Town) -> dict[str, Distribution | None]:

@@ -4,6 +4,7 @@ from synth3dlanes.draw.bodies import Bodies
 from synth3dlanes.draw.draws import DrawsOf
 from synth3dlanes.draw.people import draw_people
 from synth3dlanes.draw.riders import draw_riders
+from synth3dlanes.draw.works import draw_devices
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.params import Params
 from synth3dlanes.scene.scene import Scene, Thing
@@ -11,15 +12,16 @@ from synth3dlanes.world.ground import Ground
 
 
 def draw_things(scene: Scene, ground: Ground, of: DrawsOf) -> tuple[Thing, ...]:
-    """People and riders."""
+    """People, riders, and what stands along road works."""
+    devices = tuple(draw_devices(scene, ground, of))
     if not has_things(of.params):
-        return ()
+        return devices
     bodies = Bodies(scene, ground)
-    return (*draw_riders(scene, bodies, of), *draw_people(scene, bodies, of))
+    return (*draw_riders(scene, bodies, of), *draw_people(scene, bodies, of), *devices)
 
 
 def has_things(params: Params) -> bool:
-    """Whether scenes of some parameters may have things."""
+    """Whether scenes of some parameters may have people or riders."""
     people, riders = params.people, params.riders
     return any(
         extent(most)[1] > 0 for most in (people.per_100_m, people.crossing, riders.cyclists, riders.motorcyclists)

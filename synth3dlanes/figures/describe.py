@@ -231,6 +231,14 @@ def _road(scene: Scene, labels: Labels) -> Facts:
     if road.n_oncoming:
         between = f"beyond a median of {road.median_m:.1f} m" if road.median_m else "without a median"
         facts["oncoming lanes"] = f"{road.n_oncoming}, {between}"
+    if road.works is not None:
+        works = road.works
+        lines = "the lines as before" if works.lines == "as_before" else f"{works.lines} temporary lines"
+        side = "inner" if works.inner else "outer"
+        facts["road works"] = (
+            f"{works.kind.replace('_', ' ')} on the {side} side, from y = {works.start_m:.0f} m to "
+            f"{works.end_m:.0f} m, {lines}"
+        )
     if road.topology > 1:
         start_m = labels.graph.ramp_start_s_m
         facts["exit"] = (

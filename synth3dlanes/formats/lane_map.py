@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.labels.labels import Marking, PaintColor, Pair, Segment
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.network import GRAPH_END_M
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Points3
@@ -122,7 +121,9 @@ def half_widths(scene: Scene, names: list[str]) -> list[tuple[float, float]]:
     for name in names:
         lane = network.lanes[name]
         left, right = lane.edges
-        first_m, last_m = np.nan_to_num([lane.start_m, lane.end_m], posinf=GRAPH_END_M, neginf=-GRAPH_END_M)
+        first_m, last_m = np.nan_to_num(
+            [lane.start_m, lane.end_m], posinf=network.graph_end_m, neginf=-network.graph_end_m
+        )
         s = np.linspace(first_m, last_m, 50)
         widths_m = right(s) - left(s)
         found.append((float(widths_m.min()) / 2, float(widths_m.max()) / 2))

@@ -421,7 +421,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
             elif lanelet.tags.get("subtype") == "crosswalk":
                 crosswalks.append(lanelet)
     segments = {segment.id: segment for segment in truth.labels.graph.segments}
-    known = set(segments) if truth.scene.map is None else set(truth.scene.map.lanes)
+    known = set(truth.scene.paper_road.segments if truth.scene.map is None else truth.scene.map.lanes)
     inner = {name: lanelets for name, lanelets in found.items() if name in segments or name not in known}
     middles = [(name, np.concatenate([_middle(at) for at in lanelets])) for name, lanelets in inner.items()]
     compared = compare_map(middles, truth, RULE) + Comparison(outside=Counter({RULE.name: len(found) - len(inner)}))

@@ -58,7 +58,7 @@ REPLACED = {
 # Groups that were added later; parameters without them have their defaults, or the values of the reference.
 OPTIONAL: tuple[str, ...] = (
     *("symbols", "weather", "host", "vegetation", "roadside", "motion", "town", "mountain"),
-    *(*KINDS, *DAYTIMES, "structures", "town_streets", "people", "riders"),
+    *(*KINDS, *DAYTIMES, "structures", "town_streets", "people", "riders", "works"),
 )
 # Groups whose values stand in the reference alone.
 IN_REFERENCE = (*KINDS, *DAYTIMES, "structures", "town_streets")
@@ -507,3 +507,26 @@ class RidersParams(Group):
     motorcyclists: Annotated[Integer, integers(0, 20)] = added(0)
     cyclist_m_s: Annotated[Real, reals(1, 15)] = Uniform(3.5, 7.0)
     motorcyclist_m_s: Annotated[Real, reals(1, 60)] = Uniform(8.0, 14.0)
+
+
+class WorksParams(Group):
+    """Road works on roads without an exit. Lines that have to move are yellow where `lines` is as_before; a kind for
+    which there is no room gives way to the next one of: lane_closed, lanes_shifted, lanes_narrowed, shoulder_closed."""
+
+    present: Flag = added(False)
+    kind: Annotated[Named, names("lane_closed", "lanes_shifted", "lanes_narrowed", "shoulder_closed")] = added(
+        "lane_closed"
+    )
+    side: Annotated[Named, names("outer", "inner")] = added("outer")
+    ahead_m: Annotated[Real, reals(-100, 150)] = Uniform(-20.0, 60.0)
+    length_m: Annotated[Real, reals(10, 300)] = Uniform(60.0, 150.0)
+    taper_m: Annotated[Real, reals(10, 100)] = Uniform(25.0, 50.0)
+    end_taper_m: Annotated[Real, reals(5, 50)] = Uniform(10.0, 20.0)
+    moved_m: Annotated[Real, reals(0.3, 3)] = Uniform(0.5, 1.5)
+    least_lane_m: Annotated[Real, reals(2.4, 4)] = added(2.6)
+    lines: Annotated[Named, names("as_before", "white", "yellow")] = added("yellow")
+    line_width_m: Annotated[Real, reals(0.05, 0.3)] = added(0.12)
+    removed: Fraction = added(0.5)
+    devices: Annotated[Named, names("cone", "barrel")] = added("cone")
+    spacing_m: Annotated[Real, reals(1.5, 20)] = Uniform(4.0, 10.0)
+    barricade: Flag = added(True)

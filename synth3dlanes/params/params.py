@@ -48,6 +48,7 @@ from synth3dlanes.params.groups import (
     TreeParams,
     VegetationParams,
     WeatherParams,
+    WorksParams,
 )
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.system.errors import InputError
@@ -113,6 +114,7 @@ class Params(Group):
     mountain: MountainParams = Field(default=MountainParams(), exclude_if=lambda group: group == MountainParams())
     people: PeopleParams = Field(default=PeopleParams(), exclude_if=lambda group: group == PeopleParams())
     riders: RidersParams = Field(default=RidersParams(), exclude_if=lambda group: group == RidersParams())
+    works: WorksParams = Field(default=WorksParams(), exclude_if=lambda group: group == WorksParams())
     kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
 
     @model_validator(mode="before")

@@ -21,8 +21,8 @@ from synth3dlanes.scene.scene import Car, Terrain
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.system.errors import InputError
 
-# The lane graph ends at these stations of roads that have no end.
-GRAPH_END_M = 100.0
+# The lane graph ends at these stations of roads that have no end, or this far behind where their last lanes begin.
+GRAPH_END_M, LAST_LANE_M = 100.0, 10.0
 # Distance between points of the middle and the edges of lanes, and the least gap behind the point where a lane begins
 # at the end of another road's.
 LINES_STEP_M, LEAST_GAP_M = 0.5, 0.25
@@ -60,7 +60,8 @@ class Network:
 
     `way` is the line whose stations, as the host drives, scenes use for the host. If it has lanes, it is the host's
     route; otherwise the host keeps the lane that its scene says. `host_stretches` are the roads near the host that it
-    drives on, each between two stations, junctions left out. `courses` are those of lanes that routes may use, and
+    drives on, each between two stations, junctions left out. `removed` are the lines that were painted where others
+    hold now. `courses` are those of lanes that routes may use, and
     `stretches` the roads of one section that all lines are on, if their stations are lengths along them."""
 
     terrain: Terrain
@@ -73,6 +74,7 @@ class Network:
     across: LanePattern
     host_stretches: tuple[tuple[Road, float, float], ...] = ()
     junctions: tuple[Junction, ...] = ()
+    removed: tuple[LaneCurve, ...] = ()
     courses: Mapping[str, Course] = field(default_factory=dict)
     stretches: RoadTable | None = None
 
@@ -217,6 +219,12 @@ class Network:
 
     # -- labels
 
+    @cached_property
+    def graph_end_m(self) -> float:
+        """The station, and less than 0 the other one, at which the lane graph ends on roads that have no end."""
+        ends = [abs(s) for lane in self.lanes.values() for s in lane.driven if np.isfinite(s)]
+        return max(GRAPH_END_M, max(ends, default=0.0) + LAST_LANE_M)
+
     def in_range(self, camera: HostCamera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of the points of every line in range of the host. Lines that share the stations of roads have
         them at these lengths of their road ahead of the host, and at their ends between these, in driving order; others
@@ -305,7 +313,7 @@ class Network:
         segments = []
         for lane in self.lanes.values():
             if lane.id in along:
-                ends = [s if np.isfinite(s) else float(np.copysign(GRAPH_END_M, s)) for s in lane.driven]
+                ends = [s if np.isfinite(s) else float(np.copysign(self.graph_end_m, s)) for s in lane.driven]
                 start_m, end_m = (s * self.onwards + 0.0 for s in ends)
                 beside = (numbered.get((lane.section, lane.number + step)) for step in (-1, 1))
                 left, right = (name if name in along else None for name in beside)
@@ -325,7 +333,7 @@ class Network:
         """The lanes to the left and the right of one of the lane graph, as its own traffic drives."""
         lane = self.lanes[segment.id]
         rightward = 1.0 if lane.ascends != self.road(lane.road).line.is_mirrored else -1.0
-        middle = np.clip([lane.start_m, lane.end_m], -GRAPH_END_M, GRAPH_END_M).mean(keepdims=True)
+        middle = np.clip([lane.start_m, lane.end_m], -self.graph_end_m, self.graph_end_m).mean(keepdims=True)
 
         def across(name: str) -> float:
             return float(self.lanes[name].middle(middle)[0]) * rightward

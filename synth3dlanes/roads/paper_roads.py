@@ -6,7 +6,8 @@ Stations and offsets are those of the plan, see paper_lines.py.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import groupby
+from itertools import groupby, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from synth3dlanes.roads.network import LanePattern, Network
 from synth3dlanes.roads.paper_lines import S_END_M, Displaced, Flips, Opening, Quartic
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Parting, Ramp, Road
+from synth3dlanes.roads.works import WorksLanes
 from synth3dlanes.scene.scene import PaperRoad, Terrain
 from synth3dlanes.system.arrays import AnyScalars
 
@@ -35,6 +37,14 @@ TAPER_M = 20.0
 CORNER_M = 0.06
 # The host drives between these stations, and a little beyond.
 HOST_ROAD_M = 115.0
+
+
+class LaneSection(NamedTuple):
+    """A section of the host's lanes of the main road, between two stations."""
+
+    name: str
+    start_m: float
+    end_m: float
 
 
 def smooth_min(q: AnyScalars, width_m: float) -> AnyScalars:
@@ -115,6 +125,24 @@ class _Plan:
         """Station of the nose, where the opening is one lane wide."""
         return self.opening.station(self.road.lane_width_m)
 
+    @cached_property
+    def works(self) -> WorksLanes | None:
+        """The lanes along road works, if there are any."""
+        return None if self.road.works is None else WorksLanes(self.road, self.road.works)
+
+    @cached_property
+    def sections(self) -> tuple[LaneSection, ...]:
+        """The sections of the main road of a road without exit: one or, with road works, three."""
+        if self.works is None:
+            return (LaneSection("main", -np.inf, np.inf),)
+        low_m, high_m = self.works.span_m
+        first, last = ("main", "after")[:: int(self.flips.y)]
+        return (
+            LaneSection(first, -np.inf, low_m),
+            LaneSection("works", low_m, high_m),
+            LaneSection(last, high_m, np.inf),
+        )
+
     # -- ids: numbers count from the host's left
 
     def _seen(self, number: int, last: int) -> int:
@@ -130,7 +158,9 @@ class _Plan:
 
     def _count(self, section: str) -> int:
         road = self.road
-        counts = {"stem": road.n_lanes, "main": road.n_main_after, "exit": road.n_exit_lanes}
+        counts = {"stem": road.n_lanes, "after": road.n_lanes, "main": road.n_main_after, "exit": road.n_exit_lanes}
+        if self.works is not None:
+            counts["works"] = self.works.n
         return counts.get(section, road.n_oncoming)
 
     # -- lanes and links
@@ -169,10 +199,25 @@ class _Plan:
         if road.topology == 3:
             after[-1] = Offset(self.middle_m(road.n_lanes - 1), self._opens)
         oncoming = [Offset(self.left_m + (lane - 0.5) * road.lane_width_m) for lane in range(1, road.n_oncoming + 1)]
-        lanes = self.section("main", "main", after, whole if road.topology == 1 else (0.0, np.inf))
         if road.topology > 1:
-            lanes = self.section("stem", "main", middles, (-np.inf, 0.0)) + lanes
+            lanes = self.section("stem", "main", middles, (-np.inf, 0.0))
+            lanes += self.section("main", "main", after, (0.0, np.inf))
+        else:
+            lanes = [lane for at in self.sections for lane in self._lanes_of(at, middles)]
         return lanes + self.section("oncoming", "main", oncoming, whole, "oncoming")
+
+    def _lanes_of(self, at: LaneSection, middles: list[Offset]) -> list[NetworkLane]:
+        """The lanes of a section of a road without exit."""
+        span_m, works = (at.start_m, at.end_m), self.works
+        if works is None or at.name != "works":
+            return self.section(at.name, "main", middles, span_m)
+        own = self.section("works", "main", [works.middle(k) for k in range(1, works.n + 1)], span_m)
+        numbers = {self.lane_id("works", k): k for k in range(1, works.n + 1)}
+        return [
+            replace(lane, width_m=works.width_m, sides=(works.boundary(k - 1), works.boundary(k)))
+            for lane in own
+            for k in (numbers[lane.id],)
+        ]
 
     def _opens(self, s: AnyScalars) -> AnyScalars:
         """How far a lane that opens beside its neighbour has come."""
@@ -189,13 +234,22 @@ class _Plan:
         """(lane, lane) of every way, as traffic drives; from the plan's left."""
         road, n = self.road, self.road.n_lanes
         if road.topology == 1:
-            return ()
+            return tuple(self._links_of_works())
         pairs = [(lane, "main", lane) for lane in range(1, road.n_main_after + 1)]
         if road.topology == 3:
             pairs[-1] = (n - 1, "main", n)
         pairs += [(n - road.n_exit_lanes + lane, "exit", lane) for lane in range(1, road.n_exit_lanes + 1)]
         named = [(self.lane_id("stem", stem), self.lane_id(section, lane)) for stem, section, lane in pairs]
         return tuple(named if self.flips.y > 0 else [(fork, stem) for stem, fork in named])
+
+    def _links_of_works(self) -> Iterator[tuple[str, str]]:
+        works = self.works
+        if works is None:
+            return
+        names = [at.name for at in self.sections][:: int(self.flips.y)]
+        for k in range(1, works.n + 1):
+            lanes = [self.lane_id(name, k if name == "works" else k + works.before_first) for name in names]
+            yield from pairwise(lanes)
 
     # -- roads
 
@@ -247,21 +301,33 @@ class _Plan:
         lanes = sorted(sections, key=lambda lane: lane.direction == "oncoming")
         lines = self._delimiters() + self._oncoming_delimiters()
         facing = (
-            {self.line_id("main", 0), self.line_id("oncoming", self.road.n_oncoming)} if self.road.n_oncoming else set()
+            {*(self.line_id(at.name, 0) for at in self.sections), self.line_id("oncoming", self.road.n_oncoming)}
+            if self.road.n_oncoming
+            else set()
         )
         facing = facing or {line.id for line in lines if all(at.is_right for at in line.neighbours)}
-        delimiters = tuple(replace(at, is_inner=at.id in facing) for at in lines)
+        paths = paths_through(roads, lanes, self.links, lines, to_right=self.flips.x > 0)
+        path_of = {lane.id: path.id for path in paths for lane in path.lanes}
+        delimiters = tuple(
+            replace(
+                line,
+                is_inner=line.id in facing,
+                neighbours=tuple(at._replace(id=path_of[at.id]) for at in line.neighbours),
+            )
+            for line in lines
+        )
         whole = (Piece(main, Offset(0.0), -np.inf, np.inf),)
         return Network(
             self.terrain,
             roads,
             {lane.id: lane for lane in lanes},
             self.links,
-            paths_through(roads, lanes, self.links, delimiters, to_right=self.flips.x > 0),
+            paths,
             delimiters,
             way=LaneCurve("main", "centerline", "main", "none", (), whole, ascends=self.flips.y > 0),
             across=self.texture,
             host_stretches=((main, -HOST_ROAD_M, HOST_ROAD_M),),
+            removed=self._removed,
         )
 
     @property
@@ -277,11 +343,14 @@ class _Plan:
         self, section: str, j: int, marking: Marking, parts: Parts, start_m: float = -np.inf, end_m: float = np.inf
     ) -> LaneCurve:
         """Painted line j of a section; parts are a road, an offset and where it begins."""
-        beside = (
-            self.lane_id(section, j) if j > 0 else None,
-            self.lane_id(section, j + 1) if j < self._count(section) else None,
-        )
-        return self._painted(self.line_id(section, j), marking, beside, parts, start_m, end_m)
+        return self._painted(self.line_id(section, j), marking, self._beside(section, j), parts, start_m, end_m)
+
+    def _beside(self, section: str, j: int) -> LanesBeside:
+        """The lanes beside line j of a section as t grows, that between both directions included."""
+        left, right = (self.lane_id(section, lane) if 0 < lane <= self._count(section) else None for lane in (j, j + 1))
+        if j == 0 and section in {at.name for at in self.sections} and self.road.is_divided_by_line:
+            left = self.lane_id("oncoming", self.road.n_oncoming)
+        return left, right
 
     def _painted(
         self,
@@ -292,34 +361,69 @@ class _Plan:
         start_m: float = -np.inf,
         end_m: float = np.inf,
     ) -> LaneCurve:
-        sides = neighbours(*beside[:: int(self.flips.x)])
+        sides = self._seen_sides(beside)
         road = "exit" if name.startswith("exit") else "main"
         direction: Direction = "oncoming" if name.startswith("oncoming") else "same"
         return LaneCurve(name, "delimiter", road, marking, sides, joined(parts), start_m, end_m, direction)
 
+    def _seen_sides(self, beside: LanesBeside) -> tuple[Neighbour, ...]:
+        """Lanes on both sides, as the host sees them."""
+        return neighbours(*beside[:: int(self.flips.x)])
+
     def _on_main(self, t_m: float) -> Parts:
         return [(self.main_road, Offset(t_m), -np.inf)]
 
-    def _through(self, j: int) -> LaneCurve:
+    def _through(self, j: int, section: str = "main") -> LaneCurve:
         """Line j of the main road that runs along all of it."""
-        road = self.road
-        if j == 0 and self.is_divided_by_line:
-            beside = self.lane_id("oncoming", road.n_oncoming), self.lane_id("main", 1)
-            marking: Marking = "dashed" if road.divider_dashed else "solid"
-            return self._painted(
-                self.line_id("main", 0), marking, beside, self._on_main(self.boundary_m(0)), -np.inf, np.inf
-            )
-        return self._line("main", j, "dashed" if 0 < j < road.n_lanes else "solid", self._on_main(self.boundary_m(j)))
+        road, marking = self.road, self._marking(j, self.road.n_lanes)
+        if j == 0 and road.is_divided_by_line:
+            marking = "dashed" if road.divider_dashed else "solid"
+        return self._line(section, j, marking, self._on_main(self.boundary_m(j)))
+
+    @staticmethod
+    def _marking(j: int, n: int) -> Marking:
+        return "dashed" if 0 < j < n else "solid"
+
+    def _along(self, j: int) -> list[LaneCurve]:
+        """Line j of a road without exit: where road works move or remove it, the lines before, along and behind
+        them."""
+        works, whole = self.works, self._through(j)
+        if works is None:
+            return [whole]
+        if not works.is_moved(j):
+            beside = [
+                at._replace(start_m=section.start_m, end_m=section.end_m)
+                for section in self.sections
+                for at in self._seen_sides(
+                    self._beside(section.name, j - works.before_first if section.name == "works" else j)
+                )
+            ]
+            return [replace(whole, neighbours=tuple(beside))]
+        lines = [
+            replace(self._through(j, section.name), start_m=section.start_m, end_m=section.end_m)
+            for section in self.sections
+            if section.name != "works"
+        ]
+        if (found := works.line_of(j)) is not None:
+            i, offset = found
+            parts = [(self.main_road, offset, -np.inf)]
+            temporary = self._line("works", i, self._marking(i, works.n), parts, *works.span_m)
+            lines.insert(1, replace(temporary, paint=works.paint))
+        return lines
 
     @property
-    def is_divided_by_line(self) -> bool:
-        """Whether the main road's left line divides it from oncoming lanes."""
-        return self.road.n_oncoming > 0 and self.road.median_m == 0
+    def _removed(self) -> tuple[LaneCurve, ...]:
+        """The lines of the road along works that move or end there."""
+        if self.works is None:
+            return ()
+        low_m, high_m = self.works.span_m
+        gone = (j for j in range(self.road.n_lanes + 1) if self.works.is_moved(j))
+        return tuple(replace(self._through(j), start_m=low_m, end_m=high_m) for j in gone)
 
     def _delimiters(self) -> list[LaneCurve]:
         n, n_after, topology = self.road.n_lanes, self.road.n_main_after, self.road.topology
         if topology == 1:
-            return [self._through(j) for j in range(n + 1)]
+            return [line for j in range(n + 1) for line in self._along(j)]
         main, half_m, nose_m = self.main_road, self.exit_half_m, self.nose_m
 
         def beyond(road: Road, t_m: float) -> Parts:
@@ -354,7 +458,7 @@ class _Plan:
                 "dashed" if 0 < j < n else "solid",
                 self._on_main(self.left_m + j * self.road.lane_width_m),
             )
-            for j in range(n if self.is_divided_by_line or n == 0 else n + 1)
+            for j in range(n if self.road.is_divided_by_line or n == 0 else n + 1)
         ]
 
 
@@ -375,19 +479,16 @@ def paths_through(
     found = []
     for way in ways:
         named, along = way[at], sorted(way, key=lambda lane: lane.start_m)
-        beside = [line for line in delimiters if line.end_m >= named.end_m]
-        left, right = (
-            next((line.id for line in beside if Neighbour(named.id, not is_right) in line.neighbours), None)
-            for is_right in (False, True)
-        )
         found.append(
             LaneCurve(
                 named.id,
                 "centerline",
                 named.road,
                 "none",
-                neighbours(left, right),
+                tuple(at for is_right in (False, True) for at in _lines_beside(along, delimiters, is_right)),
                 joined((by_id[lane.road], lane.middle, lane.start_m) for lane in along),
+                along[0].start_m,
+                along[-1].end_m,
                 direction=named.direction,
                 lanes=tuple(along),
                 lane_starts_m=tuple(lane.start_m for lane in along),
@@ -395,6 +496,20 @@ def paths_through(
             )
         )
     return tuple(found)
+
+
+def _lines_beside(along: Sequence[NetworkLane], delimiters: Sequence[LaneCurve], is_right: bool) -> Iterator[Neighbour]:
+    """The lines on a side of a path: of each of its lanes the one that runs to its end. The first and the last one have
+    no outer ends."""
+    found = list[Neighbour]()
+    for lane in along:
+        own = (lane.id, not is_right)
+        reaching = (line for line in delimiters if line.end_m >= lane.end_m)
+        line = next((line for line in reaching if own in {(at.id, at.is_right) for at in line.neighbours}), None)
+        if line is not None:
+            found.append(Neighbour(line.id, is_right, lane.start_m, lane.end_m))
+    ends = [-np.inf, *(at.start_m for at in found[1:]), np.inf]
+    yield from (at._replace(start_m=low, end_m=high) for at, (low, high) in zip(found, pairwise(ends), strict=False))
 
 
 def _ways(lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]]) -> Iterator[list[NetworkLane]]:

@@ -20,6 +20,7 @@ from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.settings import JPEG_QUALITY, N_SCENE_NUMBERS
 from synth3dlanes.scene.things import ThingKind
 from synth3dlanes.scene.town import Town
+from synth3dlanes.scene.works import RoadWorks
 from synth3dlanes.system.schema import (
     Color,
     DocumentPart,
@@ -38,8 +39,8 @@ from synth3dlanes.system.streams import stream
 SCENE_VERSION = 1
 # The most models, textures or skies of one kind.
 MAX_ASSETS = 9999
-# A narrower median has no room for an edge line at each side.
-MIN_MEDIAN_M = 1.0
+# A narrower median has no room for an edge line at each side, and no car fits into a narrower lane along road works.
+MIN_MEDIAN_M, MIN_OPEN_M = 1.0, 2.2
 MAX_SYMBOLS, MAX_THINGS = most_of("symbol"), most_of("thing")
 # The most paints of a model of a thing.
 MAX_PAINTS = 8
@@ -96,7 +97,8 @@ class PaperRoad(DocumentPart):
     """Top view and ramp of the main road and its exit (Appendix I, Tables 'Topology' to 'Lane 3D').
 
     `n_oncoming` lanes of traffic the other way lie on the side opposite the exit, beyond a median of `median_m` between
-    the edge lines, or without one beyond one line that divides the traffic (`divider_dashed` or solid).
+    the edge lines, or without one beyond one line that divides the traffic (`divider_dashed` or solid). A road without
+    exit may have road works.
     """
 
     topology: Annotated[int, Field(ge=1, le=4)]
@@ -116,6 +118,7 @@ class PaperRoad(DocumentPart):
     n_oncoming: Annotated[int, Field(ge=0, le=8)] = 0
     median_m: Annotated[float, Field(ge=0, le=100)] = 0.0
     divider_dashed: bool = False
+    works: Annotated[RoadWorks | None, Field(exclude_if=_is_none)] = None
 
     @model_validator(mode="after")
     def _has_room(self) -> "PaperRoad":
@@ -130,6 +133,34 @@ class PaperRoad(DocumentPart):
             raise ValueError(f"median_m: expected 0 or at least {MIN_MEDIAN_M:g}, got {self.median_m:g}")
         return self
 
+    @model_validator(mode="after")
+    def _has_room_for_works(self) -> "PaperRoad":
+        """Check that the road has no exit beside works, and lanes, an edge and a shoulder that may move."""
+        works = self.works
+        if works is None:
+            return self
+        if self.topology != 1:
+            raise ValueError(f"works: expected none on a road with an exit, got some with topology {self.topology}")
+        n_open = self.n_lanes - works.closes_lane
+        room_m = self.n_lanes * self.lane_width_m + works.shift_m - works.taken_m
+        if not n_open or n_open * MIN_OPEN_M > room_m:
+            raise ValueError(
+                f"works: expected open lanes, each of {MIN_OPEN_M:g} m or more, got {n_open} in {room_m:.1f} m"
+            )
+        if self.is_divided_by_line and (works.inner or works.shift_m):
+            raise ValueError(
+                "works: expected the line between both directions to stay in place, got works that move it"
+            )
+        shoulder_m = self.shoulder_factor * self.lane_width_m
+        if works.shift_m > shoulder_m:
+            raise ValueError(f"works.shift_m: expected at most the shoulder's {shoulder_m:g} m, got {works.shift_m:g}")
+        return self
+
+    @property
+    def is_divided_by_line(self) -> bool:
+        """Whether one line divides the host's lanes from oncoming ones."""
+        return self.n_oncoming > 0 and self.median_m == 0
+
     @property
     def n_exit_lanes(self) -> int:
         """Lanes of the exit (Appendix I, Table 'Road and lane topology')."""
@@ -142,6 +173,10 @@ class PaperRoad(DocumentPart):
 
     def segments_at(self, s_m: float) -> tuple[str, ...]:
         """The ids of the host's lane segments at a world station, from the left, the main road's first."""
+        if self.works is not None and s_m >= self.works.start_m:
+            is_past = s_m >= self.works.end_m
+            n_lanes = self.n_lanes if is_past else self.n_lanes - self.works.closes_lane
+            return tuple(f"{'after' if is_past else 'works'}_{lane}" for lane in range(1, n_lanes + 1))
         if self.topology > 1 and (-s_m if self.flip_lateral else s_m) < 0:
             return tuple(f"stem_{lane}" for lane in range(1, self.n_lanes + 1))
         main = (f"main_{lane}" for lane in range(1, self.n_main_after + 1))
@@ -150,8 +185,9 @@ class PaperRoad(DocumentPart):
     @property
     def segments(self) -> tuple[str, ...]:
         """The ids of all lane segments."""
-        ends = (*self.segments_at(-1.0), *self.segments_at(1.0), *self.oncoming_segments)
-        return tuple(dict.fromkeys(ends))
+        stations_m = (-1.0, 1.0) if self.works is None else (-np.inf, self.works.start_m, self.works.end_m)
+        ends = (name for s_m in stations_m for name in self.segments_at(s_m))
+        return tuple(dict.fromkeys((*ends, *self.oncoming_segments)))
 
     @property
     def oncoming_segments(self) -> tuple[str, ...]:

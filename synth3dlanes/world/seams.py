@@ -53,6 +53,20 @@ def tar_mesh(ground: Ground, amount: float, eye_world: Float[np.ndarray, "3"], s
     return _mesh(ground, traces, eye_world)
 
 
+def removed_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, "3"]) -> Mesh | None:
+    """The lines of the network that were removed, as they were painted; dashes may lie elsewhere."""
+    traces = []
+    for line in ground.network.removed:
+        piece = line.pieces[0]
+        s = np.arange(line.start_m, line.end_m, GHOST_STEP_M)
+        is_painted = (s / markings.dash_cycle_m) % 1 < (markings.dash_fraction if line.marking == "dashed" else 1.0)
+        for first, last in stretches(is_painted):
+            at = s[first:last]
+            columns = np.broadcast_arrays(at, piece.offset(at), markings.width_m)
+            traces.append((piece.road, np.column_stack(columns)))
+    return _mesh(ground, traces, eye_world)
+
+
 def ghost_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh | None:
     """Lines of an earlier layout of the lanes, beside today's."""
     rng, traces = streams("ghost_lines"), []
@@ -71,8 +85,9 @@ def ghost_mesh(ground: Ground, markings: Markings, eye_world: Float[np.ndarray, 
 
 def joint(network: Network, contrast: float, streams: Streams) -> tuple[float, float]:
     """Where a joint runs, in metres right of the road's line as the host drives, and by which share the asphalt right
-    of it is darker; less than 0 where it is lighter. There is none where no place of the texture is along all roads."""
-    if not network.across.is_along:
+    of it is darker; less than 0 where it is lighter. There is none where no place of the texture is along all roads, or
+    lines were moved."""
+    if not network.across.is_along or network.removed:
         return 0.0, 0.0
     stretch = network.host_stretches[0]
     rng, lanes = streams("joint"), clear_lanes(network, stretch) or _same(stretch[0], stretch[1])[:1]
@@ -89,7 +104,9 @@ def ghost_shade(contrast: float, streams: Streams) -> float:
 
 def clear_lanes(network: Network, stretch: RoadPart) -> list[NetworkLane]:
     """The lanes of the host's direction of a stretch, as t grows, that are wide enough to be clear of their lines all
-    along it, and lead to no other road within it."""
+    along it, and lead to no other road within it; none where lines were moved, which may run anywhere."""
+    if network.removed:
+        return []
     road, low_m, high_m = stretch
     s = np.linspace(low_m, high_m, 9)
 

@@ -33,7 +33,7 @@ from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things
 from synth3dlanes.world.paint import paint_meshes
 from synth3dlanes.world.placement import tree_poses, tree_positions
-from synth3dlanes.world.seams import ghost_mesh, tar_mesh
+from synth3dlanes.world.seams import ghost_mesh, removed_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.symbols import SymbolShape, symbol_meshes, symbol_shapes
 
@@ -259,6 +259,13 @@ class World:
         if not self.scene.surface.ghost_lines:
             return None
         return ghost_mesh(self.ground, self.scene.markings, view.eye_world, self.scene.stream)
+
+    def removed_lines(self, view: View) -> Mesh | None:
+        """Lines in whose place road works have others, raised less than paint; None without any."""
+        works = self.scene.road.works if self.scene.road is not None else None
+        if works is None or not works.removed:
+            return None
+        return removed_mesh(self.ground, self.scene.markings, view.eye_world)
 
     def grass(self, view: View) -> Blades | None:
         """The grass beside the road as a view sees it, if any grows there."""

@@ -33,7 +33,8 @@ def described_paper(world: World) -> Described:
     told = {name: _told(world, road) for name, road in found.items()}
     segments = {f"{road.name}.0.{lane.number}": str(lane.segment) for road in found.values() for lane in road.driving}
     links = tuple(link for name in found for link in _links(world.network, found, told[name]))
-    junctions = (MapJunction(id=JUNCTION),) if links else ()
+    has_junction = any(road.in_junction for road in found.values())
+    junctions = (MapJunction(id=JUNCTION),) if has_junction else ()
     whole = RoadMap(roads=tuple(told.values()), links=links, junctions=junctions, route=(next(iter(segments)),))
     xy_world = np.concatenate([road.xy_world for road in found.values()])
     return Described(whole, told, xy_world, segments, partial(add_objects, world, list(found.values())))
@@ -77,8 +78,19 @@ def _shapes(road: OdrRoad) -> Iterator[MapShape]:
 
 
 def _links(network: Network, found: Mapping[str, OdrRoad], told: MapRoad) -> Iterator[tuple[LaneName, LaneName]]:
-    """The links of the lanes of a connecting road with those of the roads at its ends, as traffic drives."""
+    """The links of the lanes of a connecting road with those of the roads at its ends, and of another one with those
+    of the road behind it, as traffic drives."""
     road = found[told.id]
+    there = found.get(road.after or "")
+    if there is not None and not road.in_junction:
+        pairs = ((lane, at) for lane in road.driving for at in there.driving)
+        for lane, at in pairs:
+            joined = lane.segment == at.segment or at.segment in {
+                beyond.id for beyond in network.joined_to(network.lanes[str(lane.segment)])
+            }
+            ends = f"{road.name}.0.{lane.number}", f"{there.name}.0.{at.number}"
+            if joined:
+                yield ends if lane_ascends(told, 0, lane.number) else (ends[1], ends[0])
     for lane in road.driving if road.in_junction else ():
         segments = {lane.segment} | {at.id for at in network.joined_to(network.lanes[str(lane.segment)])}
         before, after = (

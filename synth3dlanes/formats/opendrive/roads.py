@@ -7,7 +7,8 @@ climbs, `e_t` is the horizontal left normal rolled about `e_s`. World frame, met
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -29,8 +30,12 @@ APART_M = 0.06
 # Steps to a point's station; in bends, each leaves a share of the way.
 FOOT_STEPS = 20
 JUNCTION = "junction"
+# Strips that are nowhere wider are left out.
+LEAST_WIDTH_M = 1e-6
 # Steps to the banked plane that is nearest to the lanes; the third changes it by less than a millimetre.
 PLANE_STEPS = 4
+# A width, or an offset, which may depend on the station.
+Width = float | Callable[[Scalars], Scalars]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,13 +124,14 @@ class _Strip:
 
     kind: MapLaneKind
     segment: str | None
-    width_m: float | Callable[[Scalars], Scalars]
+    width_m: Width
 
 
 @dataclass(frozen=True)
 class _Layout:
     """A part of a road of the network: its stations, its reference line, its strips as t grows, the number of those
-    before lane 0, the offset of lane 0 from the line, and what lies before and behind it."""
+    before lane 0, the offset of lane 0 from the line, which may depend on the station, and what lies before and behind
+    it."""
 
     name: str
     span_m: tuple[float, float]
@@ -133,7 +139,7 @@ class _Layout:
     line: Offset
     strips: tuple[_Strip, ...]
     n_left: int
-    lane_0_m: float
+    lane_0_m: Width
     before: str | None = None
     after: str | None = None
     is_oncoming: bool = False
@@ -179,7 +185,8 @@ def _layouts(network: Network) -> list[_Layout]:
 
     before, after = first[0].section, beyond[0].section
     if not partings:
-        return [*found, part(before, (-REACH_M, end_m), left, (*_strips(first), shoulder))]
+        whole = part(before, (-REACH_M, end_m), left, (*_strips(first), shoulder))
+        return [*found, *(_along_works(network, whole) if network.links else [whole])]
     junction, apart = (0.0, parted_m), (parted_m, end_m)
     # A lane that opens begins on its neighbour's; connecting roads are for one direction.
     for lane in beyond:
@@ -207,6 +214,51 @@ def _layouts(network: Network) -> list[_Layout]:
     ]
 
 
+def _at(width_m: Width, s: Scalars) -> Scalars:
+    return np.broadcast_to(width_m(s) if callable(width_m) else width_m, s.shape)
+
+
+def _between(low: Offset, high: Offset) -> Callable[[Scalars], Scalars]:
+    """The width between two lines."""
+    return lambda s: high(s) - low(s)
+
+
+def _moved(width_m: Width, lane_0: Width, was_m: Width, s: Scalars) -> Scalars:
+    """The width of the strip left of lane 0 where that moves."""
+    return _at(width_m, s) + _at(lane_0, s) - _at(was_m, s)
+
+
+def _along_works(network: Network, whole: _Layout) -> list[_Layout]:
+    """A road without exit in its sections along road works, one behind the other. Where the outermost lines are not at
+    the edges of the lanes, what is between is no lane."""
+    road, found = network.main, list[_Layout]()
+    starts = sorted({lane.start_m for lane in road.lanes if np.isfinite(lane.start_m)})
+    ends = [whole.span_m[0], *starts, max(whole.span_m[1], starts[-1] + MIN_END_M)]
+    for span_m in list(pairwise(ends))[:: int(network.onwards)]:
+        middle = np.array([(span_m[0] + span_m[1]) / 2])
+        lanes = [lane for lane in road.lanes_at(float(middle[0])) if lane.direction == "same"]
+        lines = [
+            line.pieces[0].offset
+            for line in network.delimiters
+            if line.direction == "same" and line.start_m < span_m[1] and line.end_m > span_m[0]
+        ]
+        first, *_, last = sorted(lines, key=lambda line: float(line(middle)[0]))
+        strips = (
+            _Strip("none", None, _between(first, lanes[0].edges[0])),
+            *(_Strip("driving", lane.id, _between(*lane.edges)) for lane in lanes),
+            _Strip("none", None, _between(lanes[-1].edges[1], last)),
+            _Strip("shoulder", None, _between(last, road.right)),
+        )
+        s = np.linspace(*span_m, 200)
+        there = [at for at in strips if at.kind != "none" or _at(at.width_m, s).max() > LEAST_WIDTH_M]
+        lane_0 = _between(whole.line, first)
+        left = list(whole.strips[: whole.n_left])
+        left[-1] = replace(left[-1], width_m=partial(_moved, left[-1].width_m, lane_0, whole.lane_0_m))
+        found.append(replace(whole, name=lanes[0].section, span_m=span_m, strips=(*left, *there), lane_0_m=lane_0))
+    names = [None, *(at.name for at in found), None]
+    return [replace(at, before=names[i], after=names[i + 2]) for i, at in enumerate(found)]
+
+
 def _road(network: Network, layout: _Layout) -> OdrRoad:
     ascends = (network.onwards > 0) != layout.is_oncoming
     low_m, high_m = layout.span_m
@@ -215,9 +267,9 @@ def _road(network: Network, layout: _Layout) -> OdrRoad:
     lengths = lengths_along(xy)
     # To the left of the reference line, seen in its direction.
     leftward = -network.rightward * (-1 if layout.is_oncoming else 1)
-    widths = [np.broadcast_to(w(s) if callable(w := strip.width_m) else w, s.shape) for strip in layout.strips]
+    widths = [_at(strip.width_m, s) for strip in layout.strips]
     edges = np.cumsum([np.zeros(len(s)), *widths], axis=0)
-    edges = leftward * (edges - edges[layout.n_left] + layout.lane_0_m)
+    edges = leftward * (edges - edges[layout.n_left] + _at(layout.lane_0_m, s))
     lanes = []
     for i, strip in enumerate(layout.strips):
         outward = -1 if i < layout.n_left else 1

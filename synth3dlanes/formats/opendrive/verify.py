@@ -53,9 +53,9 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 
 
 def _beyond_labels(truth: SourceSample) -> set[str]:
-    """The lanes of a scene's map that its labels do not reach."""
-    lanes = {} if truth.scene.map is None else truth.scene.map.lanes
-    return lanes.keys() - {segment.id for segment in truth.labels.graph.segments}
+    """The lanes of a scene that its labels do not reach."""
+    lanes = truth.scene.paper_road.segments if truth.scene.map is None else truth.scene.map.lanes
+    return set(lanes) - {segment.id for segment in truth.labels.graph.segments}
 
 
 def _segments(root: Element, given: GivenMap) -> dict[str, str]:
