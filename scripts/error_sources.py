@@ -65,7 +65,7 @@ def main(weights: str, source: str) -> None:
                 poses = torch.tensor([given(Pose(*pose), plane_pose(one)) for pose, one in pairs])
                 output = network(pixels, batch.intrinsics, poses)._replace(pose=poses)
                 found[name] += predictions_of(batch.keys, output, layout_of(network))
-    found["height, all lanes scaled with it"] = list(map(_scaled, labels, found["nothing"]))
+    found["height, and all lanes scaled with it"] = list(map(_scaled, labels, found["nothing"]))
     sys.stdout.write(f"{HEAD}\n")
     for name, predictions in found.items():
         ap = score(zip(labels, predictions, strict=True)).kinds["centerline"].ap
@@ -111,10 +111,11 @@ def _shared(errors: Errors) -> Errors:
 REPLACED: dict[str, Callable[[Errors, Errors], Errors]] = {
     "places sideways": lambda errors, unseen: errors * [0, 1],
     "heights": lambda errors, unseen: errors * [1, 0],
-    "what the image shows": unseen_part,
-    "what the image does not show": lambda errors, unseen: errors - unseen_part(errors, unseen),
-    "what all lanes of an image share": lambda errors, unseen: errors - _shared(errors),
-    "what they share in height": lambda errors, unseen: errors - _shared(errors) * [0, 1],
+    "errors that the image shows": unseen_part,
+    "errors that the image does not show": lambda errors, unseen: errors - unseen_part(errors, unseen),
+    "errors that the lanes of an image share (means)": lambda errors, unseen: errors - _shared(errors),
+    "the rest, which each lane has alone": lambda errors, unseen: np.where(np.isnan(errors), np.nan, _shared(errors)),
+    "errors in height that the lanes of an image share": lambda errors, unseen: errors - _shared(errors) * [0, 1],
 }
 
 

