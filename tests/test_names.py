@@ -1,4 +1,4 @@
-"""One word has one meaning: names of classes and types, and the table of nouns in ARCHITECTURE.md."""
+"""One word has one meaning: names of classes and types, and the table of docs/words.md."""
 
 import ast
 import re
@@ -29,7 +29,7 @@ def test_no_two_classes_or_types_share_a_name():
 
 
 def test_the_table_of_nouns_has_each_noun_once_and_names_files_that_are_there():
-    section = (ROOT / "ARCHITECTURE.md").read_text().split("## The project's nouns")[1].split("\n## ")[0]
+    section = (ROOT / "docs/words.md").read_text()
     rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| ")][1:]
     nouns = [noun.strip() for row in rows for noun in row[0].split(",")]
     assert len(nouns) > 40
