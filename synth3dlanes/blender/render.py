@@ -1,4 +1,4 @@
-"""World and View -> radiance and id layers, and the labels' `object_visible`. Why Cycles: docs/decisions.md."""
+"""World and View -> radiance and id layers, and the labels' `object_visible`."""
 
 import time
 from dataclasses import dataclass, replace
@@ -108,7 +108,7 @@ def with_object_visibility(world: World, view: View, labels: Labels, placed: lis
 
 
 def configure(settings: RenderSettings, film: float) -> None:
-    """Cycles' settings, chosen for cost: see docs/decisions.md."""
+    """Cycles' settings, chosen for cost: see docs/decisions.md#rendering and docs/speed_tried.md."""
     blender = bpy.context.scene
     blender.render.engine = "CYCLES"
     use_device(settings.device)

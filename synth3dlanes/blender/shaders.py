@@ -1,6 +1,6 @@
 """Helpers for building Cycles node graphs, and cheap shaders: diffuse plus a glossy coat.
 
-Renders with Principled BSDF take 10 to 20 % longer (docs/decisions.md).
+Renders with Principled BSDF take 10 to 20 % longer.
 """
 
 from pathlib import Path
