@@ -202,7 +202,7 @@ def _text(image: Image.Image, at_px: tuple[float, float], words: str, anchor: st
 def _lines(
     prediction: Prediction, labels: Labels | None, img_from_cam: Float[np.ndarray, "3 3"], threshold: float
 ) -> Iterator[Line]:
-    """Labels and detections, as far as they are seen and up to FAR_M."""
+    """Labels and detections where they are seen, up to FAR_M."""
     pose = Pose(labels.camera.pitch_rad, labels.camera.height_m) if labels is not None else prediction.pose
     to_road = np.eye(4) if pose is None else road_from_cam(pose)
 

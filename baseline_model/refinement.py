@@ -22,7 +22,7 @@ LEVELS = (0, 1, 2)
 """Maps that a refinement samples: image strides 2, 4 and 8."""
 ASIDE_M = (-0.8, -0.4, 0.0, 0.4, 0.8)
 """Where it samples them, right of each point."""
-STEP = 0.2
+CORRECTION_SCALE = 0.2
 """Scale of its correction, in spreads of the targets."""
 CLOSE_LEVELS = (0, 1)
 ASIDE_PX = (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0)
@@ -109,8 +109,8 @@ class Refinement(_Look):
             hidden = self.along(hidden.reshape(b * t * a, HIDDEN, k))
             dx, dz, dvisible = self.points(hidden).reshape(b, t, a, 3, k).unbind(3)
             return Lanes(
-                x_m + STEP * self.x_spread_m * dx,
-                z_m + STEP * self.z_spread_m * dz if self.has_elevation else z_m,
+                x_m + CORRECTION_SCALE * self.x_spread_m * dx,
+                z_m + CORRECTION_SCALE * self.z_spread_m * dz if self.has_elevation else z_m,
                 logit + self.lane(hidden.mean(-1)).reshape(b, t, a),
                 None if lanes.visible_logit is None else lanes.visible_logit.detach() + dvisible,
             )

@@ -15,14 +15,14 @@ from synth3dlanes.scene.scene import HeightGrid, Terrain
 from synth3dlanes.system.arrays import Points3, Scalars
 
 # The grid's step, half its number of steps, and the number of level coefficients at its edge.
-GROUND_GRID_STEP_M, HALF_N, LEVEL = 20.0, 32, 4
+GROUND_GRID_STEP_M, HALF_N, LEVEL_AT_EDGE = 20.0, 32, 4
 # Places of roads that the ground is fitted to, along roads.
 ALONG_M = 6.0
 # Of two roads one above the other the ground meets the lower one: the height between their places, beyond the distance
 # from above of these, and how close they are.
 ABOVE_M, BESIDE_M = 3.0, 15.0
-# How much a bend of the ground counts beside a metre off a road, and its distance from the mean height.
-STIFF, MEAN = 0.02, 1e-4
+# Weights of bends of the ground and of its distance from the mean height, beside that of a metre off a road.
+BEND_WEIGHT, MEAN_WEIGHT = 0.02, 1e-4
 MM_DECIMALS = 3
 
 
@@ -33,7 +33,7 @@ def terrain_of(roads: RoadMap, hills: Terrain, step_m: float = GROUND_GRID_STEP_
     if not raised:
         return hills
     xyz = _lowest(road_points(raised, hills))
-    xyz = xyz[(np.abs(xyz[:, :2]) < (HALF_N - LEVEL) * step_m).all(axis=1)]
+    xyz = xyz[(np.abs(xyz[:, :2]) < (HALF_N - LEVEL_AT_EDGE) * step_m).all(axis=1)]
     n, corner_m = 2 * HALF_N + 1, -HALF_N * step_m
     flat = HeightGrid(corner_m=(corner_m, corner_m), step_m=step_m, rows=((0.0,) * n,) * n)
     rows = _fitted(flat, xyz[:, :2], xyz[:, 2] - height_at(hills, xyz[:, :2]))
@@ -94,9 +94,9 @@ def _fitted(grid: HeightGrid, xy_world: Float[np.ndarray, "m 2"], z: Scalars) ->
     terms = [sparse.kron(same, bend), sparse.kron(bend, same), np.sqrt(2) * sparse.kron(slope, slope)]
     stiff = sum((term.T @ term for term in terms), sparse.csr_matrix((n * n, n * n)))
     i, j = np.divmod(np.arange(n * n), n)
-    inner = (np.minimum(i, j) >= LEVEL) & (np.maximum(i, j) < n - LEVEL)
+    inner = (np.minimum(i, j) >= LEVEL_AT_EDGE) & (np.maximum(i, j) < n - LEVEL_AT_EDGE)
     kept = sparse.identity(n * n, format="csr")[np.flatnonzero(inner)]
-    system = kept @ (at.T @ at + STIFF * stiff + MEAN * sparse.identity(n * n)) @ kept.T
+    system = kept @ (at.T @ at + BEND_WEIGHT * stiff + MEAN_WEIGHT * sparse.identity(n * n)) @ kept.T
     found = np.zeros(n * n)
     found[inner] = sparse.linalg.spsolve(system.tocsc(), kept @ (at.T @ (z - mean)))
     return np.asarray(found.reshape(n, n) + mean)

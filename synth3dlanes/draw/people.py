@@ -19,7 +19,7 @@ from synth3dlanes.system.arrays import Points2
 from synth3dlanes.world import placement
 
 # Greatest distance of people from the host's places in its clip, the most people, and draws of a place for each.
-MAX_FROM_HOST_M, MOST, TRIES = 55.0, 120, 5
+MAX_FROM_HOST_M, MAX_PEOPLE, TRIES = 55.0, 120, 5
 # They keep this far from the kerb, where poles stand, and from the walkway's other edge; those who wait are nearer.
 ASIDE_M, OUTSIDE_M, WAIT_M = 0.8, 0.4, 0.75
 # Those who cross come from at most this distance behind the kerb; their least distance from vehicles, and the time
@@ -65,7 +65,7 @@ def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
                 found += 1
                 yield thing
     starts = walkways.starts(bodies.host_places, MAX_FROM_HOST_M)
-    for _ in range(min(int(density * len(starts) + own.rng.random()), MOST - found)):
+    for _ in range(min(int(density * len(starts) + own.rng.random()), MAX_PEOPLE - found)):
         thing = _on_walkway(scene, bodies, walkways, starts, (own, _person(scene, looks)))
         if thing is not None:
             yield thing

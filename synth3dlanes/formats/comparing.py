@@ -260,8 +260,8 @@ class Rule:
 def compare(
     found: Sequence[Points], ours: Sequence[OurLine], rule: Rule, ids: Sequence[str] | None = None
 ) -> tuple[Comparison, list[str]]:
-    """Each line of a frame beside the nearest of ours, or that of its id, and ours that have none; and the ids of those
-    nearest."""
+    """Compare each line of a frame with the nearest of ours, or with ours of its id, and report ours without one;
+    return this and the ids of our nearest lines."""
     gaps, problems, lanes, n_strange = list[Gap](), list[str](), list[str](), 0
     if ids is not None and len(ids) != len(found):
         problems.append(f"expected {len(ids)} {rule.name}s as its ids say, got {len(found)}")

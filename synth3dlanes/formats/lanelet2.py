@@ -391,7 +391,7 @@ def _write_board(document: _Document, element: TrafficElement, tags: Tags) -> in
 RULE = Rule("m", 0.05, name="lane", slack=0.3)
 CROSSWALK_M, DEGREES_M = 0.02, 0.001
 """How far crosswalks may be from those of the labels, and degrees from local coordinates."""
-MOST, AHEAD_M, SURE_M = 0.6, 5.0, 80.0
+COMPARED_SHARE, AHEAD_M, SURE_M = 0.6, 5.0, 80.0
 """Paint is compared where the labels reach this share of a bound; they reach all places between these distances: the
 first ahead of the camera, the second from it."""
 
@@ -507,7 +507,7 @@ def _paint(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Compariso
         for side, at in ((side, at) for one in lanelets for side, at in (("left", one.left), ("right", one.right))):
             fine = resampled(at.points, 40)[2:-2]
             reached = np.any([is_beside(fine, middle) for middle in middles], axis=0) if middles else np.zeros(36, bool)
-            if np.mean(reached) <= MOST:
+            if np.mean(reached) <= COMPARED_SHARE:
                 continue
             fine, apart = fine[reached], dict[str, np.ndarray]()
             for lane in ours:

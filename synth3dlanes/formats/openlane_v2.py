@@ -90,9 +90,9 @@ LIMIT_PX = 0.02
 GAP_M = 1e-3
 # Tolerance at the border of the area.
 BORDER_M = 2.0
-# Error of rounded rectangles. A traffic element must be in an export if at least the share CLEAR of it is seen, its
+# Error of rounded rectangles. A traffic element must be in an export if at least CLEAR_SHARE of it is seen, its
 # rectangle's sides are at least CLEAR_PX long, and its face is seen at less than 84 degrees (its cosine is CLEAR_COS).
-BOX_PX, CLEAR, CLEAR_PX, CLEAR_COS = 0.2, 0.3, 4.0, 0.1
+BOX_PX, CLEAR_SHARE, CLEAR_PX, CLEAR_COS = 0.2, 0.3, 4.0, 0.1
 
 README = f"""OpenLane-V2 layout: subset B with the rig of nuScenes, subset A otherwise.
 
@@ -600,7 +600,7 @@ def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[Ob
 
 def is_clear(item: ObjectLabel) -> bool:
     """Whether an element must be in an export: the first camera sees most of it, from its front, and not too small."""
-    if item.box_px is None or item.visible_fraction is None or item.visible_fraction < CLEAR:
+    if item.box_px is None or item.visible_fraction is None or item.visible_fraction < CLEAR_SHARE:
         return False
     width_px, height_px = item.box_px[2:] - item.box_px[:2]
     away_m = float(np.linalg.norm(item.center_cam))

@@ -28,7 +28,7 @@ PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
 MOST_BYTES = 1 << 34
 """Of a file with many frames, such as COCO's annotations."""
 LEAST_SPACING_M = 0.5
-MOST = 1e6
+MAX_NUMBER = 1e6
 """Beyond any coordinate or column."""
 _BELOW = TypeAdapter(PathBelow)
 UNKNOWN: tuple[Marking, None, None, None] = ("none", None, None, None)
@@ -172,8 +172,8 @@ def numbers(text: str, where: str, columns: int = 2) -> Float[np.ndarray, "n c"]
         found = np.array(text.split(), dtype=float)
     except ValueError:
         raise FormatError(f"{where}: expected numbers, got {shown(text)}") from None
-    if len(found) % columns or not (np.abs(found) <= MOST).all():
-        raise FormatError(f"{where}: expected numbers up to {MOST:g} in groups of {columns}, got {shown(text)}")
+    if len(found) % columns or not (np.abs(found) <= MAX_NUMBER).all():
+        raise FormatError(f"{where}: expected numbers up to {MAX_NUMBER:g} in groups of {columns}, got {shown(text)}")
     return found.reshape(-1, columns)
 
 

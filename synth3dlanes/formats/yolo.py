@@ -35,7 +35,7 @@ from synth3dlanes.system.errors import FormatError
 NAMES = tuple(name for name in SEMANTIC_IDS if name not in STUFF)
 SETTINGS_FILE = "data.yaml"
 LEAST_PX = 10
-SMALL = f"a piece of less than {LEAST_PX} pixels"
+SMALL_PIECE = f"a piece of less than {LEAST_PX} pixels"
 # Clockwise in the image, from the right on: x and y.
 STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 # Shares have six decimals.
@@ -66,7 +66,7 @@ def write(frame: SampleFrame) -> FrameAnnotation:
             for index, (rows, columns) in enumerate(find_objects(pieces), start=1):
                 piece = pieces[rows, columns] == index
                 if np.count_nonzero(piece) < LEAST_PX:
-                    dropped[SMALL] += 1
+                    dropped[SMALL_PIECE] += 1
                     continue
                 corners = (outline(piece) + np.array([columns.start, rows.start])) / [width_px, height_px]
                 lines.append(f"{number} " + " ".join(f"{share:.6f}" for share in corners.ravel().tolist()))

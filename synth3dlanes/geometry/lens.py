@@ -31,7 +31,7 @@ WIDEST_RAD: dict[LensModel, float] = {"pinhole": np.pi / 2, "opencv": np.radians
 # Newton's steps, the knots that they start from, and the largest error of an inverse, in units of x/y.
 STEPS, KNOTS, TOLERANCE = 20, 512, 1e-10
 # The last Newton step is smaller.
-ENOUGH = 1e-9
+LAST_STEP = 1e-9
 # Coefficients of polynomials below this count as 0.
 NEGLIGIBLE = 1e-15
 
@@ -236,7 +236,7 @@ def _straight(lens: Lens, bent: AnyPoints2) -> AnyPoints3:
             determinant = a * d - b * c
             step = np.stack([d * e - b * f, a * f - c * e], axis=-1) / determinant[..., None]
             straight = straight - step
-            if not (np.abs(step) > ENOUGH).any():
+            if not (np.abs(step) > LAST_STEP).any():
                 break
         off = np.abs(_tangential(lens, straight)[0] - bent).max(axis=-1)
         inside = (off < TOLERANCE) & (np.arctan(np.hypot(*np.moveaxis(straight, -1, 0))) < lens.field_rad)
@@ -259,7 +259,7 @@ def _angle(lens: Lens, radius: Numbers) -> Numbers:
         with np.errstate(all="ignore"):
             step = np.where(slope > 0, (found - radius) / slope, 0.0)
         angle = np.clip(angle - step, low[cell], high[cell])
-        if not (np.abs(step) > ENOUGH).any():
+        if not (np.abs(step) > LAST_STEP).any():
             break
     with np.errstate(invalid="ignore"):
         return np.where(radius <= radii[-1], angle, np.nan)

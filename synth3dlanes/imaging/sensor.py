@@ -15,8 +15,8 @@ TAP_PX, SHORTEST_PX, TAPS = 2.5, 0.3, (2, 3, 4, 6, 8, 12, 16, 24, 32)
 # Share of the variance at middle gray that is read-out noise; the rest is photon noise, which grows with the light.
 READ_SHARE = 0.1
 
-# The mean that a metering camera amplifies a darker picture to, counting what is brighter than white as white: that of
-# a road in headlights. And how much it amplifies at most, three stops.
+# The mean to which a metering camera amplifies a darker picture (of a road in headlights; brighter than white counts as
+# white), and its greatest gain, three stops.
 METERED_MEAN, MOST_GAIN = 0.02, 8.0
 
 

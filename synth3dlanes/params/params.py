@@ -276,7 +276,7 @@ def preset_under(source: str) -> str:
 
 
 def merged(files: Sequence[_File]) -> dict[Any, Any]:
-    """The keys of files, those of later ones in place of those of earlier ones."""
+    """The keys of all files; a later file's value replaces an earlier one's."""
     document: dict[Any, Any] = {}
     for file in files:
         for name, read in file.document.items():

@@ -151,7 +151,7 @@ def _kind(value: Any) -> str:
 
 
 def either(words: str, *kinds: type) -> BeforeValidator:
-    """A check, in words for the user, that what is no text is of one of these types."""
+    """A check that a value is of one of these types; `words` say to the user what was expected."""
 
     def check(value: Any) -> Any:
         if not isinstance(value, kinds):

@@ -10,8 +10,8 @@ from typing import Any
 from synth3dlanes.system.errors import Synth3dlanesError
 from synth3dlanes.system.files import read_bounded
 
-# Fewer samples say little; of more the last ones are looked at.
-LEAST, MOST = 5, 500
+# Least number of samples that say something, and the number of the last ones that are used.
+LEAST_SAMPLES, MOST_SAMPLES = 5, 500
 MAX_LOG_BYTES = 1 << 28
 
 
@@ -26,8 +26,8 @@ class Measured:
 def measured(root: Path, split: str) -> Measured | None:
     """What the last run with enough samples has measured in a data set here; None where there is none."""
     for path in sorted((root / "logs").glob(f"{split}-*.jsonl"), reverse=True):
-        samples = list(_samples(path))[-MOST:]
-        if len(samples) >= LEAST:
+        samples = list(_samples(path))[-MOST_SAMPLES:]
+        if len(samples) >= LEAST_SAMPLES:
             return Measured(*(statistics.median(sample[name] for sample in samples) for name in ("seconds", "bytes")))
     return None
 

@@ -14,9 +14,9 @@ from synth3dlanes.roads.reference_line import GUESS_STEP_M, LineFrames, Referenc
 from synth3dlanes.scene.road_map import PlanPiece
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Polyline2
 
-# Nodes and weights on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns; few are enough for
-# one that turns by at most FEW_RAD, as most do between their beginning and a place.
-MANY, FEW, FEW_RAD = 40, 10, 1.5
+# Numbers of nodes on [0, 1] for integrals along a spiral, exact to a nanometre up to a few turns. A spiral that turns
+# by at most FEW_RAD, as most do between their beginning and a place, needs few.
+MANY_NODES, FEW_NODES, FEW_RAD = 40, 10, 1.5
 # An arc of less curvature (1/m) is a parabola here, to a tenth of a millimetre in a kilometre.
 STRAIGHT = 1e-9
 # Steps in which lengths along a cubic are measured.
@@ -99,7 +99,7 @@ def spiral_frames(numbers: Float[np.ndarray, "*n 5"], s: AnyScalars) -> LineFram
         way[at] = s[at][:, None] * along - (curvature[at] * s[at] ** 2 / 2)[:, None] * first[at]
     if bent.any():
         turn_rad = np.abs(s) * (np.abs(curvature) + np.abs(bends * s))
-        for n, at in ((FEW, bent & (turn_rad <= FEW_RAD)), (MANY, bent & (turn_rad > FEW_RAD))):
+        for n, at in ((FEW_NODES, bent & (turn_rad <= FEW_RAD)), (MANY_NODES, bent & (turn_rad > FEW_RAD))):
             nodes, weights = _nodes(n)
             along = s[at][:, None] * nodes
             u = first_rad[at][:, None] + along * (curvature[at][:, None] + bends[at][:, None] * along / 2)

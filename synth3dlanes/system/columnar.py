@@ -73,8 +73,8 @@ class TableBounds:
 
 
 def read_parquet(data: bytes, where: str, bounds: TableBounds, columns: Sequence[str] | None = None) -> pa.Table:
-    """A table, or those of some columns that it has. Raises FormatError for more rows or bytes than the bounds allow,
-    one of DAMAGED for damaged bytes."""
+    """A table with all of its columns, or those of the named ones that it has. Raises FormatError for more rows or
+    bytes than the bounds allow, one of DAMAGED for damaged bytes."""
     # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
     with pq.ParquetFile(pa.BufferReader(data)) as file:
         metadata, known = file.metadata, file.schema_arrow.names

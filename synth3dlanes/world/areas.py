@@ -49,7 +49,7 @@ def intersection(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
 
 
 def outset(area: BaseGeometry, by_m: float) -> BaseGeometry:
-    """An area with what is so near to it; with a negative distance, what of it is farther inside than that."""
+    """An area extended by a distance, or shrunk by a negative one."""
     return valid(shapely.buffer(area, by_m, join_style="mitre"))
 
 

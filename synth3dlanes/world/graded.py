@@ -264,8 +264,8 @@ class GradedGround:
         return np.where(own, np.minimum(EMBANKMENT_M, BERM_M + EMBANKMENT_SLOPE * apart_m), -np.inf)
 
     def floor(self, xy_world: Points2) -> Scalars:
-        """Heights below those of all pavement on the ground at places on pavement, or near it: those of the lowest
-        roads in the cells of a grid around them, but not over the terrain."""
+        """Heights below all pavement on the ground, at places on pavement or near it: the height of the lowest road in
+        the grid cells around a place, but not over the terrain."""
         found = np.zeros(len(xy_world))
         if self._has_heights.any() and len(xy_world):
             corner = np.floor(xy_world.min(axis=0) / CELL_M).astype(int)

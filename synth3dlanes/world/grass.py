@@ -26,9 +26,9 @@ SHORT, FULL_AT_M = 0.35, 1.5
 # A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
 BLADES, RADIUS_M, LEAN, WIDTH = 9, 0.14, 0.7, 0.12
 SINK_M = 0.04
-# Lines of sight to points of lanes, every SIGHT_STEP_M up to RANGE_M, pass tufts by ROOM_M and by ROOM of the distance,
-# which is more than a pixel.
-SIGHT_STEP_M, RANGE_M, ROOM_M, ROOM = 1.0, 115.0, 0.1, 0.004
+# Lines of sight to points of lanes, every SIGHT_STEP_M up to RANGE_M, pass tufts by ROOM_M and by ROOM_SHARE of the
+# distance, which is more than a pixel.
+SIGHT_STEP_M, RANGE_M, ROOM_M, ROOM_SHARE = 1.0, 115.0, 0.1, 0.004
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def _in_sight(
     to_feet, to_points = feet - eye_world, points_world - eye_world
     to_points = to_points[np.argsort(np.arctan2(to_points[:, 1], to_points[:, 0]))]
     distance_m, reach_m = (np.hypot(way[:, 0], way[:, 1]) for way in (to_feet, to_points))
-    room_m = ROOM_M + ROOM * np.linalg.norm(to_feet, axis=1)
+    room_m = ROOM_M + ROOM_SHARE * np.linalg.norm(to_feet, axis=1)
     radius_m = RADIUS_M + LEAN * height_m + room_m
     tuft, point = _about_one_way(to_feet, distance_m / radius_m, to_points)
     along = to_points[point, :2] / reach_m[point, None]

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.xml import USER_DATA, Element
-from synth3dlanes.formats.reading import MOST
+from synth3dlanes.formats.reading import MAX_NUMBER
 from synth3dlanes.system.arrays import AnyScalars
 from synth3dlanes.system.errors import FormatError
 
@@ -139,8 +139,8 @@ def read_xml(text: str, where: str) -> Element:
 def number(element: Element, key: str) -> float:
     """An attribute that is a number; raises KeyError or ValueError."""
     value = float(element.attrib[key])
-    if not abs(value) <= MOST:
-        raise ValueError(f"{key}: expected a number up to {MOST:g}, got {value}")
+    if not abs(value) <= MAX_NUMBER:
+        raise ValueError(f"{key}: expected a number up to {MAX_NUMBER:g}, got {value}")
     return value
 
 

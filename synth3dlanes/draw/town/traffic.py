@@ -22,7 +22,7 @@ Rng = np.random.Generator
 # Distance before its place at which the host starts, and the most time that it takes to get there.
 RUN_UP_M, PATIENCE_S = 80.0, 150.0
 # Least free length between cars at the start, and the most cars.
-FREE_M, MOST = 7.0, 60
+LEAST_GAP_M, MAX_CARS = 7.0, 60
 # Bodies are apart by this in every direction.
 APART_M = 0.12
 # The most junctions on a route.
@@ -211,7 +211,9 @@ class _Simulation:
         for other in self.traffic.drivers:
             away_m = float(np.linalg.norm(other.route.at(np.array([other.at_m]))[0] - xy))
             near = other.route.lanes[other.lane] in here or set(other.route.lanes[other.lane :]) & here
-            if away_m < (driver.length_m + other.length_m) / 2 + (FREE_M if near else 0.0) and (near or away_m < 2.5):
+            if away_m < (driver.length_m + other.length_m) / 2 + (LEAST_GAP_M if near else 0.0) and (
+                near or away_m < 2.5
+            ):
                 return False
         driver.speed = min(driver.speed, driver.limits[driver.lane])
         self.bodies[id(driver)] = body
@@ -230,11 +232,11 @@ class _Simulation:
                 names = names if side == "right" else names[::-1]
                 route = Route(names, self.lines)
                 at_m = float(self.rng.uniform(4, 40))
-                while at_m < route.length_m - 5 and len(self.traffic.drivers) < MOST:
+                while at_m < route.length_m - 5 and len(self.traffic.drivers) < MAX_CARS:
                     if self.flow > 0 and self.rng.random() < 0.8:
                         k = next(k for k, start in enumerate(route.starts[1:]) if at_m < start)
                         self._add(names[k:], at_m - route.starts[k], float(self.rng.uniform(3, 10)))
-                    at_m += FREE_M + 5 + float(self.rng.exponential(55 * (1.1 - self.flow)))
+                    at_m += LEAST_GAP_M + 5 + float(self.rng.exponential(55 * (1.1 - self.flow)))
             for names in self._pockets(street):
                 length_m = self.lines[names[0]].length_m
                 at_m = length_m - line_m(self.has_crosswalks) - 4
@@ -264,7 +266,7 @@ class _Simulation:
         return found
 
     def _come(self, entry: tuple[str, ...]) -> None:
-        if len(self.traffic.drivers) < MOST:
+        if len(self.traffic.drivers) < MAX_CARS:
             self._add(entry, 5.0, 7.0)
 
     def _remove_touching(self, at: Sequence[float]) -> None:

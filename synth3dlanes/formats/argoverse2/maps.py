@@ -61,8 +61,8 @@ SEAM_M = 0.01
 # A boundary has the paint of a delimiter if the share ON_LINE of its points that the labels reach, and at least
 # LEAST_POINTS, are within ON_LINE_M of it.
 ON_LINE_M, ON_LINE, LEAST_POINTS = 0.05, 0.9, 10
-# A map's boundary is compared if the labels reach more than this share of it, of which ON_LINE is more than half.
-MOST = 0.6
+# A map's boundary is compared if the labels reach more than this share of it; ON_LINE is more than half of that share.
+COMPARED_SHARE = 0.6
 Sides = Float[np.ndarray, "_ k 3"]
 
 
@@ -430,7 +430,7 @@ def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
             fine = resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
             reached = np.any([is_beside(fine, path) for path in paths], axis=0) if paths else np.zeros(len(fine), bool)
             # Paint changes along a lane, as at the nose of an exit, and the labels may not reach most of it.
-            if np.count_nonzero(reached) <= MOST * len(fine):
+            if np.count_nonzero(reached) <= COMPARED_SHARE * len(fine):
                 continue
             fine = fine[reached]
             close = [paint for paint, points in ours if _runs_along(fine, points)]

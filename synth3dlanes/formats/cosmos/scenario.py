@@ -59,8 +59,8 @@ class Scenario:
 
 
 def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenario:
-    """The scenario of a world, of which `labels` are those of the first picture; the traffic elements are those of all
-    `pictures` of the clip."""
+    """The scenario of a world by the labels of the clip's first picture, with the traffic elements of all
+    `pictures`."""
     place, shot = world.view.world_from_host[:3, 3], world.scene.shot
     reach_m = REACH_M + host_driven(shot, shot.duration_s)
     return Scenario(

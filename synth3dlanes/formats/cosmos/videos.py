@@ -74,7 +74,7 @@ Pixels = Float[np.ndarray, "_ 2"]
 
 
 def nearness(passes: Passes) -> Float[np.ndarray, "h w"]:
-    """One over the depth, 0 where nothing is hit; at most that of LEAST_DEPTH_M, which what is behind has, too."""
+    """1 / depth, 0 where nothing is hit; LEAST_DEPTH_M counts for all that is nearer or behind."""
     return 1.0 / np.maximum(passes["depth"].astype(float), LEAST_DEPTH_M)
 
 

@@ -51,11 +51,11 @@ from synth3dlanes.world.world import scene_network
 # count too, for which other formats have a limit of their own. A map has no heights.
 RULE = Rule("m", 0.1, name="lane", slack=np.inf)
 LIMIT_PX, BOX_M, POINT_M, POSE_M = 0.02, 0.001, 0.001, 0.001
-SIDE_M, GAP_M, LEVEL = 0.05, 0.03, 1e-6
+SIDE_M, GAP_M, LEVEL_TOLERANCE = 0.05, 0.03, 1e-6
 # A label's line between two lanes is in a map if the share ON_LINE of it is within ON_LINE_M of dividers.
 ON_LINE_M, ON_LINE, LEAST_POINTS = 0.06, 0.9, 10
 # The largest share of a line with a lane on one side only along which it may be one between lanes, farther on.
-MOST = 0.5
+MAX_ONE_SIDED_SHARE = 0.5
 # The most that lanes of the other direction are beyond the line beside a median.
 FACING_M = 25.0
 # Length over which an endless road of the paper is measured.
@@ -103,7 +103,7 @@ def _pose(
     around = truth.labels.camera.world_from_cam[:3, 3] + 50 * np.eye(3)
     apart = np.linalg.norm(transform(global_from_world, around) - transform(anchor, around), axis=1)
     compared = Comparison.within([Gap.of("the vehicle", "m", apart, "pose")], {"m": POSE_M})
-    is_level = np.abs([*(global_from_ego[:3, 2] - [0, 0, 1]), global_from_ego[2, 3]]).max() < LEVEL
+    is_level = np.abs([*(global_from_ego[:3, 2] - [0, 0, 1]), global_from_ego[2, 3]]).max() < LEVEL_TOLERANCE
     if picture.data.sample_token == picture.scene.first_sample_token and not is_level:
         return compared.because(["expected the first vehicle of the scene level and at height 0, got another pose"])
     return compared
@@ -315,7 +315,7 @@ def _divider_problems(found: PlaceMap, labels: Labels) -> Iterator[str]:
                 xy = line.xyz_cam[:, :2]
                 on = [distances(xy, of) < ON_LINE_M for of, _ in every if _may_touch(of, xy)]
                 share = np.any(on, axis=0).mean() if on else 0.0
-                if share > MOST:
+                if share > MAX_ONE_SIDED_SHARE:
                     yield f"{line.id}: expected no divider along the edge of a road, got one along {share:.0%} of it"
             continue
         xy = line.xyz_cam[:, :2]

@@ -27,8 +27,8 @@ REACH_M, STANDING_M, HIGHEST_STANDING_M, MOST_POINTS, LEAST_STANDING = 35.0, 0.3
 # Least height within a square of what stands upright.
 UPRIGHT_M = 0.6
 # Scans that fit together are a few centimetres apart, sparse ones some decimetres; distances count up to CAP_M. Another
-# reading is named where its distance is below the share BETTER of the first one's.
-CAP_M, FITS_M, BETTER = 1.0, 0.2, 0.65
+# reading is named where its distance is below the share BETTER_RATIO of the first one's.
+CAP_M, FITS_M, BETTER_RATIO = 1.0, 0.2, 0.65
 
 
 class GroundPlane(NamedTuple):
@@ -152,7 +152,7 @@ def fit_findings(drive: Drive, scale: float, plane: GroundPlane) -> list[str]:
         return []
     misfits = [_misfit(drive, pairs, reading) for reading in READINGS]
     best = int(np.argmin(misfits))
-    if misfits[best] > BETTER * as_is:
+    if misfits[best] > BETTER_RATIO * as_is:
         return []
     told = f"scans some metres apart are {as_is:.2f} m off each other, but {misfits[best]:.2f} m"
     return [f"{drive.name}: {told} if {READINGS[best].words}"]

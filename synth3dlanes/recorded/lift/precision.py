@@ -8,7 +8,7 @@ import numpy as np
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.errors import InputError
 
-MOST = 1000.0
+MAX_VALUE = 1000.0
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Precision:
         """The usual precision but for these values. Raises InputError for a name or a number that cannot be."""
         names = [item.name for item in fields(Precision)]
         for name, value in values.items():
-            if name not in names or not 0 <= value <= MOST:
-                expected = f"numbers from 0 to {MOST:g} for {', '.join(names)}"
+            if name not in names or not 0 <= value <= MAX_VALUE:
+                expected = f"numbers from 0 to {MAX_VALUE:g} for {', '.join(names)}"
                 raise InputError(f"precision: expected {expected}, got {name}={value}")
         return Precision(**values)
 

@@ -18,7 +18,7 @@ GZIP_MAGIC, GZIP_BITS = b"\x1f\x8b", 31
 # Far above the files of towns, which have 20 MB in 300,000 elements.
 MAX_FILE_BYTES, MAX_ELEMENTS, MAX_DEPTH = 256 << 20, 5_000_000, 50
 # The largest number: coordinates in a UTM grid have up to seven digits.
-MOST = 1e8
+MAX_NUMBER = 1e8
 
 
 def inflated(data: bytes, where: str) -> bytes:
@@ -84,8 +84,8 @@ def passing_over(item: Element, left_out: Counter[str]) -> Iterator[None]:
 
 
 def number(element: Element, key: str, where: str, default: float | None = None) -> float:
-    """An attribute that is a finite number up to MOST. Raises FormatError for another, and for a missing one without a
-    default."""
+    """An attribute that is a finite number up to MAX_NUMBER. Raises FormatError for another, and for a missing one
+    without a default."""
     text = element.get(key)
     if text is None or not text.strip():
         if default is not None:
@@ -95,8 +95,8 @@ def number(element: Element, key: str, where: str, default: float | None = None)
         value = float(text)
     except ValueError:
         value = math.nan
-    if not abs(value) <= MOST:
-        raise FormatError(f"{where}: {element.tag}: {key}: expected a number up to {MOST:g}, got {shown(text)}")
+    if not abs(value) <= MAX_NUMBER:
+        raise FormatError(f"{where}: {element.tag}: {key}: expected a number up to {MAX_NUMBER:g}, got {shown(text)}")
     return value
 
 
