@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -152,6 +152,26 @@ def lane_row(lane: Lane) -> tuple[str, ...]:
     in_image, over_ground = int(lane.in_image.sum()), int((lane.in_image & lane.terrain_visible).sum())
     counts = (str(len(lane.xyz_cam)), str(in_image), str(over_ground), objects, reach)
     return (lane.id, lane.kind, lane.road, lane.marking, *counts)
+
+
+class ObjectTable(NamedTuple):
+    """A list of labels as a table; columns from `numbers_from` on are numbers."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    numbers_from: int
+
+
+def object_tables(labels: Labels) -> list[ObjectTable]:
+    """The objects and the traffic elements, a table each where there are any."""
+    objects = [object_row(item) for item in labels.objects or ()]
+    elements = [element_row(item) for item in labels.traffic_elements or ()]
+    tables = (
+        ObjectTable("objects", OBJECT_COLUMNS, objects, 2),
+        ObjectTable("traffic elements", ELEMENT_COLUMNS, elements, 4),
+    )
+    return [table for table in tables if table.rows]
 
 
 def object_row(item: ObjectLabel) -> tuple[str, ...]:

@@ -8,16 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from synth3dlanes.figures import colors, views
-from synth3dlanes.figures.describe import (
-    ELEMENT_COLUMNS,
-    LANE_COLUMNS,
-    OBJECT_COLUMNS,
-    describe,
-    element_row,
-    lane_row,
-    object_row,
-    shown_title,
-)
+from synth3dlanes.figures.describe import LANE_COLUMNS, describe, lane_row, object_tables, shown_title
 from synth3dlanes.figures.passes import draw_pass
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.shown import ShownScene
@@ -40,13 +31,12 @@ def summary(shown: ShownScene) -> RenderableType:
         lanes.add_column(name, justify="right", no_wrap=True)
     for lane in labels.lanes:
         lanes.add_row(*lane_row(lane))
-    objects = Table(*OBJECT_COLUMNS, box=None, padding=(0, 2, 0, 0))
-    for item in labels.objects or ():
-        objects.add_row(*object_row(item))
-    elements = Table(*ELEMENT_COLUMNS, box=None, padding=(0, 2, 0, 0))
-    for element in labels.traffic_elements or ():
-        elements.add_row(*element_row(element))
-    return Group(facts, lanes, *([objects] if labels.objects else []), *([elements] if labels.traffic_elements else []))
+    tables = [facts, lanes]
+    for of in object_tables(labels):
+        tables.append(Table(*of.columns, box=None, padding=(0, 2, 0, 0)))
+        for row in of.rows:
+            tables[-1].add_row(*row)
+    return Group(*tables)
 
 
 def draw_inspect(

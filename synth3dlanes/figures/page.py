@@ -15,13 +15,11 @@ from PIL import Image
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.boxes import color_of, objects_in_image
 from synth3dlanes.figures.describe import (
-    ELEMENT_COLUMNS,
     LANE_COLUMNS,
-    OBJECT_COLUMNS,
     describe,
     element_row,
     lane_row,
-    object_row,
+    object_tables,
     road_words,
     shown_title,
 )
@@ -137,10 +135,7 @@ def scene_page(
         groups=describe(shown),
         lane_columns=LANE_COLUMNS,
         lane_rows=[lane_row(lane) for lane in labels.lanes],
-        object_columns=OBJECT_COLUMNS,
-        object_rows=[object_row(item) for item in labels.objects or ()],
-        element_columns=ELEMENT_COLUMNS,
-        element_rows=[element_row(item) for item in labels.traffic_elements or ()],
+        object_tables=object_tables(labels),
         document="" if scene is None else json.dumps(json.loads(to_json(scene)), indent=1),
         space=_space(SceneView(scene, labels), shown.sweep, [found.camera for found, _ in shown.rig]),
     )
