@@ -86,6 +86,13 @@ def flat_road_places(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return np.where(way > 0, right * way, np.nan), np.where(way > 0, (c - s * down) * way, np.nan)
 
 
+def flat_road_depth(scene: Scene) -> np.ndarray:
+    """The depth pass of a flat road; infinite above it."""
+    y_m, pitch_rad = flat_road_places(scene)[1], scene.camera.pitch_rad
+    depth_m = y_m * np.cos(pitch_rad) + scene.camera.height_m * np.sin(pitch_rad)
+    return np.where(np.isnan(y_m), np.inf, depth_m).astype(np.float32)
+
+
 def seen_on_flat_ground(world: World, points_world: np.ndarray) -> np.ndarray:
     """Where the camera's rays through points over a flat world meet the ground."""
     eye = world.view.eye_world

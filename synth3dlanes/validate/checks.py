@@ -78,8 +78,8 @@ CHECKS = (
     Check(
         "points",
         check_points,
-        "delimiters without paint, points off the rendered surface, points labelled as visible that the passes show to "
-        "be hidden; depth in another unit",
+        "points off the rendered surface, points labelled as visible that the passes show to be hidden; depth in "
+        "another unit",
         _needs("aim"),
     ),
     Check("height", check_height, "a height map that is too high or low, or some cells off", _needs("height")),
@@ -130,7 +130,7 @@ CHECKS = (
     Check(
         "ids",
         partial(check_seen, "ids"),
-        "ids of another car, tree, structure, surface or line",
+        "ids of another car, tree, structure, surface or line, and lines without paint",
         _needs("aim depth"),
     ),
     Check("cars", check_cars, "a `visible_fraction` that does not match the object's pixels", _needs("aim instance")),

@@ -152,12 +152,12 @@ class WorldPaint:
         """How far points on the road are to the right of a line; infinite where it is not near."""
         return self.world.network.rightward * place.right_of(self._curves[id_])
 
-    def beyond_m(self, id_: str, place: AnyPlaces) -> Scalars:
-        """Distance of points on the road outside a line's paint, across it or (reduced by END_M) along it; negative
+    def beyond_m(self, id_: str, place: AnyPlaces, end_m: float = END_M) -> Scalars:
+        """Distance of points on the road outside a line's paint, across it or (reduced by `end_m`) along it; negative
         inside."""
         right_m, s = self.right_m(id_, place), place.station(self._curves[id_])
         of_stripes = [
-            np.maximum(np.abs(right_m - middle_m) - self.width_m(id_) / 2, _beyond(stretches, s) - END_M)
+            np.maximum(np.abs(right_m - middle_m) - self.width_m(id_) / 2, _beyond(stretches, s) - end_m)
             for middle_m, stretches in zip(self.stripes_m(id_), self._stretches[id_], strict=True)
         ]
         return np.min(of_stripes, axis=0)

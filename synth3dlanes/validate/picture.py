@@ -206,6 +206,8 @@ GLARE_RAD = 0.6
 MAX_LIGHT = 0.6
 # Share of a picture, without sky, that may be black: at most 0.0007 in 120.
 MAX_BLACK, BLACK = 0.02, 3
+# Where there is this share of sky, a tenth of the picture is brighter than BRIGHT: than 106 in 175 pictures.
+MIN_SKY, BRIGHT = 0.05, 60.0
 
 
 def check_appearance(evidence: Evidence) -> Iterator[Result]:
@@ -220,6 +222,10 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     black = float(((evidence.picture.max(axis=2) <= BLACK) & (semantic != SEMANTIC_IDS["sky"])).mean())
     reason = f"image: expected light everywhere by day, got {100 * black:.1f} % of the picture black"
     yield from judged("appearance.black", black, reason, most=MAX_BLACK)
+    bright = float(np.quantile(evidence.luma, 0.9))
+    if (semantic == SEMANTIC_IDS["sky"]).mean() > MIN_SKY:
+        reason = f"image: expected daylight, got {bright:.0f} of 255 in its brighter parts"
+        yield from judged("appearance.bright", bright, reason, BRIGHT)
     linear = _linear(evidence)
     yield from _terrain(evidence, linear, _lit(linear[road]))
     if "instance" not in evidence.passes:

@@ -1,4 +1,4 @@
-"""Check the passes against the labels: paint under delimiters, the surface at points, and occlusion.
+"""Check the passes against the labels: the surface at points, and occlusion.
 
 A pixel's pass value is one sample at its centre. So depth at a point is interpolated from the four pixels around it,
 and its visibility is judged from sixteen: where these disagree, an edge is less than two pixels away and the point is
@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
-from scipy.spatial import cKDTree
 
 from synth3dlanes.labels.labels import CameraLabel, Lane
-from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.things import KINDS, SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes, Points2, Scalars
 from synth3dlanes.validate.evidence import Evidence
@@ -30,7 +28,6 @@ MAX_SHARE, MAX_SINGLE = 0.1, 2
 MAX_GRAZING = 5
 # Limits within PROOF_M.
 LIMITS = {
-    "paint_px": (1.0, "px of the paint"),
     "surface_m": (0.02, "m of the rendered surface"),
 }
 MASKS = ("terrain_visible", "object_visible")
@@ -60,14 +57,6 @@ MAX_BEND_M, MIN_NEXT = 0.004, 0.6
 NEARER, NEARER_M = 0.985, 0.05
 
 
-class PaintPixels(NamedTuple):
-    """The pixels of paint: the image's shape, the pixels' centres, and a search tree of these."""
-
-    shape: tuple[int, ...]
-    centers: Points2
-    tree: cKDTree
-
-
 class SurfaceErrors(NamedTuple):
     """What pixels show at points: the points' distances, and how far the rendered surface is beyond them in depth and
     below them along its normal."""
@@ -86,21 +75,17 @@ class Sight(NamedTuple):
 
 
 def check_points(evidence: Evidence) -> Iterator[Result]:
-    """Findings about lines from the available passes (depth, semantic, instance), and all measured values."""
+    """Findings about lines from the available passes (depth, semantic), and all measured values."""
     passes, camera = evidence.passes, evidence.camera
     measures: list[Measure] = []
     above_m = [np.zeros(0)]
     moved = np.zeros(3, dtype=int)
     if "depth" in passes:
         yield from _scale(evidence)
-    marked = _marked(passes) if {"semantic", "instance"} & set(passes) else None
     for lane in evidence.labels.lanes:
         uv = camera.project(lane.xyz_cam)
         strip = evidence.paint.strip(camera, lane, lane.xyz_cam)
         found = []
-        if marked and lane.kind == "delimiter":
-            at = lane.visible & strip.resolved & evidence.is_single[lane.id]
-            found.append(_paint(evidence, lane, strip, at, marked))
         if "depth" in passes:
             surface = _surface(lane, strip, uv, passes, evidence.is_single[lane.id])
             # Only along the normal is there a limit: at a crest one pixel spans metres of depth.
@@ -138,49 +123,6 @@ def judge(lane_id: str, measure: Measure) -> Iterator[Result]:
         reason = f"passes: expected points within {limit} {words}, got {{wrong}} of {{n}} off, by {off}"
     single = MAX_GRAZING if is_flag else MAX_SINGLE
     yield from counted(f"points.{measure.name}", values > limit, reason, single, MAX_SHARE, lane_id)
-
-
-def _marked(passes: Passes) -> PaintPixels:
-    if "semantic" in passes:
-        is_paint = passes["semantic"] == SEMANTIC_IDS["marking"]
-    else:
-        is_paint = numbers_of("delimiter", passes["instance"]) >= 0
-    v, u = np.nonzero(is_paint)
-    centers = np.column_stack([u, v]) + 0.5
-    return PaintPixels(is_paint.shape, centers, cKDTree(centers))
-
-
-def _paint(evidence: Evidence, lane: Lane, strip: Strip, at: Bool[np.ndarray, " n"], marked: PaintPixels) -> Measure:
-    """Distance in pixels from the stripes at each of these points to the nearest pixel of paint; 0 inside one.
-    Of two stripes the one farther from its paint counts, unless it may be hidden."""
-    farthest, stripes_m = np.zeros(int(at.sum())), evidence.paint.stripes_m(lane.id)
-    if not len(marked.centers):
-        return Measure("paint_px", lane.xyz_cam[at, 1], farthest + max(marked.shape))
-    for aside_m in stripes_m:
-        points_cam = strip.points_cam[at] + aside_m * strip.across_cam[at]
-        uv = evidence.camera.project(points_cam)
-        inside = ((uv >= 0) & (uv <= marked.shape[::-1])).all(axis=1)
-        if len(stripes_m) > 1:
-            inside &= ~_may_be_hidden(points_cam, uv, marked.shape, evidence.passes)
-        _, nearest = marked.tree.query(uv[inside])
-        outside = np.clip(np.abs(uv[inside] - marked.centers[nearest]) - 0.5, 0, None)
-        farthest[inside] = np.maximum(farthest[inside], np.hypot(*outside.T))
-    return Measure("paint_px", lane.xyz_cam[at, 1], farthest)
-
-
-def _may_be_hidden(
-    points_cam: Float[np.ndarray, "n 3"], uv: Points2, shape: tuple[int, ...], passes: Passes
-) -> Bool[np.ndarray, " n"]:
-    """Which points have an object, or a nearer surface, in one of the pixels around them."""
-    rows, columns = around(uv, shape, 2)
-    if "semantic" in passes:
-        hidden = _of_objects(passes["semantic"][rows, columns]).any(axis=0)
-    else:
-        ids = passes["instance"][rows, columns]
-        hidden = ((ids > 0) & (numbers_of("delimiter", ids) < 0)).any(axis=0)
-    if "depth" in passes:
-        hidden |= (passes["depth"][rows, columns] < points_cam[:, 1] / SMOOTH).any(axis=0)
-    return hidden
 
 
 def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes, is_single: Bool[np.ndarray, " n"]) -> SurfaceErrors:

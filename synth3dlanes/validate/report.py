@@ -39,7 +39,6 @@ from synth3dlanes.validate.findings import (
 )
 
 MEASURES = {
-    "paint_px": "pixels from delimiter points to their paint (semantic pass)",
     "image_ridge_m": "metres from delimiters to the ridge of brightness across them (image)",
     "depth_m": "metres along y between label points and the rendered surface (depth pass)",
     "surface_m": "metres along the normal between label points and the rendered surface (depth pass)",

@@ -12,7 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Integer
+from scipy.spatial import cKDTree
 
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.things import SEMANTIC_IDS
@@ -20,6 +22,7 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.validate.bodies import BODIES, grown, inside
 from synth3dlanes.validate.evidence import Evidence, Seen
 from synth3dlanes.validate.findings import PROOF_M, Measure, Result, counted, judged
+from synth3dlanes.validate.paint import END_M
 from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.standing import mesh_height, terrain_height
@@ -42,6 +45,8 @@ HILLS_M, VERGES, MAX_HILLS_M = 120.0, 1.1, 0.005
 THROUGH_RANGE_M, INSIDE_M = 80.0, 0.3
 # In 60 random scenes of each preset no pixel of paint is this far outside its line.
 MAX_BEYOND_M = 0.01
+# Labels' points are a metre apart, and so near to paint between them.
+BESIDE_M = 0.9
 # Pixels this close to an edge of a symbol may show either side of it; lines may lie this far over a gore's edges.
 MARGIN_M, LINE_M = 0.04, 0.15
 # Error of a beam's range; depth is interpolated where its error by the surface's bend is below a limit; surfaces whose
@@ -277,6 +282,23 @@ def _paint(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     yield PartSeen("a line", beyond_m[(own < 0) | (own >= len(labelled))])
 
 
+def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
+    """Ground inside a line's paint that shows none, of any line."""
+    on = seen.firm.on_road
+    near, is_bare = (
+        cKDTree(on.points_world[:, :2]),
+        np.isin(on.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT]),
+    )
+    for lane in evidence.labels.lanes:
+        if lane.id in evidence.paint.ids and len(on):
+            line_world = transform(evidence.camera.world_from_cam, lane.xyz_cam)
+            beside = near.query_ball_point(line_world[:, :2], BESIDE_M)
+            at = np.zeros(len(on), dtype=bool)
+            at[np.concatenate(beside).astype(int)] = True
+            beyond_m = evidence.paint.beyond_m(lane.id, on.places.at(at), -END_M)
+            yield PartSeen("the line", np.where(is_bare[at], np.inf, 0)[beyond_m < -MAX_BEYOND_M], lane.id)
+
+
 def _strays(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Pixels outside their symbol's paint, or that of any without instance ids; a scene may have none."""
     on = seen.on_road
@@ -348,6 +370,10 @@ ROWS = (
     Row(
         "ids", "ids.paint", ("marking",), _paint, "paint where {whose} is painted",
         most=MAX_BEYOND_M, share=0.02, kind="delimiter", within_m=PROOF_M,
+    ),
+    Row(
+        "ids", "ids.bare", PAINTED, _bare, "{what} of {whose} in all of its paint",
+        most=0, share=0.05, layer="semantic", within_m=PROOF_M, n=15_000,
     ),
     *(_of_body(kind, classes_of(kind)) for kind in BODIES),
     Row(

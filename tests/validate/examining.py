@@ -1,13 +1,32 @@
 """Run the program's own checks on evidence, without its net: a check that raises is a fault of its test."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
+from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.labels.labels import Labels
+from synth3dlanes.scene.scene import from_json
 from synth3dlanes.validate.checks import CHECKS
+from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Measure, Result, Signed, findings_of
+from synth3dlanes.world.world import World, resolve
+
+
+def evidence_of(members: Mapping[str, bytes]) -> Evidence:
+    """The evidence of a sample whose members can be read."""
+    (_, labels, image, passes, sweep), faults = read_contents(members)
+    assert not faults, faults[0].reason
+    assert labels is not None
+    return Evidence(_resolved(members[SCENE]), labels, image, passes or {}, sweep)
+
+
+@lru_cache(maxsize=4)
+def _resolved(scene_json: bytes) -> World:
+    return resolve(from_json(scene_json, SCENE))
 
 
 def examine(evidence: Evidence, *names: str) -> list[Result]:

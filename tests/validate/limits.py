@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Bounded
-from synth3dlanes.world.world import resolve
-from tests.validate.examining import examine
+from tests.validate.examining import evidence_of, examine
 
 COLUMNS = ("number", "least", "most", "values", "from", "to", "worst sample", "")
 # A value that uses up more than this share of a limit makes it tight.
@@ -74,13 +72,7 @@ def samples(folders: Iterable[Path]) -> Iterator[tuple[str, Evidence]]:
         for split in sorted({path.parent for path in folder.glob("*/*.parquet")}):
             reader = Reader(str(split))
             for i in range(len(reader)):
-                contents, findings = read_contents(reader.raw(i))
-                scene, labels, image, passes, sweep = contents
-                assert not findings, findings[0].reason
-                assert scene is not None
-                assert labels is not None
-                assert passes is not None
-                yield f"{folder.name}:{reader.key(i)}", Evidence(resolve(scene), labels, image, passes, sweep)
+                yield f"{folder.name}:{reader.key(i)}", evidence_of(reader.raw(i))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -85,6 +85,26 @@ def without_paint(image: Pixels, passes: dict[str, Pixels], labels: Labels, only
     return image
 
 
+def a_line_as_road(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
+    """The line with most pixels as road."""
+    at = passes["instance"] == most_seen("delimiter", passes)
+    semantic = np.where(at, SEMANTIC_IDS["road"], passes["semantic"]).astype("u1")
+    return {**passes, "semantic": semantic, "instance": np.where(at, 0, passes["instance"]).astype("u2")}
+
+
+def most_seen(kind: str, passes: dict[str, Pixels]) -> int:
+    """The id of a kind with most pixels; -1 without any."""
+    ids, n = np.unique(passes["instance"], return_counts=True)
+    n = n * (numbers_of(kind, ids.astype(int)) >= 0)
+    return int(ids[n.argmax()]) if n.any() else -1
+
+
+def a_car_farther(passes: dict[str, Pixels], _: Labels) -> dict[str, Pixels]:
+    """The depth of the car with most pixels 3 % more."""
+    at = passes["instance"] == most_seen("car", passes)
+    return {**passes, "depth": np.where(at, passes["depth"] * 1.03, passes["depth"]).astype("f4")}
+
+
 def in_other_paint(image: Pixels, passes: dict[str, Pixels], labels: Labels) -> Pixels:
     """White lines yellow."""
     lines = [lane for lane in labels.lanes if lane.kind == "delimiter"]
@@ -215,6 +235,9 @@ SUBTLE = [
     Fault("car_visible_fraction + 0.08", of_json(LABELS, more_visible), "car_visible_fraction"),
     Fault("image red and green swapped", of_pixels(lambda p: p[..., [1, 0, 2]]), "red over green"),
     Fault("image with its hue turned", of_image(turned_hue), "image: expected (grass|leaves|red)"),
+    Fault("image four times darker", of_pixels(lambda p: p / 4), "expected daylight"),
+    Fault("passes without one line", of_passes(a_line_as_road), "of the line in all of its paint"),
+    Fault("depth of a car 3 % more", of_passes(a_car_farther), "pixels of car|pixels in its box|its pixels"),
     Fault("image gray", of_image(lambda i: i.convert("L").convert("RGB")), "of blue over the road"),
     Fault("image with a black block of 3 %", of_pixels(with_black_block), "of the picture black"),
     Fault("image mirrored", of_pixels(lambda p: p[:, ::-1]), "image: expected (edges|paint|its|the line)"),

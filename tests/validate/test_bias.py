@@ -15,7 +15,7 @@ from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Measure, Signed
 from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.world.world import resolve
-from tests.scenes import changed, flat_road_places
+from tests.scenes import changed, flat_road_depth, flat_road_places
 from tests.validate.examining import seen
 from tests.validate.examining import signed as signed_of
 
@@ -45,9 +45,7 @@ def instance_ids(scene: Scene, aside_m: float = 0.0, wider: float = 1.0) -> np.n
 
 def passes(scene: Scene, ids: np.ndarray) -> dict[str, np.ndarray]:
     """The passes of a flat road with these ids."""
-    camera, (_, y_m) = scene.camera, flat_road_places(scene)
-    depth_m = y_m * np.cos(camera.pitch_rad) + camera.height_m * np.sin(camera.pitch_rad)
-    return {"instance": ids, "depth": np.where(np.isnan(y_m), np.inf, depth_m).astype(np.float32)}
+    return {"instance": ids, "depth": flat_road_depth(scene)}
 
 
 def offsets(scene: Scene, ids: np.ndarray) -> list[PaintOffset]:
@@ -149,9 +147,8 @@ def test_dark_paint_and_a_shadow_across_leave_lines_of_the_image_in_place():
 
 @pytest.mark.parametrize(("factor", "side"), [(1.005, "below"), (0.995, "above")])
 def test_depth_too_far_or_too_near_leaves_the_road_below_or_above(factor, side):
-    x_m, y_m = flat_road_places(LEVEL)
-    semantic = np.full(x_m.shape, SEMANTIC_IDS["road"], np.uint8)
-    depth_m = np.where(np.isnan(y_m), np.inf, y_m).astype(np.float32) * np.float32(factor)
+    depth_m = flat_road_depth(LEVEL) * np.float32(factor)
+    semantic = np.full(depth_m.shape, SEMANTIC_IDS["road"], np.uint8)
     values = signed(LEVEL, GRAY, {"depth": depth_m, "semantic": semantic})
     assert set(values) == {"surface_above_m"}
     assert values["surface_above_m"] == pytest.approx((1 - factor) * LEVEL.camera.height_m, rel=0.02)

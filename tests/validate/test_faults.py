@@ -50,7 +50,6 @@ def test_a_clean_dataset_passes_with_and_without_passes(dataset):
     assert report.problems == []
     assert report.n_samples == N
     numbers = report.document()["distributions"]
-    assert numbers["paint_px"]["0-40 m"]["p95"] < 1
     assert numbers["surface_m"]["0-40 m"]["p95"] < 0.02
     assert numbers["depth_m"]["0-40 m"]["median"] < 0.01
     assert min(numbers[name]["all"]["n"] for name in ("terrain_visible", "object_visible")) > 100
@@ -71,7 +70,7 @@ def test_a_lane_shifted_by_half_a_metre_is_found_by_scene_and_paint_and_image(da
     report = check(dataset)
     assert report.failed == [NAME]
     found = reasons(report, NAME, lane)
-    for words in ("xyz_cam.0.0: expected", "px of the paint", "image: expected the line's paint"):
+    for words in ("xyz_cam.0.0: expected", "image: expected the line's paint"):
         assert words in found
     assert {problem.lane for problem in report.problems} == {lane}
     drop_passes(dataset)

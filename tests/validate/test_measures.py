@@ -28,7 +28,7 @@ from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.world.world import resolve
 from tests.maps import files
-from tests.scenes import FLAT, changed, flat_road_places
+from tests.scenes import FLAT, changed, flat_road_depth, flat_road_places
 from tests.validate.examining import findings, measures, reasons, seen
 
 
@@ -127,13 +127,18 @@ def test_a_double_line_is_judged_by_both_its_stripes_also_by_a_rolled_camera():
     left = leftmost(ground_truth(scene)).id
     for aside_m in (0.0, 0.2, 0.4):
         image = painted_picture(scene, aside_m, 200.0, 8)
-        sample = picture_of(scene, image, semantic=np.where(image[..., 0] > 150, 4, 2).astype(np.uint8))
-        faults = {finding.lane for finding in findings(sample, "points")}
+        sample = picture_of(scene, image, depth=flat_road_depth(scene), semantic=painted(image))
+        faults = {finding.lane for finding in findings(sample, "ids") if "in all of its paint" in finding.reason}
         if aside_m == 0:
             assert (findings(sample, "ridges"), faults) == ([], set())
             assert measures(sample, "ridges")["image_ridge_m"].max() < 0.05
         else:
             assert left in faults, "one stripe on the other's place is not enough"
+
+
+def painted(image: np.ndarray) -> np.ndarray:
+    """Semantic ids of what is bright as paint, and of the road."""
+    return np.where(image[..., 0] > 150, SEMANTIC_IDS["marking"], SEMANTIC_IDS["road"]).astype(np.uint8)
 
 
 def leftmost(labels: Labels) -> Lane:
@@ -186,15 +191,17 @@ def test_a_stripe_behind_a_car_is_not_asked_where_the_other_is_seen():
     scene = changed(markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2}, camera={"lane": 1})
     labels = seen(ground_truth(scene))
     left = leftmost(labels)
-    semantic = np.where(painted_picture(scene, 0.0, 200.0, 8)[..., 0] > 150, 4, 2).astype(np.uint8)
+    semantic, depth_m = painted(painted_picture(scene, 0.0, 200.0, 8)), flat_road_depth(scene)
     # Right of the line's middle, over its right stripe and not much more.
     u, v = project(labels.camera.img_from_cam, left.xyz_cam[left.visible & (left.xyz_cam[:, 1] < 20)]).T
     for row in range(int(v.min()) + 1, int(v.max())):
         first = int(np.interp(row, v[::-1], u[::-1])) + 2
         semantic[row, first : first + (row - int(v.min())) // 2 + 8] = SEMANTIC_IDS["car"]
-    assert findings(picture_of(scene, semantic=semantic), "points") == []
+    whole = reasons(picture_of(scene, depth=depth_m, semantic=semantic), "ids")
+    assert "in all of its paint" not in whole
     semantic[semantic == SEMANTIC_IDS["car"]] = SEMANTIC_IDS["road"]
-    assert left.id in {finding.lane for finding in findings(picture_of(scene, semantic=semantic), "points")}
+    found = findings(picture_of(scene, depth=depth_m, semantic=semantic), "ids")
+    assert [finding.lane for finding in found if "in all of its paint" in finding.reason] == [left.id]
 
 
 def test_an_image_without_any_paint_is_not_that_of_the_labels_and_no_line_is_blamed():
@@ -260,7 +267,7 @@ def test_wheels_stand_on_the_meshes_and_terrain_in_the_road_is_a_fault(hilly_sce
     gaps_m = measures(hilly, "standing")["wheel_gap_m"]
     assert gaps_m.size > 8
     assert gaps_m.max() < 0.03
-    depth_m = level_depth()
+    depth_m = flat_road_depth(FLAT)
     road = np.full((360, 480), SEMANTIC_IDS["road"], np.uint8)
     assert findings(picture_of(FLAT, depth=depth_m, semantic=road), "terrain") == []
     road[250:260, 230:240] = SEMANTIC_IDS["terrain"]
@@ -339,13 +346,6 @@ def test_a_line_that_is_too_dark_to_show_is_not_asked(road, paint, is_judged):
     assert bool(findings(picture_of(scene, image.astype(np.uint8)), "ridges")) == is_judged
 
 
-def level_depth() -> np.ndarray:
-    down = (np.arange(360)[:, None] + 0.5 - 180) / FLAT.camera.fy_px * np.ones((1, 480))
-    c, s = np.cos(FLAT.camera.pitch_rad), np.sin(FLAT.camera.pitch_rad)
-    with np.errstate(divide="ignore"):
-        return np.where(c * down + s > 0, FLAT.camera.height_m / (c * down + s), np.inf).astype(np.float32)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -359,14 +359,14 @@ def test_depth_of_the_near_road_is_that_of_its_mesh(change, words):
     x_m, _ = flat_road_places(FLAT)
     with np.errstate(invalid="ignore"):
         semantic = np.where(np.abs(x_m) < 5.1, SEMANTIC_IDS["road"], SEMANTIC_IDS["marking"]).astype(np.uint8)
-    depth_m = level_depth()
+    depth_m = flat_road_depth(FLAT)
     semantic[~np.isfinite(depth_m)] = SEMANTIC_IDS["sky"]
     found = reasons(picture_of(FLAT, depth=change(depth_m), semantic=semantic), "pavement")
     assert (words in found) if words else (found == "")
 
 
 def test_depth_in_another_unit_is_said_first():
-    depth_m = level_depth()
+    depth_m = flat_road_depth(FLAT)
     first, *_ = findings(picture_of(FLAT, depth=depth_m * np.float32(1000)), "points")
     assert re.fullmatch("depth: expected metres along the viewing direction, got (99.*|100.*) times .*", first.reason)
     assert findings(picture_of(FLAT, depth=depth_m), "points") == []
@@ -377,7 +377,7 @@ def test_depth_in_another_unit_is_said_first():
 
 
 def test_grass_in_a_shadow_has_the_light_of_the_sky():
-    depth_m, grass = level_depth(), (100, 104, 70)
+    depth_m, grass = flat_road_depth(FLAT), (100, 104, 70)
     third = depth_m.shape[1] // 3
     semantic = np.full(depth_m.shape, SEMANTIC_IDS["terrain"], dtype=np.uint8)
     semantic[:, third : 2 * third] = SEMANTIC_IDS["road"]

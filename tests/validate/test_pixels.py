@@ -12,14 +12,11 @@ import pytest
 from PIL import Image
 
 from synth3dlanes.dataset.format import PASSES, decode_image, encode_image, read_passes, write_passes
-from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.labels.labels import Labels, PaintColor
-from synth3dlanes.labels.labels import from_json as labels_from_json
 from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import Recipe, make_sample
 from synth3dlanes.scene.instance_ids import instance_id, numbers_of, thing_of
-from synth3dlanes.scene.scene import from_json
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth
@@ -29,8 +26,8 @@ from synth3dlanes.validate.ridges import PLACES_M, LineProfiles, check_move
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.thorough import first
-from tests.validate.examining import findings, reasons
-from tests.validate.sealing import Members, check, relabel, seal
+from tests.validate.examining import evidence_of, findings, reasons
+from tests.validate.sealing import Members, check, read_members, relabel, seal
 
 pytestmark = pytest.mark.render
 
@@ -48,11 +45,7 @@ def without(sample: Evidence, *names: str) -> Evidence:
 
 @pytest.fixture(scope="module")
 def samples(rendered: Path) -> list[Evidence]:
-    reader = Reader(f"{rendered}/train")
-    return [
-        Evidence(resolve(from_json(sample.scene_json, "")), sample.labels, sample.image, reader.passes(i))
-        for i, sample in enumerate(reader)
-    ]
+    return [evidence_of(members) for members in read_members(rendered).values()]
 
 
 def test_clean_pixels_are_clean_whichever_passes_there_are(samples):
@@ -80,27 +73,18 @@ ONCE_FAILED += [("diverse", 9700, 26, 1), ("town", 9700, 26, 1)]
 def test_what_once_was_a_false_alarm_is_none(preset, seed, index, n_samples):
     settings = RenderSettings(samples=n_samples, passes=("depth", "normal", "semantic", "instance"))
     recipe = Recipe(Scenes(load_params(preset), seed, "train"), settings, "jpg")
-    members = make_sample(recipe, index).members
-    scene = from_json(members["scene.json"], "")
-    made = Evidence(
-        resolve(scene),
-        labels_from_json(members["labels.json"], ""),
-        decode_image(members["jpg"], ""),
-        read_passes(members["passes.exr"], ""),
-    )
-    assert findings(made) == []
+    assert findings(evidence_of(make_sample(recipe, index).members)) == []
 
 
 @pytest.mark.parametrize("index", first(1, [1807, 877]))
 def test_a_pink_van_is_no_missing_texture_and_what_lies_behind_a_crest_has_no_colour(index):
     """A narrow camera behind the van, and one on a crest behind which it sees a far road; without passes."""
     recipe = Recipe(Scenes(load_params("tusimple_camera"), 911, "train"), RenderSettings(samples=1), "jpg")
-    members = make_sample(recipe, index).members
-    image, labels = decode_image(members["jpg"], ""), labels_from_json(members["labels.json"], "")
-    sample = Evidence(resolve(from_json(members["scene.json"], "")), labels, image)
+    sample = evidence_of(make_sample(recipe, index).members)
     assert findings(sample, "frame", "colours") == []
-    image[len(image) // 3 :] = (255, 0, 255)
-    assert ("pink" in reasons(sample, "frame")) == (index == 1807)
+    pink = sample.picture.copy()
+    pink[len(pink) // 3 :] = (255, 0, 255)
+    assert ("pink" in reasons(replace(sample, image=pink), "frame")) == (index == 1807)
 
 
 def test_lines_of_labels_without_colours_are_judged_too(samples):
