@@ -211,9 +211,8 @@ class _Simulation:
         for other in self.traffic.drivers:
             away_m = float(np.linalg.norm(other.route.at(np.array([other.at_m]))[0] - xy))
             near = other.route.lanes[other.lane] in here or set(other.route.lanes[other.lane :]) & here
-            if away_m < (driver.length_m + other.length_m) / 2 + (LEAST_GAP_M if near else 0.0) and (
-                near or away_m < 2.5
-            ):
+            touching_m = (driver.length_m + other.length_m) / 2
+            if away_m < touching_m + LEAST_GAP_M if near else away_m < min(touching_m, 2.5):
                 return False
         driver.speed = min(driver.speed, driver.limits[driver.lane])
         self.bodies[id(driver)] = body
