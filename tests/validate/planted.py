@@ -1,8 +1,8 @@
 """Faults planted in copies of a small clean data set, and what validate says of each.
 
-    python -m tests.validate.planted --write docs/validate.md     # the table of this page, whole and anew
-    python -m tests.validate.planted --params diverse --only ids  # some of it elsewhere
-    python -m tests.validate.planted --clean DIR DIR ...          # false alarms and speed on clean data sets
+    python -m tests.validate.planted --write docs/validate_measured.md   # the table of this page, whole and anew
+    python -m tests.validate.planted --params diverse --only ids         # some of it elsewhere
+    python -m tests.validate.planted --clean DIR DIR ...                 # false alarms and speed on clean data sets
 
 A fault is planted in all samples that have what it changes. It is found in a sample where a problem of that sample
 says one of its words, and over the whole set where a problem of the set does. Faults that files do not tell are
