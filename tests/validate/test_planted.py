@@ -1,4 +1,4 @@
-"""The table of docs/validate_measured.md in small: every planted fault is found and named, the clean data set is clean."""
+"""The table of docs/validate_measured.md in small: each planted fault is found and named, clean data sets are clean."""
 
 import re
 import shutil
