@@ -1,19 +1,17 @@
-"""The documentation site: it builds without a warning, dead links fail, and it asks no other host for anything."""
+"""The documentation site: it builds without a warning, and it asks no other host for anything."""
 
 import functools
 import os
-import re
 import shutil
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, TimeoutError, sync_playwright
+from playwright.sync_api import Browser, sync_playwright
 
 import synth3dlanes
 from synth3dlanes.formats.registry import format_names
@@ -51,23 +49,6 @@ def test_every_page_and_every_public_name_is_there(site: Path) -> None:
     assert "the image's border" in (site / "format.html").read_text()
 
 
-@pytest.mark.thorough
-def test_dead_links_and_anchors_fail(tmp_path: Path) -> None:
-    for path in ROOT.glob("[!.]*"):
-        if path.name in ("docs", "scripts"):
-            shutil.copytree(path, tmp_path / path.name)
-        elif path.is_dir():
-            (tmp_path / path.name).symlink_to(path)
-        else:
-            shutil.copy(path, tmp_path)
-    page = tmp_path / "docs/faq.md"
-    page.write_text(f"{page.read_text()}\n[a](gone.md) [b](clips.md#gone) [c](../GONE.md)\n")
-    done = build(tmp_path, tmp_path / "out")
-    assert done.returncode == 1
-    warnings = re.findall(r"WARNING.* a link '(.+?)'", done.stderr)
-    assert sorted(warnings) == ["../GONE.md", "clips.md#gone", "gone.md"], done.stderr
-
-
 @pytest.fixture(scope="module")
 def address(site: Path) -> Iterator[str]:
     class Quiet(SimpleHTTPRequestHandler):
@@ -102,19 +83,4 @@ def test_pages_fit_any_screen_and_ask_no_other_host(browser: Browser, address: s
         assert page.evaluate("document.documentElement.scrollWidth") == width, name
     assert said == []
     assert [url for url in asked if not url.startswith((address, "data:"))] == []
-    page.close()
-
-
-def test_the_search_finds_words_of_a_page(browser: Browser, address: str) -> None:
-    page = browser.new_page()
-    page.goto(f"{address}index.html")
-    box, found = page.get_by_role("textbox", name="Search"), page.locator(".md-search-result__link[href*='exports']")
-    # What is typed before the page's program runs is not searched for, so it is typed again.
-    for _ in range(12):
-        box.fill("")
-        box.fill("CurveLanes")
-        with suppress(TimeoutError):
-            found.first.wait_for(timeout=10_000)  # ms
-            break
-    assert found.count()
     page.close()

@@ -9,7 +9,7 @@ from tests.thorough import first
 FORMATS = ["tusimple", "openlane", "once", "culane", "curvelanes", "opendrive", "lanelet2"]
 
 
-@pytest.mark.parametrize(("format_name", "n_cuts"), first(1, [("tusimple", 5), *((name, 20) for name in FORMATS)]))
+@pytest.mark.parametrize(("format_name", "n_cuts"), first(1, [("tusimple", 5), *((name, 8) for name in FORMATS)]))
 def test_an_export(dataset, tmp_path, monkeypatch, format_name, n_cuts):
     # Several chunks, each with its mark.
     monkeypatch.setattr("synth3dlanes.formats.plan.FRAMES_PER_CHUNK", 3)

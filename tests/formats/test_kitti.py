@@ -144,7 +144,7 @@ def problems(job: Export) -> str:
 
 
 @pytest.mark.render
-@pytest.mark.parametrize("every", [9, pytest.param(1, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("every", [9, pytest.param(2, marks=pytest.mark.thorough)])
 def test_damaged_files_are_told_in_lines(exported, every):
     check_damaged_files(exported, every)
 
