@@ -77,6 +77,14 @@ def test_bends_and_grades_are_as_declared(index: int) -> None:
     assert (np.abs(np.degrees(turned)) < 168).all()
 
 
+def test_the_host_stands_anywhere_from_where_it_sees_the_road_behind_to_where_it_sees_the_road_ahead() -> None:
+    scenes = [mountain(1, f"mountain.host_place={share}") for share in (0, 0.5, 1)]
+    first_m, middle_m, last_m = (scene.camera.y_m for scene in scenes)
+    length_m = sum(piece.length_m for piece in road_of(scenes[0]).plan)
+    assert (first_m, length_m - last_m) == pytest.approx((30, 150), abs=1e-3)
+    assert middle_m == pytest.approx((first_m + last_m) / 2, abs=1e-3)
+
+
 def ends(road: MapRoad) -> list[float]:
     """Where sections begin, and the end of the last one."""
     return [*(section.s_m for section in road.sections), road.length_m - 0.02]
