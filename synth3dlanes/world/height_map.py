@@ -10,7 +10,8 @@ from synth3dlanes.world.ground import Ground
 # The paper's top view: 20 m x 80 m, starting below the camera; row 0 is the farthest.
 CELL_M = (0.2, 0.4)
 SHAPE = (200, 100)
-STEPS = 12
+# Steps in which all cells are looked for; those on steep ramps need more, each step NEARER times as far from there.
+STEPS, MOST_STEPS, CLOSE_M, NEARER = 12, 60, 1e-4, 0.95
 
 
 def cells_road(height_m: Float[np.ndarray, "200 100"]) -> Float[np.ndarray, "20000 3"]:
@@ -28,8 +29,14 @@ def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "2
     Column c lies at x = (c + 0.5) 0.2 - 10 m, row r at y = 80 - (r + 0.5) 0.4 m.
     """
     points_road = cells_road(np.zeros(SHAPE))
-    for _ in range(STEPS):
-        points_world = transform(world_from_road, points_road)
+    at, before_m = np.arange(len(points_road)), np.zeros(len(points_road))
+    for step in range(MOST_STEPS):
+        points_world = transform(world_from_road, points_road[at])
         below = ground.height_near(points_world) - points_world[:, 2]
-        points_road[:, 2] += below * world_from_road[2, 2]
+        points_road[at, 2] += below * world_from_road[2, 2]
+        # At a kerb a step leads to no nearer place.
+        asked = (np.abs(below) > CLOSE_M) & (np.abs(below) < NEARER * before_m) | (step < STEPS - 1)
+        at, before_m = at[asked], np.abs(below[asked])
+        if not len(at):
+            break
     return points_road[:, 2].reshape(SHAPE)

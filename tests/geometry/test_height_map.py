@@ -3,9 +3,11 @@
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
+from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.geometry.frames import transform
+from synth3dlanes.params.params import load_params
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.world.height_map import height_map
+from synth3dlanes.world.height_map import cells_road, height_map
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
 
@@ -38,6 +40,15 @@ def test_lane_points_lie_on_the_map():
     gaps = np.abs(np.concatenate(gaps))
     assert np.isfinite(gaps).sum() > 100
     assert np.nanmax(gaps) < 0.01
+
+
+def test_every_cell_of_a_steep_ramp_is_on_it():
+    """Of a ramp that rises 1 in 2.4, in a scene where the search for cells takes most steps."""
+    world = sample_world(Scenes(load_params("appendix_i"), 7, "train"), 2)
+    points_world = transform(
+        world.view.world_from_road, cells_road(height_map(world.ground, world.view.world_from_road))
+    )
+    np.testing.assert_allclose(points_world[:, 2], world.ground.height(points_world[:, :2]), atol=1e-3)
 
 
 def test_ground_that_rises_to_the_right_is_higher_in_the_right_columns():
