@@ -18,7 +18,19 @@ if TYPE_CHECKING:
 @click.command(cls=JobCommand)
 @click.option("--n", type=CountRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
 @job_options(
-    *("params", "set", "assets", "workers", "device", "quality", "samples", "passes", "views_per_scene", "frames"),
+    *(
+        "params",
+        "set",
+        "assets",
+        "workers",
+        "device",
+        "quality",
+        "samples",
+        "passes",
+        "map",
+        "views_per_scene",
+        "frames",
+    ),
     workers=RENDERERS,
     frames="Time clips of this many frames, not pictures.",
 )
@@ -48,7 +60,7 @@ def bench(n: int, reference: bool, naive: bool, against: Path | None, as_json: b
 
     job = Job(split="bench", **given(fields))
     source = str(job.params)
-    wanted = source, job.settings.samples, job.frames, job.views_per_scene
+    wanted = source, job.settings.samples, job.frames, job.views_per_scene, Path(job.map or "").name
     stored = measuring.read_bench(against, *wanted) if against else None
     recipe, slots = resolve_device(job.recipe(warn))
     with output_console(stderr=True).status("warming up") as status:
@@ -72,7 +84,8 @@ def _print(found: "Bench") -> None:
         "stage",
         "seconds",
         "of the floor",
-        title=f"{found.params}{f', clips of {found.frames} frames' * (found.frames > 1)}"
+        title=f"{found.params}{f' on {found.map}' * bool(found.map)}"
+        f"{f', clips of {found.frames} frames' * (found.frames > 1)}"
         f"{f', {found.views} views of each world' * (found.views > 1)}: "
         f"{counted(found.scenes, 'image')}, {counted(found.workers, 'worker')}",
     )

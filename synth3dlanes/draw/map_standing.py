@@ -2,7 +2,7 @@
 World frame, metres."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -39,7 +39,7 @@ def stand(part: MapPart, scene: Scene, ground: Ground, draw: Draw) -> Roadside:
     clips, in which the phases do not change, that of the host's way, else any."""
     rng = draw.rng
     show = _shown(part.elements, frozenset(part.map.route), scene.shot.n_frames > 1, rng)
-    placed = _mounted([_moved(item.element, ground) for item in part.elements])
+    placed = _mounted(list(_moved([item.element for item in part.elements], ground)))
     signals, signs = list[TrafficSignal](), list[TrafficSign]()
     for item, state in zip(placed, show, strict=True):
         if isinstance(item, TrafficSign):
@@ -118,24 +118,34 @@ def _shown(
     return [found.get((item.junction or item.group, item.group), "off") for item in elements]
 
 
-def _moved(item: TrafficSignal | TrafficSign, ground: Ground) -> TrafficSignal | TrafficSign:
-    """A signal or sign with its pole off the pavement of traffic: if its place is on it, it hangs on an arm from beside
-    it, or has no pole where that is too far."""
-    xy, right = np.array([item.x_m, item.y_m]), np.array([math.cos(item.yaw_rad), math.sin(item.yaw_rad)])
-    if ground.off_carriageways(xy[None])[0] > OFF_M:
-        return item
+def _moved(items: Sequence[TrafficSignal | TrafficSign], ground: Ground) -> Iterator[TrafficSignal | TrafficSign]:
+    """Signals and signs with their poles off the pavement of traffic: one whose place is on it hangs on an arm from
+    beside it, or has no pole where that is too far."""
+    if not items:
+        return
+    places = np.array([(item.x_m, item.y_m) for item in items])
+    yaw_rad = np.array([item.yaw_rad for item in items])
+    right = np.stack([np.cos(yaw_rad), np.sin(yaw_rad)], axis=-1)
     steps = np.arange(ARM_STEP_M, ARM_M, ARM_STEP_M)
     # From the right first, as poles stand.
     aside = np.stack([steps, -steps], -1).ravel()
-    free = np.flatnonzero(ground.off_carriageways(xy + aside[:, None] * right) > OFF_M)
-    overhead = {"height_m": max(item.height_m, OVERHEAD_M)}
-    if not free.size:
-        return item.model_copy(update=overhead | {"has_pole": False})
-    by_m = float(aside[free[0]])
-    x, y = (xy + by_m * right).round(SCENE_DECIMALS).tolist()
-    # A pole that merely grazes the pavement moves as a whole.
-    hangs = {} if abs(by_m) <= GRAZES_M else overhead | {"reach_m": round(-by_m, 3)}
-    return item.model_copy(update={"x_m": x, "y_m": y} | hangs)
+    stays = ground.is_off_carriageways(places, OFF_M)
+    beside = places[~stays, None] + aside[:, None] * right[~stays, None]
+    is_free = iter(ground.is_off_carriageways(beside.reshape(-1, 2), OFF_M).reshape(beside.shape[:2]))
+    for item, xy, across, has_room in zip(items, places, right, stays.tolist(), strict=True):
+        if has_room:
+            yield item
+            continue
+        free = np.flatnonzero(next(is_free))
+        overhead = {"height_m": max(item.height_m, OVERHEAD_M)}
+        if not free.size:
+            yield item.model_copy(update=overhead | {"has_pole": False})
+            continue
+        by_m = float(aside[free[0]])
+        x, y = (xy + by_m * across).round(SCENE_DECIMALS).tolist()
+        # A pole that merely grazes the pavement moves as a whole.
+        hangs = {} if abs(by_m) <= GRAZES_M else overhead | {"reach_m": round(-by_m, 3)}
+        yield item.model_copy(update={"x_m": x, "y_m": y} | hangs)
 
 
 def _mounted(items: Sequence[TrafficSignal | TrafficSign]) -> list[TrafficSignal | TrafficSign | None]:

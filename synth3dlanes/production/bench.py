@@ -60,7 +60,7 @@ class DefaultTiming:
 @dataclass(frozen=True)
 class Bench:
     """The result of `bench`. Seconds are those of one worker for one image: of `frames` of a clip, or one of the
-    `views` of a world. `memory_mib` is the mean of each quarter of the run."""
+    `views` of a world, on the `map` of a file if it has a name. `memory_mib` is the mean of each quarter of the run."""
 
     params: str
     frames: int
@@ -81,6 +81,7 @@ class Bench:
     quality: Quality | None = None
     naive: DefaultTiming | None = None
     views: int = 1
+    map: str = ""
 
     def document(self) -> dict[str, Any]:
         """The result as JSON values."""
@@ -137,6 +138,7 @@ def bench(
         max(sample.peak_bytes for sample in timed) / 2**20,
         [float(quarter.mean()) for quarter in quarters if quarter.size],
         views=recipe.scenes.shots.views,
+        map=recipe.scenes.map.map.source if recipe.scenes.map else "",
     )
 
 
@@ -240,6 +242,7 @@ class StoredBench(BaseModel):
     params: str = ""
     frames: int = 1
     views: int = 1
+    map: str = ""
     samples: int
     ratio: PositiveFloat
     seconds_per_image: PositiveFloat
@@ -254,19 +257,20 @@ class StoredRows(BaseModel):
     rows: list[StoredBench]
 
 
-def read_bench(path: Path, params: str, samples: int, frames: int, views: int = 1) -> StoredBench:
-    """A stored `Bench.document`, or of `rows` of these the one with these parameters, samples, frames and views; raise
-    FormatError with a line for each problem."""
+def read_bench(path: Path, params: str, samples: int, frames: int, views: int = 1, map_name: str = "") -> StoredBench:
+    """A stored `Bench.document`, or of `rows` of these the one with these parameters, samples, frames and views, on
+    this map; raise FormatError with a line for each problem."""
     data, what = read_bounded(path, MAX_BYTES), "a result of bench --json"
     if b'"rows"' not in data:
         return parse(StoredBench, data, str(path), what)
     rows = parse(StoredRows, data, str(path), what).rows
-    wanted = params, samples, frames, views
-    among = {(row.params, row.samples, row.frames, row.views): row for row in reversed(rows)}
+    wanted = params, samples, frames, views, map_name
+    among = {(row.params, row.samples, row.frames, row.views, row.map): row for row in reversed(rows)}
     if wanted not in among:
         told = [
             f"{name}, {counted(n, 'sample')}, frames {of_clip}{f', views {of_world}' * (of_world > 1)}"
-            for name, n, of_clip, of_world in (wanted, *reversed(among))
+            f"{f', map {file}' * bool(file)}"
+            for name, n, of_clip, of_world, file in (wanted, *reversed(among))
         ]
         raise FormatError(f"{path}: expected a row of {told[0]}, found {'; '.join(told[1:])}")
     return among[wanted]

@@ -198,8 +198,16 @@ class Chain(FiniteLine):
         """The lines between two stations, the outer ones with all their length: at the end, the one before it."""
         first = max(int(np.searchsorted(self.starts, start_m + SAME_M, side="right")) - 1, 0)
         last = max(int(np.searchsorted(self.starts, end_m - SAME_M)), first + 1)
-        lines = self.lines[first:last]
-        return Chain(sum(line.length_m for line in lines), lines, start_m=float(self.starts[first]))
+        if (first, last) not in self._parts:
+            lines = self.lines[first:last]
+            own = Chain(sum(line.length_m for line in lines), lines, start_m=float(self.starts[first]))
+            self._parts[first, last] = own
+        return self._parts[first, last]
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int, int], "Chain"]:
+        """Its parts that were asked for, by their first line and the one after their last: roads share them."""
+        return {}
 
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations."""

@@ -181,8 +181,14 @@ class Road:
             return (self,)
         return tuple(
             replace(
-                self, start_m=at.start_m, end_m=at.end_m, sections=(at,), line=self.line.within(at.start_m, at.end_m)
-            ).with_edges()
+                self,
+                start_m=at.start_m,
+                end_m=at.end_m,
+                sections=(at,),
+                line=self.line.within(at.start_m, at.end_m),
+                left=Offset(0.0, partial(at.edge, at.paved[0])),
+                right=Offset(0.0, partial(at.edge, at.paved[1])),
+            )
             for at in self.sections
         )
 

@@ -90,10 +90,9 @@ class WorldPaint:
     def _of(self, curve: LaneCurve, marking: Marking) -> Stretches:
         """Where a stripe of this pattern is painted along a line."""
         world, scene = self.world, self.world.scene
-        rows = painted_rows(world.ground, curve, scene.stream, marking)
+        (rows,) = painted_rows(world.ground, [(curve, marking)], scene.stream)
         # Far dots are merged into dashes that are too narrow to be checked.
-        is_near = world.ground.away_on(curve, rows.s[1:]) < DOTS_M
-        painted = rows.painted & (is_near | (not is_dotted(curve, scene.markings)))
+        painted = rows.painted & ((rows.away_m[1:] < DOTS_M) | (not is_dotted(curve, scene.markings)))
         return _merged(np.column_stack([rows.s[:-1], rows.s[1:]])[painted])
 
     def stands_out(self, color: PaintColor) -> bool:

@@ -149,7 +149,18 @@ class GradedGround:
 
     def _between_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], paved: Scalars) -> Scalars:
         """What `above` says of places that are not on pavement of this height (minus infinity: on none) alone."""
-        bounds, found = _Bounds.of(len(xy_world)), self.network.index.places(xy_world, self._slopes_reach_m)
+        found = self.network.index.places(xy_world, self._slopes_reach_m)
+        # Most places are near no road.
+        near, heights = _mask(len(xy_world), found.point), np.where(np.isfinite(paved), paved, 0.0)
+        found = found._replace(point=(np.cumsum(near) - 1)[found.point])
+        heights[near] = self._near_roads(xy_world[near], covered[near], paved[near], found)
+        return heights
+
+    def _near_roads(
+        self, xy_world: Points2, covered: Bool[np.ndarray, " n"], paved: Scalars, found: OnRoads
+    ) -> Scalars:
+        """What `_between_roads` says of places that are found to be near roads."""
+        bounds = _Bounds.of(len(xy_world))
         places, away_m, raised_m = self._beside(xy_world, found, on_ground=True)
         is_off = away_m >= EDGE_M
         bounds.beside(places.point[is_off], away_m[is_off], raised_m[is_off])
@@ -197,7 +208,9 @@ class GradedGround:
             places, on = places.of(known), on[known]
         across = np.clip(places.t, *table.edges(places.road, on))
         # Most places are on the pavement themselves.
-        terrain_m = height_at(terrain, xy_world)[places.point]
+        is_near, terrain_m = _mask(len(xy_world), places.point), np.zeros(len(xy_world))
+        terrain_m[is_near] = height_at(terrain, xy_world[is_near])
+        terrain_m = terrain_m[places.point]
         is_off = (on != places.s) | (across != places.t)
         off = places.road[is_off], on[is_off], across[is_off]
         terrain_m[is_off] = height_at(terrain, table.xy(*off))
@@ -291,14 +304,15 @@ class GradedGround:
         self, xy_world: Float[np.ndarray, "*k 2"], raised_m: Float[np.ndarray, "*k"], at: Int[np.ndarray, "n 2"]
     ) -> Scalars:
         """The greatest height of slopes down from places with others between them, or 0, in cells `at` of a grid."""
-        reach = int(np.ceil(EMBANKMENT_M / CELL_M)) + 1
+        # From anywhere in a cell to a place between the rows of another.
+        near_m = BERM_M + CELL_M * np.sqrt(2) + np.hypot(GUESS_STEP_M, self._rows.apart_m) / 2
+        slope_m = near_m + EMBANKMENT_SLOPE * max(float(raised_m.max(initial=0.0)) + ROUGH_M, 0.0)
+        reach = int(np.ceil(min(EMBANKMENT_M, slope_m) / CELL_M)) + 1
         corner, end = at.min(axis=0) - reach, at.max(axis=0) + reach + 1
         cells = np.floor(xy_world / CELL_M).astype(int)
         inside = ((cells >= corner) & (cells < end)).all(axis=-1)
         highest = np.full(end - corner, -NOWHERE_M)
         np.maximum.at(highest, tuple((cells[inside] - corner).T), raised_m[inside])
-        # From anywhere in a cell to a place between the rows of another.
-        near_m = BERM_M + CELL_M * np.sqrt(2) + np.hypot(GUESS_STEP_M, self._rows.apart_m) / 2
         away_m = CELL_M * np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
         falls_m = np.maximum(away_m - near_m, 0.0) / EMBANKMENT_SLOPE
         highest = scipy.ndimage.grey_dilation(highest, structure=-falls_m, mode="constant", cval=-NOWHERE_M)
@@ -312,6 +326,13 @@ class GradedGround:
         base = road.base_points(on, np.clip(across, left, right))
         top = base[:, 2] + CEILING_M + COVER_M
         return np.hypot(s - on, t - across), top - height_at(self.network.terrain, base[:, :2])
+
+
+def _mask(n: int, numbers: Int[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+    """Which of n places have one of these numbers."""
+    found = np.zeros(n, dtype=bool)
+    found[numbers] = True
+    return found
 
 
 def _on_ground(spans: Sequence[Span], s: Scalars, on: Scalars) -> Scalars:

@@ -124,13 +124,15 @@ class Ground:
         steep = [self.network.stations(ramp) for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
         return np.unique(np.concatenate([self.near_m + np.concatenate(rows), *steep, [0.0]]))
 
-    def curve_rows(self, curve: LaneCurve) -> Scalars:
-        """Stations of the rows of a curve's paint, as s grows."""
-        return np.sort(self.network.stations(self.rows_driven_m))
+    def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
+        """Stations of the rows of the paint of each curve, as s grows."""
+        return [np.sort(self.network.stations(self.rows_driven_m))] * len(curves)
 
-    def away_on(self, curve: LaneCurve, s: Spread) -> Spread:
-        """How far stations of a curve are from the host's way."""
-        return self.away_m(s)
+    def away_on(
+        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> list[Float[np.ndarray, " _"]]:
+        """How far stations of each of some curves are from the host's way."""
+        return [self.away_m(s) for s in stations]
 
     def range_m(self, ahead_m: float, behind_m: float) -> tuple[float, float]:
         """Stations as the host drives from `behind_m` behind its first place to `ahead_m` ahead of its last; with
@@ -321,11 +323,20 @@ class Ground:
         """Heights of the terrain mesh's vertices, far hills included."""
         return self.terrain_mesh_height(xy_world) + self.hills.height(xy_world)
 
-    def points_beside(self, curve: LaneCurve, s: Scalars, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k 3"]:
-        """Points on the pavement as it is built: at each station of a curve those at all offsets from it."""
-        lines = [curve.shifted(at) for at in t.tolist()]
-        points = [self.lift_far(line.xy_world(s), line.raised(s) + far_dam(s), s) for line in lines]
-        return np.stack(points, axis=1)
+    def points_beside(
+        self,
+        curves: Sequence[LaneCurve],
+        stations: Sequence[Float[np.ndarray, " _"]],
+        offsets: Sequence[Float[np.ndarray, " _"]],
+    ) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """Points on the pavement as it is built, of each of some curves: at each of its stations those at all of its
+        offsets from it."""
+        found = []
+        for curve, s, t in zip(curves, stations, offsets, strict=True):
+            lines = [curve.shifted(at) for at in t.tolist()]
+            points = [self.lift_far(line.xy_world(s), line.raised(s) + far_dam(s), s) for line in lines]
+            found.append(np.stack(points, axis=1))
+        return found
 
     def lift_far(self, xy_world: AnyPoints2, above_m: Spread, s: Spread) -> AnyPoints3:
         """3D points at stations, `above_m` over the terrain with its far hills; far away over the faces of its mesh."""
@@ -386,6 +397,10 @@ class Ground:
     def is_clear(self, xy_world: Float[np.ndarray, "n 2"], room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are farther than `room_m` from any pavement."""
         return np.asarray(self.clearance(xy_world) > room_m)
+
+    def is_off_carriageways(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are farther than `room_m` from any pavement of traffic."""
+        return self.is_clear(xy_world, room_m)
 
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""

@@ -100,18 +100,41 @@ class MapGround(Ground):
         """How far places on a road's line are from the host's way."""
         return self.away_at(road.xy(s, 0.0))
 
-    def away_on(self, curve: LaneCurve, s: AnyScalars) -> AnyScalars:
-        """How far places on a curve are from the host's way."""
-        return self.away_at(curve.xy_world(s))
+    def _numbers(self, curves: Sequence[LaneCurve], counts: Sequence[int]) -> Int[np.ndarray, " n"]:
+        """The number of each curve in the table of lines, as often as it is asked for."""
+        numbers = self.network.line_table.numbers
+        return np.repeat([numbers[curve.id] for curve in curves], counts)
 
-    def curve_rows(self, curve: LaneCurve) -> Scalars:
-        """The stations of the rows of a curve's paint."""
-        s = _coarse(curve.end_m)
-        return _rows(s, self.away_on(curve, s))
+    def away_on(
+        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> list[Float[np.ndarray, " _"]]:
+        """How far places on each of some curves are from the host's way."""
+        if not curves:
+            return []
+        counts = [len(s) for s in stations]
+        xy_world = self.network.line_table.xy_on(self._numbers(curves, counts), np.concatenate(stations))
+        return np.split(self.away_at(xy_world), np.cumsum(counts)[:-1])
 
-    def points_beside(self, curve: LaneCurve, s: Scalars, t: Float[np.ndarray, " k"]) -> Float[np.ndarray, "n k 3"]:
-        """Points on the pavement: at each station of a curve those at all offsets from it."""
-        return curve.points_beside(np.repeat(s, len(t)), np.tile(t, len(s))).reshape(len(s), len(t), 3)
+    def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
+        """The stations of the rows of the paint of each curve."""
+        coarse = [_coarse(curve.end_m) for curve in curves]
+        return [_rows(*at) for at in zip(coarse, self.away_on(curves, coarse), strict=True)]
+
+    def points_beside(
+        self,
+        curves: Sequence[LaneCurve],
+        stations: Sequence[Float[np.ndarray, " _"]],
+        offsets: Sequence[Float[np.ndarray, " _"]],
+    ) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """Points on the pavement, of each of some curves: at each of its stations those at all of its offsets."""
+        if not curves:
+            return []
+        s = [np.repeat(at, len(t)) for at, t in zip(stations, offsets, strict=True)]
+        t = np.concatenate([np.tile(t, len(at)) for at, t in zip(stations, offsets, strict=True)])
+        counts = list(map(len, s))
+        points = self.network.line_table.points_on(self._numbers(curves, counts), np.concatenate(s), t)
+        each = zip(np.split(points, np.cumsum(counts)[:-1]), stations, offsets, strict=True)
+        return [own.reshape(len(at), len(t), 3) for own, at, t in each]
 
     @cached_property
     def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
@@ -276,7 +299,9 @@ class MapGround(Ground):
         raised = [area.polygon for area in self.areas if area.raised_m] + self._raised_strips
         # Rows of strips beside each other differ by less than this.
         slack = outset(union(raised), 0.01)
-        return difference(self.pavement, slack)
+        whole = difference(self.pavement, slack)
+        shapely.prepare(whole)
+        return whole
 
     @cached_property
     def _grass(self) -> BaseGeometry:
@@ -534,6 +559,10 @@ class MapGround(Ground):
         shapely.prepare(area)
         return contains(area, xy_world)
 
+    def is_off_carriageways(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are farther than `room_m` from any pavement of traffic."""
+        return ~np.asarray(shapely.dwithin(self.carriageways, shapely.points(xy_world), room_m))
+
     def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement of traffic, negative on it."""
         return signed_distance(self._carriageways_outlined, xy_world)
@@ -544,9 +573,7 @@ class MapGround(Ground):
             return {}
         numbers = [self.network.line_table.numbers[line.id] for line in lines]
         stations = [np.linspace(0.0, line.end_m, 2 + int(line.end_m / PAINT_STEP_M)) for line in lines]
-        counts = [len(s) for s in stations]
-        away_m = self.away_at(self.network.line_table.xy_on(np.repeat(numbers, counts), np.concatenate(stations)))
-        is_near = np.minimum.reduceat(away_m, np.cumsum([0, *counts])[:-1]) < PAINT_M
+        is_near = np.array([away_m.min() < PAINT_M for away_m in self.away_on(lines, stations)])
         in_sight = self.network.line_table.which_come(seen.holds)[numbers] if seen else np.ones(len(lines), dtype=bool)
         return {line: bool(own) for line, near, own in zip(lines, is_near, in_sight, strict=True) if near}
 

@@ -13,7 +13,7 @@ from synth3dlanes.labels.labels import Marking, PaintColor, Pair
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.scene import Markings
-from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.system.streams import Streams
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.ground import Ground
@@ -76,7 +76,8 @@ def paint_meshes(
     """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye.
     Meshes of lines out of what is `seen` may be empty."""
     drawn = ground.drawn([line for line in lines if line.kind == "delimiter"], seen)
-    return {line.id: _paint(ground, line, eye_world, streams) if own else NO_PAINT for line, own in drawn.items()}
+    found = dict.fromkeys((line.id for line in drawn), NO_PAINT)
+    return found | _paint(ground, [line for line, own in drawn.items() if own], eye_world, streams)
 
 
 def paint_color(line: LaneCurve, markings: Markings) -> PaintColor | None:
@@ -126,28 +127,35 @@ def stripes(line: LaneCurve, markings: Markings) -> tuple[Stripe, ...]:
     )
 
 
-def _paint(ground: Ground, curve: LaneCurve, eye_world: Float[np.ndarray, "3"], streams: Streams) -> Mesh:
-    markings, meshes = ground.markings, []
-    to_right = int(ground.network.rightward)
-    for right_m, marking in stripes(curve, markings)[::to_right]:
-        rows, away_m, painted, share, raised_m = painted_rows(ground, curve, streams, marking)
-        lift_m = np.interp(away_m, PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m
-        lift_m = lift_m + _over_hollows_m(ground, curve, rows)
-        offsets = to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings)
-        # Behind its end a curve has no points.
-        step_m = np.where(rows + ALONG_M > curve.end_m, -ALONG_M, ALONG_M)
-        at = np.concatenate([rows, rows + step_m])
-        sides, beside = ground.points_beside(curve, at, offsets).reshape(2, -1, 2, 3)
+def _paint(
+    ground: Ground, curves: Sequence[LaneCurve], eye_world: Float[np.ndarray, "3"], streams: Streams
+) -> dict[str, Mesh]:
+    """The paint of curves by their ids, from places on all of them at once."""
+    markings, to_right = ground.markings, int(ground.network.rightward)
+    of = [(curve, *stripe) for curve in curves for stripe in stripes(curve, markings)[::to_right]]
+    lines = [curve for curve, _, _ in of]
+    rows = painted_rows(ground, [(curve, marking) for curve, _, marking in of], streams)
+    offsets = [to_right * right_m + np.array([-0.5, 0.5]) * line_width_m(curve, markings) for curve, right_m, _ in of]
+    # Behind its end a curve has no points.
+    steps_m = [
+        np.where(own.s + ALONG_M > curve.end_m, -ALONG_M, ALONG_M) for curve, own in zip(lines, rows, strict=True)
+    ]
+    stations = [np.concatenate([own.s, own.s + step_m]) for own, step_m in zip(rows, steps_m, strict=True)]
+    points, meshes = ground.points_beside(lines, stations, offsets), dict[str, list[Mesh]]()
+    for curve, own, step_m, offset, at in zip(lines, rows, steps_m, offsets, points, strict=True):
+        sides, beside = at.reshape(2, -1, 2, 3)
         along = np.sign(step_m)[:, None] * (beside - sides).mean(axis=1)
         middle = sides.mean(axis=1, keepdims=True)
-        narrowed = middle + share[:, None, None] * (sides - middle)
-        floating = _floating(eye_world, narrowed, along, lift_m)
-        uv = np.stack(np.broadcast_arrays(offsets[None, :], rows[:, None]), -1)
+        narrowed = middle + own.share[:, None, None] * (sides - middle)
+        lift_m = np.interp(own.away_m, PAINT_LIFT_AT_M, PAINT_LIFT_M) + own.raised_m
+        floating = _floating(eye_world, narrowed, along, lift_m + _over_hollows_m(ground, curve, own.s))
+        uv = np.stack(np.broadcast_arrays(offset[None, :], own.s[:, None]), -1)
         mesh = grid(floating, uv, np.zeros(1, dtype=int))
         # Where a line goes on along another road, a face of a few millimetres may fold back over the previous one.
-        kept = painted & is_facing_up(mesh)
-        meshes.append(replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept]))
-    return over_terrain(_joined(meshes))
+        kept = own.painted & is_facing_up(mesh)
+        mesh = replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
+        meshes.setdefault(curve.id, []).append(mesh)
+    return {name: over_terrain(_joined(own)) for name, own in meshes.items()}
 
 
 def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
@@ -206,19 +214,60 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Marking) -> StripRows:
-    """Rows of a line's stripe with this pattern, with a row at every end of paint. Lengths are measured along the line
-    from station 0, so that dashes and gaps do not move with the camera."""
-    markings = ground.markings
-    rows = ground.curve_rows(curve)
+def painted_rows(ground: Ground, stripes: Sequence[tuple[LaneCurve, Marking]], streams: Streams) -> list[StripRows]:
+    """Rows of stripes of lines, each with its pattern, with a row at every end of paint. Lengths are measured along a
+    line from station 0, so that dashes and gaps do not move with the camera."""
+    curves = [curve for curve, _ in stripes]
+    given = [_within(curve, rows) for curve, rows in zip(curves, ground.curve_rows(curves), strict=True)]
+    near = [_near(*at) for at in zip(given, ground.away_on(curves, given), strict=True)]
+    rows = {curve: at.rows for curve, at in zip(curves, near, strict=True)}
+    points = dict(zip(rows, ground.network.points_along(rows), strict=True))
+    drawn = [
+        _painted(ground.markings, *stripe, at, points[stripe[0]], streams)
+        for stripe, at in zip(stripes, near, strict=True)
+    ]
+    away = ground.away_on(curves, [at.s for at in drawn])
+    return [_narrowed(ground.markings, *at) for at in zip(stripes, drawn, away, strict=True)]
+
+
+class _NearRows(NamedTuple):
+    """Rows of a line that may have ends of paint, how far these are from the host, and those before and behind them."""
+
+    rows: Scalars
+    away_m: Scalars
+    before: Scalars
+    behind: Scalars
+
+
+class _DrawnRows(NamedTuple):
+    """Rows of a stripe, the length along its line at each, whether the strip after it is painted, and the middles of
+    its dots."""
+
+    s: Scalars
+    length_m: Scalars
+    painted: Bool[np.ndarray, " m"]
+    dots: Places
+
+
+def _within(curve: LaneCurve, rows: Scalars) -> Float[np.ndarray, " m"]:
+    """Those of rows that are on a curve, and its ends."""
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
-    rows = np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
-    away_m = ground.away_on(curve, rows)
+    return np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
+
+
+def _near(rows: Scalars, away_m: Scalars) -> _NearRows:
     is_near = away_m <= DASHES_M
     near = np.flatnonzero(is_near)[[0, -1]] + [0, 1] if is_near.any() else np.array([0, len(rows)])
-    (before, rows, behind), (_, rows_away_m, _) = np.split(rows, near), np.split(away_m, near)
-    xyz = curve.points_world(rows)
-    length = lengths_along(xyz)
+    (before, own, behind), (_, own_away_m, _) = np.split(rows, near), np.split(away_m, near)
+    return _NearRows(own, own_away_m, before, behind)
+
+
+def _painted(
+    markings: Markings, curve: LaneCurve, marking: Marking, near: _NearRows, points_world: Points3, streams: Streams
+) -> _DrawnRows:
+    """The rows of a stripe, by points at those that are near."""
+    rows, rows_away_m, before, behind = near
+    length = lengths_along(points_world)
     length -= np.interp(0.0, rows, length)
     dashes, gone = _dashes(markings, marking, length), _gone(markings, streams(f"missing_paint/{curve.id}"))
     dots = np.zeros(0)
@@ -231,15 +280,19 @@ def painted_rows(ground: Ground, curve: LaneCurve, streams: Streams, marking: Ma
     painted = _inside(dashes, middle) & ~_inside(gone, middle)
     is_painted = np.full(max(len(before), len(behind)), markings.missing < 1)
     s = np.concatenate([before, rows_all, behind])
-    if len(rows_all) != len(rows):
-        away_m = ground.away_on(curve, s)
-    share, raised_m = _disc(dots, np.interp(s, rows, length)) if len(dots) else (np.ones(len(s)), np.zeros(len(s)))
+    painted = np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]])
+    return _DrawnRows(s, np.interp(s, rows, length), painted, dots)
+
+
+def _narrowed(markings: Markings, stripe: tuple[LaneCurve, Marking], rows: _DrawnRows, away_m: Scalars) -> StripRows:
+    """The rows of a stripe, far ones as narrow as paint covers of them."""
+    (curve, marking), n = stripe, len(rows.s)
+    share, raised_m = _disc(rows.dots, rows.length_m) if len(rows.dots) else (np.ones(n), np.zeros(n))
     if is_dotted(curve, markings):
         share = np.where(away_m > DOTS_M, np.minimum(share, _dots_cover(markings, away_m)), share)
     painted_share = (markings.dash_fraction if marking == "dashed" else 1.0) * (1 - markings.missing)
     share = np.where(away_m > DASHES_M, painted_share * share, share)
-    painted = np.concatenate([is_painted[: len(before)], painted, is_painted[: len(behind)]])
-    return StripRows(s, away_m, painted, share, raised_m)
+    return StripRows(rows.s, away_m, rows.painted, share, raised_m)
 
 
 def _dashes(markings: Markings, marking: Marking, length: Scalars) -> Intervals:

@@ -82,7 +82,10 @@ def symbol_points(forms: Sequence[SymbolShape], places: Sequence[Polygon]) -> li
     found = [form.places_world(at) for form, at in zip(forms, places, strict=True)]
     low = {i: form.under for i, form in enumerate(forms) if form.under is not None}
     for ground in list(low.values())[:1]:
-        heights = ground.height(np.concatenate([found[i][:, :2] for i in low]))
+        # Faces beside each other share their corners.
+        corners = np.concatenate([found[i][:, :2] for i in low])
+        _, first, which = np.unique(corners @ [1.0, 1j], return_index=True, return_inverse=True)
+        heights = ground.height(corners[first])[which]
         ends = np.cumsum([len(found[i]) for i in low])[:-1]
         for i, z in zip(low, np.split(heights, ends), strict=True):
             found[i][:, 2] = z

@@ -184,7 +184,7 @@ def test_traffic_and_successors_are_those_of_the_lane_graph(road):
 
 
 def _rows(world, line):
-    return painted_rows(world.ground, line, world.scene.stream, line.marking)
+    return painted_rows(world.ground, [(line, line.marking)], world.scene.stream)[0]
 
 
 def marks_of(file_road):

@@ -25,7 +25,7 @@ from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.scene import Gaussian, Terrain, from_json, to_json
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import InputError
-from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.world import placement
 from synth3dlanes.world.motion import car_at
 from synth3dlanes.world.world import World
@@ -76,6 +76,21 @@ def test_a_scene_has_its_map_and_is_the_same_when_drawn_or_read_again() -> None:
     assert scene != world(1).scene
     again = ground_truth(from_json(to_json(scene), "scene"))
     assert labels_text(again) == labels_text(ground_truth(scene))
+
+
+def test_a_scene_does_not_depend_on_those_that_its_process_made_before() -> None:
+    """Scenes, labels and meshes: of the first scene on a map that was just read, and of one after others."""
+    alone, used = scenes(HILLY), scenes(HILLY)
+    for index in (0, 1, 3):
+        _made(used, index)
+    assert _made(used, 2) == _made(alone, 2)
+
+
+def _made(of: Scenes, index: int) -> list[bytes]:
+    found = sample_world(of, index)
+    meshes = [found.site.surfaces.terrain, *found.site.surfaces.pavement, *found.paint(found.view).values()]
+    arrays = [mesh.vertices_world.tobytes() + mesh.faces.tobytes() for mesh in meshes]
+    return [to_json(found.scene).encode(), labels_text(label(found, found.view)).encode(), *arrays]
 
 
 @pytest.mark.parametrize("index", range(4))

@@ -104,14 +104,18 @@ def test_the_bench_adds_up_and_compares(tmp_path):
 
 def test_of_stored_rows_the_one_of_the_same_recipe_is_compared(tmp_path):
     row = {"ratio": 1.5, "seconds_per_image": 3.0, "floor_seconds_per_image": 2.0, "stages": {}}
-    keys = [("streets", 4, 1), ("streets", 1, 1), ("streets", 1, 12)]
-    rows = [
-        {**row, "params": params, "samples": samples, "frames": frames, "ratio": 1.0 + k}
-        for k, (params, samples, frames) in enumerate(keys)
+    names = ("params", "samples", "frames", "views", "map")
+    keys = [
+        ("streets", 4, 1),
+        ("streets", 1, 1),
+        ("streets", 1, 12),
+        ("streets", 1, 1, 1, "a.xodr"),
+        ("streets", 1, 1, 4),
     ]
+    rows = [{**row, **dict(zip(names, key, strict=False)), "ratio": 1.0 + k} for k, key in enumerate(keys)]
     path = tmp_path / "rows.json"
     path.write_text(json.dumps({"rows": rows}))
-    assert [bench.read_bench(path, *key).ratio for key in keys] == [1.0, 2.0, 3.0]
+    assert [bench.read_bench(path, *key).ratio for key in keys] == [1.0, 2.0, 3.0, 4.0, 5.0]
     with pytest.raises(FormatError, match="expected a row of tiny, 1 sample, frames 1, found streets, 4 samples"):
         bench.read_bench(path, "tiny", 1, 1)
 
