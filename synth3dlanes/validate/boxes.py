@@ -126,17 +126,22 @@ def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
             lidar, object_from_cam = evidence.sweep.lidar, invert(item.cam_from_object)
             eye = transform(object_from_cam, lidar.cam_from_lidar[:3, 3])
             points_object = transform(object_from_cam, points.xyz_cam[own])
-            apart_m = distance_m * _step_rad(lidar.elevations_rad, points.xyz_lidar[own])
+            corners_cam = transform(item.cam_from_object, item.size_m * (np.array([*np.ndindex(2, 2, 2)]) - 0.5))
+            corners_lidar = transform(invert(lidar.cam_from_lidar), corners_cam)
+            apart_m = distance_m * _step_rad(lidar.elevations_rad, points.xyz_lidar[own], corners_lidar)
             views.append(SeenPart("points", points_object, eye, apart_m))
     return views
 
 
-def _step_rad(elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3"]) -> float:
-    """The largest angle between two neighbouring beams, of those that meet points and one on either side."""
+def _step_rad(
+    elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3"], corners_lidar: Float[np.ndarray, "8 3"]
+) -> float:
+    """The largest angle between two neighbouring beams, of those that meet points and one on either side; infinite
+    where a part of the body is over all beams."""
     beams = np.sort(elevations_rad)
-    up_rad = np.arctan2(xyz_lidar[:, 2], np.hypot(*xyz_lidar[:, :2].T))
+    up_rad, top_rad = (np.arctan2(at[:, 2], np.hypot(*at[:, :2].T)) for at in (xyz_lidar, corners_lidar))
     first, last = np.searchsorted(beams, [up_rad.min(), up_rad.max()])
-    return float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
+    return np.inf if top_rad.max() > beams[-1] else float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
 
 
 def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:

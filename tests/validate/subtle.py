@@ -250,7 +250,7 @@ SUBTLE = [
         "depth in millimetres", of_pass("depth", lambda depth_m, _: depth_m * np.float32(1000)), "metres along", True
     ),
     Fault("a hole in the ground", of_passes(with_a_hole), "sky at 1 pixels"),
-    Fault("height map 3 cm up", in_samples(lifted), r"elsewhere, by \+0.030 m"),
+    Fault("height map 3 cm up", in_samples(lifted), "got 2858 of 2858 elsewhere"),
     Fault("height map one row off", in_samples(one_row_off), "cells on the scene's ground"),
     Fault("rows of the index reordered", reorder_index, "in the order of their samples"),
     Fault("README.md edited", edit_readme, "expected what dataset.json gives"),
