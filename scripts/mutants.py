@@ -1,9 +1,10 @@
 """How much the quick tests notice: `python -m scripts.mutants FOLDER --n 100`; FOLDER keeps a copy and the results.
 
 A mutant is the code with one small fault: another sign or operator, a comparison off by one, a changed constant,
-swapped axes or arguments, a dropped condition. Tests are run in the copy until one fails: files of tests in the order
-of how far their imports are from the mutant's module, and as many as LIMIT_S of CPU time allows. So what survives may
-still fail a test that is far away. Prints each mutant with the test that killed it, the survivors and the share killed.
+swapped axes or arguments, a dropped condition. Tests are run in the copy until one fails: files of tests that are
+called like the mutant's module, then in the order of how far their imports are from it, and as many as LIMIT_S of CPU
+time allows. So what survives may still fail a test that is far away. Prints each mutant with the test that killed it,
+the survivors and the share killed.
 
 Which mutants a subject has follows from a hash of each place: edits of other places do not change them. A mutant with a
 result in FOLDER/results.jsonl is not run again; with --killed only those are run that have one and were killed there.
@@ -230,23 +231,24 @@ def _real(name: Path) -> Path:
 
 
 def files_of_tests(tree: Path, path: Path, names: list[str]) -> Iterator[list[Path]]:
-    """Files of tests that reach a file by imports, a few at a time: nearest first, those that render last; then those
-    that have one of the names, or a word of the file's name, and those that import little."""
-    words = {*path.stem.split("_"), path.parent.name}
-
-    def order(file: Path) -> tuple[bool, bool, bool, int]:
-        text = file.read_text()
-        is_named = bool({*names} & {*re.findall(r"\w+", text)} - {""})
-        is_akin = bool(words & {*file.stem.split("_")})
-        return "mark.render" in text, not is_named, not is_akin, len(imports(tree, file))
-
-    reached = {path}
+    """Files of tests that reach a file by imports, a few at a time: first those that are called like it, then the
+    nearest; of these, those that render last, and first those that have one of the names or import little."""
     folders = ("tests", "synth3dlanes", "cli", "baseline_model")
     everything = [file for folder in folders for file in (tree / folder).rglob("*.py")]
-    while near := {file for file in everything if file not in reached and imports(tree, file) & reached}:
-        found = sorted((file for file in near if file.name.startswith("test_")), key=order)
-        yield from (found[i : i + FILES_AT_ONCE] for i in range(0, len(found), FILES_AT_ONCE))
-        reached |= near
+    distances, near = {path: 0}, {path}
+    while near:
+        near = {file for file in everything if file not in distances and imports(tree, file) & near}
+        distances |= dict.fromkeys(near, max(distances.values()) + 1)
+
+    def order(file: Path) -> tuple[bool, int, bool, bool, int]:
+        text = file.read_text()
+        is_named = bool({*names} & {*re.findall(r"\w+", text)} - {""})
+        is_called_like_it = path.stem in file.stem
+        renders = "mark.render" in text
+        return not is_called_like_it, distances[file], renders, not is_named, len(imports(tree, file))
+
+    found = sorted((file for file in distances if file.name.startswith("test_")), key=order)
+    yield from (found[i : i + FILES_AT_ONCE] for i in range(0, len(found), FILES_AT_ONCE))
 
 
 def kill(mutant: Mutant, tree: Path) -> str:
