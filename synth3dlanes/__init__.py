@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from synth3dlanes.params.cameras import CameraSpec
     from synth3dlanes.params.params import Params
     from synth3dlanes.production.job import Job
-    from synth3dlanes.renderer import RenderedScene, Renderer, render
+    from synth3dlanes.renderer import Rendered, Renderer, render
     from synth3dlanes.scene.scene import Scene
     from synth3dlanes.system.errors import (
         DiskFullError,
@@ -74,7 +74,7 @@ __all__ = [
     "MissingPackageError",
     "Params",
     "Reader",
-    "RenderedScene",
+    "Rendered",
     "Renderer",
     "Sample",
     "Scene",
@@ -121,7 +121,7 @@ _HOMES = {
     "Lane": "labels.labels",
     "Params": "params.params",
     "Reader": "dataset.read",
-    **dict.fromkeys(("RenderedScene", "Renderer", "render"), "renderer"),
+    **dict.fromkeys(("Rendered", "Renderer", "render"), "renderer"),
     "Sample": "dataset.format",
     "Scene": "scene.scene",
     "SymbolLabel": "labels.labels",

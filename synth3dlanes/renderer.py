@@ -45,7 +45,7 @@ STANDARD = QUALITY_SAMPLES["standard"]
 
 
 @dataclass(frozen=True, eq=False)
-class RenderedScene:
+class Rendered:
     """A rendered scene. The image, labels, passes and lidar sweep equal those of the same scene in a data set of PNG
     images. `sweep` is None for a scene without a lidar."""
 
@@ -111,7 +111,7 @@ class Renderer:
             self._open = None
 
     @checked
-    def render(self, scene: Scene, *, lidar: str | Path | None = None) -> RenderedScene:
+    def render(self, scene: Scene, *, lidar: str | Path | None = None) -> Rendered:
         """Render a scene."""
         require_assets(scene.assets, self._assets, "scene")
         scene = with_lidar(scene, None if lidar is None else load_lidar(str(lidar)))
@@ -123,7 +123,7 @@ class Renderer:
                 found |= read_passes(members[name], name)
         labels = labels_format.from_json(members[LABELS], LABELS)
         sweep = None if labels.lidar is None else read_sweep(members[LIDAR], LIDAR, labels.lidar)
-        return RenderedScene(scene, decode_image(members["png"], "png"), labels, found, sweep)
+        return Rendered(scene, decode_image(members["png"], "png"), labels, found, sweep)
 
 
 @checked
@@ -135,7 +135,7 @@ def render(
     lidar: str | Path | None = None,
     device: str = "auto",
     assets: Library = BUILT_IN,
-) -> RenderedScene:
+) -> Rendered:
     """Render a scene with `samples` samples per pixel, in a process of its own, which stays until this one ends: only
     the first call waits for Blender to start. A `Renderer` ends its process when it is closed.
 

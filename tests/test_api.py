@@ -197,9 +197,9 @@ def test_a_wrong_argument_is_named(
 
 
 def test_an_image_is_saved_as_png_or_jpg_alone(flat_scene: Any, in_tmp_path: Path) -> None:
-    from synth3dlanes.renderer import RenderedScene
+    from synth3dlanes.renderer import Rendered
 
-    rendered = RenderedScene(flat_scene, np.zeros((2, 3, 3), np.uint8), synth3dlanes.label(flat_scene), {})
+    rendered = Rendered(flat_scene, np.zeros((2, 3, 3), np.uint8), synth3dlanes.label(flat_scene), {})
     with pytest.raises(synth3dlanes.InputError, match="path: expected one of jpg, png, got 'gif'"):
         rendered.save("scene.gif")
     assert not list(in_tmp_path.iterdir())

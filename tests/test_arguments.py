@@ -20,7 +20,7 @@ METHODS = {
     "Renderer": s3d.Renderer,
     **{f"Reader.{name}": getattr(s3d.Reader, name) for name in READER},
     "Renderer.render": s3d.Renderer.render,
-    "RenderedScene.save": s3d.RenderedScene.save,
+    "Rendered.save": s3d.Rendered.save,
 }
 
 
