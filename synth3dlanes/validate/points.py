@@ -55,6 +55,8 @@ MAX_BEND_M, MIN_NEXT = 0.004, 0.6
 # A surface nearer than a point by this factor and distance hides it; the point's own surface differs by less in depth
 # from pixel to pixel.
 NEARER, NEARER_M = 0.985, 0.05
+# Objects with narrower boxes, whose upper parts may be narrower than a pixel, tell nothing of what is behind them.
+NARROW_PX = 5.0
 
 
 class SurfaceErrors(NamedTuple):
@@ -97,7 +99,8 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
         if "depth" in passes and "semantic" in passes:
             sight = _sight(camera, lane, strip, uv, passes)
             # The deck of a bridge is as thin as its road: from below its points are at their depths, too.
-            sight = Sight(*(of & evidence.is_single[lane.id] for of in sight))
+            asked = evidence.is_single[lane.id] & ~_behind_narrow(evidence, lane, uv)
+            sight = Sight(*(of & asked for of in sight))
             found += _against_masks(lane, sight)
             moved += _wrong_if_moved(lane, sight)
         measures += found
@@ -156,6 +159,18 @@ def _scale(evidence: Evidence) -> Iterator[Result]:
     times = float(np.median(depth_m[uv[:, 1], uv[:, 0]] / points[:, 1]))
     reason = f"depth: expected metres along the viewing direction, got {times:.4g} times the labels'"
     yield from judged("points.unit", times, reason, 1 / OTHER_UNIT, OTHER_UNIT)
+
+
+def _behind_narrow(evidence: Evidence, lane: Lane, uv: Points2) -> Bool[np.ndarray, " n"]:
+    """Which points of a lane may be behind an object that is narrower than pixels tell, as a far cone beside a line is:
+    it may hide a point and be at no pixel's centre."""
+    found = np.zeros(len(uv), dtype=bool)
+    for item in evidence.labels.objects or ():
+        box = item.box_px
+        if box is not None and box[2] - box[0] < NARROW_PX:
+            is_inside = ((uv > box[:2] - 1) & (uv < box[2:] + 1)).all(axis=1)
+            found |= is_inside & (lane.xyz_cam[:, 1] > item.center_cam[1])
+    return found
 
 
 def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> Sight:

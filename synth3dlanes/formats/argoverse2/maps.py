@@ -12,7 +12,7 @@
 
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import shapely
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from synth3dlanes.formats.comparing import (
     Comparison,
@@ -133,6 +134,11 @@ class _Piece:
         return piece_id(self.lane.index, self.number)
 
     @property
+    def left_world(self) -> Points3:
+        """The points of its left line."""
+        return self.lane.left.points_world[self.first : self.last + 1]
+
+    @property
     def middle(self) -> Float[np.ndarray, "3"]:
         """The middle of it."""
         return np.asarray(self.lane.points_world[(self.first + self.last) // 2])
@@ -171,15 +177,22 @@ def _lanes(lanes: Sequence[LaneSegment], graph: LaneGraph, world: World) -> Iter
                 "successors": after if piece is own[-1] else [piece.id + 1],
                 "predecessors": before if piece is own[0] else [piece.id - 1],
                 "right_neighbor_id": _beside(piece, pieces.get(right or "", ())),
-                "left_neighbor_id": _beside(
-                    piece, [of for name in opposite or [left or ""] for of in pieces.get(name, ())]
-                ),
+                "left_neighbor_id": _beside(piece, _across(piece, opposite, pieces))
+                if opposite
+                else _beside(piece, pieces.get(left or "", ())),
             }
 
 
 def _beside(piece: _Piece, others: Sequence[_Piece]) -> int | None:
     """The piece of another lane that is nearest to the middle of one."""
     return min(others, key=lambda other: float(np.linalg.norm(other.middle - piece.middle))).id if others else None
+
+
+def _across(piece: _Piece, opposite: Sequence[str], pieces: Mapping[str, Sequence[_Piece]]) -> list[_Piece]:
+    """The pieces of lanes of the other direction that share a stretch of the left line of one."""
+    tree = cKDTree(piece.left_world)
+    others = [other for name in opposite for other in pieces[name]]
+    return [other for other in others if tree.query(other.left_world)[0].min() < SAME_LINE_M]
 
 
 def _opposite(lane: LaneSegment, lanes: Sequence[LaneSegment], world: World) -> list[str]:
