@@ -2,10 +2,11 @@
 parameters beyond. World frame."""
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from synth3dlanes.roads.map_roads import bare_road
 from synth3dlanes.roads.road_table import RoadTable
@@ -88,15 +89,23 @@ def _fitted(grid: HeightGrid, xy_world: Float[np.ndarray, "m 2"], z: Scalars) ->
     numbers = (lines[:, :, None] * n + columns[:, None, :]).reshape(-1)
     values = (weights[:, 1, :, None] * weights[:, 0, None, :]).reshape(-1)
     at = sparse.csr_matrix((values, (np.repeat(np.arange(len(z)), 16), numbers)), shape=(len(z), n * n))
-    bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
-    slope = sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n))
-    same = sparse.identity(n)
-    terms = [sparse.kron(same, bend), sparse.kron(bend, same), np.sqrt(2) * sparse.kron(slope, slope)]
-    stiff = sum((term.T @ term for term in terms), sparse.csr_matrix((n * n, n * n)))
-    i, j = np.divmod(np.arange(n * n), n)
-    inner = (np.minimum(i, j) >= LEVEL_AT_EDGE) & (np.maximum(i, j) < n - LEVEL_AT_EDGE)
+    inner, stiff = _stiffness(n)
     kept = sparse.identity(n * n, format="csr")[np.flatnonzero(inner)]
     system = kept @ (at.T @ at + BEND_WEIGHT * stiff + MEAN_WEIGHT * sparse.identity(n * n)) @ kept.T
     found = np.zeros(n * n)
     found[inner] = sparse.linalg.spsolve(system.tocsc(), kept @ (at.T @ (z - mean)))
     return np.asarray(found.reshape(n, n) + mean)
+
+
+@cache
+def _stiffness(n: int) -> tuple[Bool[np.ndarray, " _"], "scipy.sparse.csr_matrix"]:
+    """Of a grid of n rows and columns: which coefficients are not at its edge, and how much it bends by products of
+    them."""
+    sparse = scipy.sparse
+    bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
+    slope = sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n))
+    same = sparse.identity(n)
+    terms = [sparse.kron(same, bend), sparse.kron(bend, same), np.sqrt(2) * sparse.kron(slope, slope)]
+    i, j = np.divmod(np.arange(n * n), n)
+    inner = (np.minimum(i, j) >= LEVEL_AT_EDGE) & (np.maximum(i, j) < n - LEVEL_AT_EDGE)
+    return inner, sum((term.T @ term for term in terms), sparse.csr_matrix((n * n, n * n)))
