@@ -92,6 +92,18 @@ def test_scenes_of_presets_come_back(preset: str) -> None:
         check(sample_world(Scenes(load_params(preset), 5, "round"), index))
 
 
+@pytest.mark.parametrize("kind", first(1, ("lane_closed", "lanes_shifted", "lanes_narrowed", "shoulder_closed")))
+def test_road_works_come_back_with_the_links_of_their_lanes(kind: str) -> None:
+    given = "works.present=true", f"works.kind={kind}", "road.topology=1", "road.n_lanes=3"
+    params = load_params("streets", given)
+    flips = set()
+    for index in range(6):
+        world = sample_world(Scenes(params, 11, "works"), index)
+        flips.add((world.scene.paper_road.flip_lateral, world.scene.paper_road.flip_longitudinal))
+        check(world)
+    assert len(flips) > 2, "roads that are mirrored and that are not"
+
+
 def forks() -> Iterator[str]:
     """A road that parts into two without a connecting road."""
     on = section(lane(-1, link='<predecessor id="-1"/>'))

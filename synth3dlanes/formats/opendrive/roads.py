@@ -130,8 +130,8 @@ class _Strip:
 @dataclass(frozen=True)
 class _Layout:
     """A part of a road of the network: its stations, its reference line, its strips as t grows, the number of those
-    before lane 0, the offset of lane 0 from the line, which may depend on the station, and what lies before and behind
-    it."""
+    before lane 0, the offset of lane 0 from the line, which may depend on the station, what lies before and behind it
+    in ascending stations, and whether it is a connecting road of a junction."""
 
     name: str
     span_m: tuple[float, float]
@@ -143,6 +143,7 @@ class _Layout:
     before: str | None = None
     after: str | None = None
     is_oncoming: bool = False
+    in_junction: bool = False
 
 
 def roads(network: Network) -> list[OdrRoad]:
@@ -191,15 +192,14 @@ def _layouts(network: Network) -> list[_Layout]:
     # A lane that opens begins on its neighbour's; connecting roads are for one direction.
     for lane in beyond:
         if lane.middle.moves:
-            found.append(
-                _Layout("opening", junction, road, lane.middle, _strips([lane]), 0, -lane.width_m / 2, before, after)
-            )
+            opening = _Layout("opening", junction, road, lane.middle, _strips([lane]), 0, -lane.width_m / 2)
+            found.append(replace(opening, before=before, after=after, in_junction=True))
     through = _strips([lane for lane in beyond if not lane.middle.moves])
     if oncoming:
-        found.append(replace(part("facing", junction, left, (), before, after), is_oncoming=True))
+        found.append(replace(part("facing", junction, left, (), before, after), is_oncoming=True, in_junction=True))
     found += [
         part(before, (-REACH_M, 0.0), left, (*_strips(first), shoulder), None, JUNCTION),
-        part("through", junction, () if oncoming else left, through, before, after),
+        replace(part("through", junction, () if oncoming else left, through, before, after), in_junction=True),
     ]
     branch, parting = partings[0]
     lanes, line, edge_m = branch.lanes_at(parted_m), Offset(0.0), branch.carriageways[0].left_m
@@ -208,7 +208,7 @@ def _layouts(network: Network) -> list[_Layout]:
     name, strips = lanes[0].section, (*_strips(lanes), shoulder)
     return [
         *found,
-        _Layout("leaving", junction, branch, line, strips, 0, edge_m, before, name),
+        _Layout("leaving", junction, branch, line, strips, 0, edge_m, before, name, in_junction=True),
         part(after, apart, left, (*_strips(beyond), inner), JUNCTION, None),
         _Layout(name, apart, branch, line, (inner, *strips), 1, edge_m, JUNCTION, None),
     ]
@@ -234,7 +234,7 @@ def _along_works(network: Network, whole: _Layout) -> list[_Layout]:
     road, found = network.main, list[_Layout]()
     starts = sorted({lane.start_m for lane in road.lanes if np.isfinite(lane.start_m)})
     ends = [whole.span_m[0], *starts, max(whole.span_m[1], starts[-1] + MIN_END_M)]
-    for span_m in list(pairwise(ends))[:: int(network.onwards)]:
+    for span_m in pairwise(ends):
         middle = np.array([(span_m[0] + span_m[1]) / 2])
         lanes = [lane for lane in road.lanes_at(float(middle[0])) if lane.direction == "same"]
         lines = [
@@ -256,7 +256,8 @@ def _along_works(network: Network, whole: _Layout) -> list[_Layout]:
         left[-1] = replace(left[-1], width_m=partial(_moved, left[-1].width_m, lane_0, whole.lane_0_m))
         found.append(replace(whole, name=lanes[0].section, span_m=span_m, strips=(*left, *there), lane_0_m=lane_0))
     names = [None, *(at.name for at in found), None]
-    return [replace(at, before=names[i], after=names[i + 2]) for i, at in enumerate(found)]
+    linked = [replace(at, before=names[i], after=names[i + 2]) for i, at in enumerate(found)]
+    return linked[:: int(network.onwards)]
 
 
 def _road(network: Network, layout: _Layout) -> OdrRoad:
@@ -284,7 +285,7 @@ def _road(network: Network, layout: _Layout) -> OdrRoad:
     is_whole = not layout.is_oncoming and layout.name != "opening"
     flat = OdrRoad(
         name=layout.name,
-        in_junction=None not in ends and JUNCTION not in ends,
+        in_junction=layout.in_junction,
         before=ends[0] if ascends else ends[1],
         after=ends[1] if ascends else ends[0],
         is_oncoming=layout.is_oncoming,
