@@ -12,6 +12,7 @@ from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.assets.catalogue import THINGS
 from synth3dlanes.scene.scene import Scene, to_json
 from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.world.motion import host_speed
 from synth3dlanes.world.world import World
 from tests.golden.frozen import ROWS, scenes_of
 from tests.thorough import first
@@ -158,6 +159,69 @@ def test_who_crosses_has_red_lights_for_traffic_and_no_vehicle_near(index: int) 
     assert crossed > 0
 
 
+MEETING = ("town.junction=crossing", "town.control=priority", "town.traffic=0.8", "town.n_more=0", "town.host_m=10")
+
+
+@pytest.mark.parametrize("index", first(1, [0, 1, 3]))
+def test_cars_stop_for_who_crosses_in_a_clip(index: int) -> None:
+    """Not on a crosswalk; and those who stood at the kerb when the clip began cross."""
+    world = town(index, *MEETING, "people.crossing=3", shots=CLIP)
+    alone = town(index, *MEETING, "people.crossing=0", shots=CLIP)
+    assert world.scene.map is not None
+    areas = [shapely.Polygon(at.outline) for at in world.scene.map.paint if at.kind == "crosswalk"]
+    street = shapely.union_all(areas)
+    stopped = sum(
+        other.track[-1][1] - car.track[-1][1] > 3
+        for car, other in zip(world.scene.cars, alone.scene.cars, strict=False)
+        if car.track and other.track and (car.lane, car.s_m) == (other.lane, other.s_m)
+    )
+    assert stopped > 0
+    n_on = []
+    for frame in range(0, CLIP.frames, 6):
+        now = world_in_shot(SEEN, world, CLIP.place(frame))
+        people = [body.centroid for body in thing_bodies(now) if street.contains(body.centroid)]
+        n_on.append(len(people))
+        cars = [float(np.linalg.norm(item.velocity_world)) for item in now.view.objects if item.kind is None]
+        speeds = [host_speed(now.scene.shot, now.scene.shot.time_s), *cars]
+        for body, speed_m_s, (ahead, middle) in zip(bodies(now), speeds, headings(now), strict=True):
+            assert speed_m_s > 0.3 or body.intersection(street).area < 0.1
+            before = shapely.LineString([middle, middle + 6.0 * ahead]).buffer(1.0, cap_style="flat")
+            assert speed_m_s < 4 or not any(before.contains(person) for person in people)
+    assert n_on[-1] > 0
+    assert begun(world, street) > 0
+
+
+def headings(world: World) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where the host and the cars head to, and their middles, from above."""
+    poses = (world.view.world_from_host, *world.view.world_from_cars)
+    return [(pose[:2, 1], pose[:2, 3]) for pose in poses]
+
+
+def begun(world: World, street: shapely.Geometry) -> int:
+    """How many people are beside the crosswalks when a clip begins, and on one when it ends."""
+    feet = [
+        [shapely.Point(pose[:2, 3]) for pose in world_in_shot(SEEN, world, CLIP.place(frame)).view.world_from_things]
+        for frame in (0, CLIP.frames - 1)
+    ]
+    return sum(street.contains(last) and not street.contains(first) for first, last in zip(*feet, strict=True))
+
+
+def test_people_climb_kerbs_smoothly() -> None:
+    """From frame to frame, between the heights of the pavement and of the walkway."""
+    shots = Shots(frames=61, fps=15.0)
+    seen = Scenes(load_params("town"), shots=shots)
+    world = town(1, *MEETING, "people.crossing=3", "people.per_100_m=0", shots=shots)
+    views = [world_in_shot(seen, world, shots.place(frame)).view for frame in range(shots.frames)]
+    feet = np.array([[pose[:3, 3] for pose in view.world_from_things] for view in views])
+    built = world.ground.height(feet[:, :, :2])
+    climbed = (np.ptp(built - feet[:, :, 2], axis=0) > 0.03) & (np.abs(built - feet[:, :, 2])[[0, -1]] < 0.005).all(
+        axis=0
+    )
+    assert climbed.any()
+    assert np.abs(np.diff(feet[:, climbed, 2], axis=0)).max() < 0.04
+    assert np.ptp(feet[:, climbed, 2], axis=0).min() > 0.09
+
+
 def test_people_change_nothing_else_and_are_the_same_each_time() -> None:
     full, empty = town(3).scene, town(3, *NONE).scene
     assert full.things
@@ -184,7 +248,7 @@ def test_umbrellas_are_for_rain() -> None:
 
 def test_people_walk_ahead_at_their_speed() -> None:
     """Not sideways or backwards, and each as fast in all frames."""
-    world = town(0, "people.standing=0.3", "people.speed_m_s=[1.2, 1.3]", shots=CLIP)
+    world = town(0, "people.standing=0.3", "people.speed_m_s=[1.2, 1.3]", "people.crossing=0", shots=CLIP)
     views = [world_in_shot(SEEN, world, CLIP.place(frame)).view for frame in (5, 6)]
     stood = walked = 0
     for thing, before, after in zip(world.scene.things, *(view.world_from_things for view in views), strict=True):

@@ -1,7 +1,8 @@
-"""People near the host, on the walkways of maps: they stand, walk round corners, and cross at crosswalks when no
-vehicle comes and lights let them. World frame, metres and seconds."""
+"""People near the host, on the walkways of maps: they stand, walk round corners, and cross at crosswalks when lights
+let them and no vehicle comes, or those of a town's clip stop. World frame, metres and seconds."""
 
 from collections.abc import Iterator
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,10 @@ from jaxtyping import Float
 
 from synth3dlanes.draw.bodies import AHEAD_S, AHEAD_STEP_S, ROOM_M, Bodies, Motion, track_times
 from synth3dlanes.draw.clothes import dressed
+from synth3dlanes.draw.crossing import BEHIND_M, STEP_S, WAIT_M, Crosser, kept_after, kept_before
 from synth3dlanes.draw.draws import Draw, DrawsOf
 from synth3dlanes.draw.walkways import WalkedLine, Walkways
+from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import ThingModel
 from synth3dlanes.scene.scene import Scene, Thing
@@ -21,10 +24,11 @@ from synth3dlanes.world import placement
 # Greatest distance of people from the host's places in its clip, the most people, and draws of a place for each.
 MAX_FROM_HOST_M, MAX_PEOPLE, TRIES = 55.0, 120, 5
 # They keep this far from the kerb, where poles stand, and from the walkway's other edge; those who wait are nearer.
-ASIDE_M, OUTSIDE_M, WAIT_M = 0.8, 0.4, 0.75
-# Those who cross come from at most this distance behind the kerb; their least distance from vehicles, and the time
-# between them.
-BEFORE_M, VEHICLE_ROOM_M, APART_S = 1.4, 0.8, 1.0
+ASIDE_M, OUTSIDE_M = 0.8, 0.4
+# Those who cross: their least distance from vehicles, and the time between them.
+VEHICLE_ROOM_M, APART_S = 0.8, 1.0
+# A walkway that people come from or go to is this near to the crosswalk.
+WALKWAY_M = 1.5
 WITH_UMBRELLA = "umbrella"
 
 
@@ -49,21 +53,36 @@ class Crosswalk(NamedTuple):
     far: Points2
     lanes: tuple[str, ...]
 
+    def kerbs(self, from_near: bool, across: float) -> Points2:
+        """Where somebody leaves one side and comes to the other one, at a share of the width."""
+        share = 0.15 + 0.7 * across
+        sides = (self.near, self.far) if from_near else (self.far, self.near)
+        return np.stack([side[0] + share * (side[1] - side[0]) for side in sides])
 
-def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
-    """The people of a scene on a map: first those at crosswalks, then the others."""
+
+def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf, crossers: tuple[Crosser, ...] | None) -> Iterator[Thing]:
+    """The people of a scene on a map: first those at crosswalks, then the others. `crossers` are those that the traffic
+    of a clip knows of, None where it knows of nobody."""
     own, looks, network = of("people"), of("people", "people_looks"), bodies.network
     density, n_crossing = own("per_100_m") / 100, own("crossing")
     if not (density or n_crossing) or scene.map is None:
         return
     walkways = Walkways(network, bodies.host_places, MAX_FROM_HOST_M)
     found = 0
-    for crosswalk in _crosswalks(scene, bodies) if n_crossing else ():
-        for _ in range(n_crossing):
-            thing = _at_crosswalk(scene, bodies, crosswalk, (own, _person(scene, looks)))
-            if thing is not None:
-                found += 1
-                yield thing
+    if scene.shot.n_frames == 1:
+        crosswalks = _crosswalks(scene, bodies) if n_crossing else ()
+        tried = (
+            _at_crosswalk(scene, bodies, crosswalk, (own, _person(scene, looks)))
+            for crosswalk in crosswalks
+            for _ in range(n_crossing)
+        )
+    else:
+        met = _crossers(scene, bodies, own, n_crossing) if crossers is None else crossers
+        tried = (_in_clip(scene, bodies, walkways, crosser, (own, _person(scene, looks))) for crosser in met)
+    for thing in tried:
+        if thing is not None:
+            found += 1
+            yield thing
     starts = walkways.starts(bodies.host_places, MAX_FROM_HOST_M)
     for _ in range(min(int(density * len(starts) + own.rng.random()), MAX_PEOPLE - found)):
         thing = _on_walkway(scene, bodies, walkways, starts, (own, _person(scene, looks)))
@@ -110,50 +129,119 @@ def _on_walkway(
 
 
 def _at_crosswalk(scene: Scene, bodies: Bodies, crosswalk: Crosswalk, who: tuple[Draw, Person]) -> Thing | None:
-    """Somebody who crosses, or waits for it; None without room."""
+    """Somebody who crosses, or waits for it, in a single picture; None without room."""
     (own, person), rng = who, who[0].rng
-    speed_m_s, times_s = own("speed_m_s"), track_times(scene.shot)
+    speed_m_s = own("speed_m_s")
     for side, across, start, _, phase in rng.random((TRIES, 5)).tolist():
-        near, far = (crosswalk.near, crosswalk.far) if side < 0.5 else (crosswalk.far, crosswalk.near)
-        share = 0.15 + 0.7 * across
-        kerb, beyond = near[0] + share * (near[1] - near[0]), far[0] + share * (far[1] - far[0])
-        ahead = (beyond - kerb) / np.linalg.norm(beyond - kerb)
-        width_m, before_m = float(np.linalg.norm(beyond - kerb)), BEFORE_M
-        first, last = kerb - before_m * ahead, beyond + before_m * ahead
-        route = WalkedLine.through(np.stack([first, kerb, beyond, last]))
-        need_m = speed_m_s * scene.shot.duration_s
-        # In a clip nobody steps over a kerb, where the height of feet would jump from one frame to the next.
-        low_m, high_m = (before_m, before_m + width_m - need_m) if need_m else (0.0, before_m + width_m)
-        gone_m = low_m + start * (high_m - low_m)
-        if high_m > low_m and _may_cross(scene, bodies, crosswalk, route, (gone_m, width_m), speed_m_s):
-            xy, yaw = route.at(gone_m + speed_m_s * times_s)
-            motion = Motion(times_s, xy, yaw, np.full(len(xy), speed_m_s))
+        kerbs = crosswalk.kerbs(side < 0.5, across)
+        ahead = (kerbs[1] - kerbs[0]) / np.linalg.norm(kerbs[1] - kerbs[0])
+        width_m = float(np.linalg.norm(kerbs[1] - kerbs[0]))
+        first, last = kerbs[0] - BEHIND_M * ahead, kerbs[1] + BEHIND_M * ahead
+        route = WalkedLine.through(np.stack([first, *kerbs, last]))
+        gone_m = start * (BEHIND_M + width_m)
+        if _may_cross(bodies, crosswalk, route, (gone_m, width_m), speed_m_s):
+            xy, yaw = route.at(np.array([gone_m]))
+            motion = Motion(np.zeros(1), xy, yaw, np.full(1, speed_m_s))
         else:
-            xy, yaw = route.at(np.array([before_m - WAIT_M]))
+            xy, yaw = route.at(np.array([BEHIND_M - WAIT_M]))
             motion = Motion(np.zeros(1), xy, yaw + 0.3 * (phase - 0.5), np.zeros(1))
         if bodies.join(motion, person.model, person.scale, (ROOM_M, ROOM_M)):
             return person.thing(motion, phase)
     return None
 
 
+def _in_clip(
+    scene: Scene, bodies: Bodies, walkways: Walkways, crosser: Crosser, who: tuple[Draw, Person]
+) -> Thing | None:
+    """Somebody who comes to a crosswalk in a clip, from a walkway and on along another one where there is room; None
+    without any."""
+    own, person = who
+    times_s, phase = track_times(scene.shot), float(own.rng.random())
+    gone_m = crosser.gone_at(times_s)
+    behind, end_m = BEHIND_M - WAIT_M, crosser.across_m + BEHIND_M
+    places = crosser.kerb - BEHIND_M * crosser.ahead, crosser.beyond + BEHIND_M * crosser.ahead
+    reaches_m = -float(gone_m[0]) - behind, float(gone_m[-1]) - end_m
+    before, after = (_ways_from(walkways, place, reach_m) for place, reach_m in zip(places, reaches_m, strict=True))
+    for way_here, way_on in product(before, after):
+        here_m = gone_m if way_here is not None else kept_after(gone_m, 0.0)
+        here_m = here_m if way_on is not None else kept_before(here_m, end_m)
+        parts = [places[0][None], places[1][None]]
+        parts = parts if way_here is None else [way_here[::-1], *parts]
+        route = WalkedLine.through(np.concatenate(parts if way_on is None else [*parts, way_on]))
+        start_m = behind + (
+            0.0 if way_here is None else float(lengths_along(np.concatenate([places[0][None], way_here]))[-1])
+        )
+        xy, yaw = route.at(start_m + here_m)
+        speeds = np.gradient(here_m, times_s)
+        if bodies.join(motion := Motion(times_s, xy, yaw, speeds), person.model, person.scale, (ROOM_M, ROOM_M)):
+            return person.thing(motion, phase)
+    return None
+
+
+def _ways_from(walkways: Walkways, place: Float[np.ndarray, "2"], length_m: float) -> list[Points2 | None]:
+    """Lines along the walkway from beside a place on, in both directions, where they are long enough; None, for staying
+    there, comes last."""
+    nearest = walkways.nearest(place)
+    found: list[Points2 | None] = []
+    if length_m > 0 and nearest is not None and nearest[1] < WALKWAY_M:
+        for forward in (True, False):
+            lines = walkways.onward(nearest[0], forward, (BEHIND_M, OUTSIDE_M), length_m + 1.0)
+            # The first point may be beside the place, or behind it.
+            line = np.concatenate(lines)[1:]
+            if len(line) and lengths_along(np.concatenate([place[None], line]))[-1] > length_m:
+                found.append(line)
+    return [*found, None]
+
+
+def _crossers(scene: Scene, bodies: Bodies, own: Draw, n: int) -> Iterator[Crosser]:
+    """Those who come to the crosswalks of a given map in a clip, where no vehicle stops for them."""
+    for crosswalk in _crosswalks(scene, bodies) if n else ():
+        for i in range(n):
+            speed_m_s, (side, at, share) = own("speed_m_s"), own.rng.random(3).tolist()
+            kerbs = crosswalk.kerbs(side < 0.5, (i + 0.4 + 0.2 * at) / n)
+            crosser = Crosser.draw(kerbs, speed_m_s, share, scene.shot.duration_s)
+            route = WalkedLine.through(
+                np.stack([kerbs[0] - BEHIND_M * crosser.ahead, kerbs[1] + BEHIND_M * crosser.ahead])
+            )
+
+            def may_start(
+                crosser: Crosser = crosser, crosswalk: Crosswalk = crosswalk, route: WalkedLine = route
+            ) -> bool:
+                gone = crosser.gone_m + BEHIND_M - WAIT_M, crosser.across_m - WAIT_M
+                at_s = STEP_S * max(len(crosser.track_m) - 1, 0)
+                return _may_cross(bodies, crosswalk, route, gone, crosser.wish_m_s, at_s)
+
+            crosser.begin(may_start)
+            for _ in range(int(np.ceil(scene.shot.duration_s / STEP_S - 1e-9))):
+                crosser.step(may_start)
+            yield crosser
+
+
 def _may_cross(
-    scene: Scene, bodies: Bodies, crosswalk: Crosswalk, route: WalkedLine, gone: tuple[float, float], speed_m_s: float
+    bodies: Bodies,
+    crosswalk: Crosswalk,
+    route: WalkedLine,
+    gone: tuple[float, float],
+    speed_m_s: float,
+    at_s: float = 0.0,
 ) -> bool:
-    """Whether lights let somebody cross until the other side is reached, and no vehicle comes until then."""
+    """Whether lights let somebody cross from a time of the clip on until the other side is reached, and no vehicle
+    comes until then."""
     gone_m, width_m = gone
-    times_s = np.arange(0.0, (BEFORE_M + width_m - gone_m) / speed_m_s + AHEAD_STEP_S, AHEAD_STEP_S)
-    if times_s[-1] + APART_S > AHEAD_S:
+    times_s = np.arange(0.0, (BEHIND_M + width_m - gone_m) / speed_m_s + AHEAD_STEP_S, AHEAD_STEP_S)
+    if at_s + times_s[-1] + APART_S > AHEAD_S:
         return False
-    entered_s = (BEFORE_M - gone_m) / speed_m_s
+    entered_s = (BEHIND_M - gone_m) / speed_m_s
     lit_s = np.arange(entered_s, times_s[-1] + AHEAD_STEP_S, AHEAD_STEP_S).tolist()
-    signals = [signal for signal in scene.roadside.signals if {*signal.lanes} & {*crosswalk.lanes}]
-    if any(signal.state_at(time_s) != "red" for signal in signals for time_s in lit_s):
+    signals = [signal for signal in bodies.scene.roadside.signals if {*signal.lanes} & {*crosswalk.lanes}]
+    if any(signal.state_at(at_s + time_s) != "red" for signal in signals for time_s in lit_s):
         return False
     xy, yaw = route.at(gone_m + speed_m_s * times_s)
     heading, side_m = np.stack([-np.sin(yaw), np.cos(yaw)], -1), 1.0 + 2 * VEHICLE_ROOM_M
     own, n, margin = placement.footprint(xy, heading, side_m, side_m), len(times_s), round(APART_S / AHEAD_STEP_S)
     # Somewhat earlier and later, too; nobody knows where vehicles were before the start.
-    moments = [np.maximum(np.arange(n) + by, 0) for by in range(-margin, margin + 1)]
+    first = round(at_s / AHEAD_STEP_S)
+    moments = [np.maximum(first + np.arange(n) + by, 0) for by in range(-margin, margin + 1)]
     return not any(placement.overlaps_any(own, bodies.vehicles_ahead[:, at]) for at in moments)
 
 

@@ -1,6 +1,7 @@
 """The things of a scene, which come last: all else of a seed is as it is without them."""
 
 from synth3dlanes.draw.bodies import Bodies
+from synth3dlanes.draw.crossing import Crosser
 from synth3dlanes.draw.draws import DrawsOf
 from synth3dlanes.draw.people import draw_people
 from synth3dlanes.draw.riders import draw_riders
@@ -11,13 +12,13 @@ from synth3dlanes.scene.scene import Scene, Thing
 from synth3dlanes.world.ground import Ground
 
 
-def draw_things(scene: Scene, ground: Ground, of: DrawsOf) -> tuple[Thing, ...]:
-    """People, riders, and what stands along road works."""
+def draw_things(scene: Scene, ground: Ground, of: DrawsOf, crossers: tuple[Crosser, ...] | None) -> tuple[Thing, ...]:
+    """People, riders, and what stands along road works; `crossers` are those of `Roads`."""
     devices = tuple(draw_devices(scene, ground, of))
     if not has_things(of.params):
         return devices
     bodies = Bodies(scene, ground)
-    return (*draw_riders(scene, bodies, of), *draw_people(scene, bodies, of), *devices)
+    return (*draw_riders(scene, bodies, of), *draw_people(scene, bodies, of, crossers), *devices)
 
 
 def has_things(params: Params) -> bool:

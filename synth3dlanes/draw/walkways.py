@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.roads.network import Network
@@ -77,6 +78,14 @@ class Walkways:
             away_m = np.linalg.norm(strip.middle[:, None] - places, axis=2).min(axis=1)
             found += [(k, i) for i in np.flatnonzero(away_m < reach_m).tolist()]
         return found
+
+    def nearest(self, place: Float[np.ndarray, "2"]) -> tuple[tuple[int, int], float] | None:
+        """The strip and the number of its point that is nearest to a place, and how far that is; None without any."""
+        away_m = [np.linalg.norm(strip.middle - place, axis=1) for strip in self.strips]
+        if not away_m:
+            return None
+        k = int(np.argmin([each.min() for each in away_m]))
+        return (k, int(away_m[k].argmin())), float(away_m[k].min())
 
     def onward(
         self, start: tuple[int, int], forward: bool, aside: tuple[float, float], length_m: float

@@ -370,6 +370,10 @@ class Ground:
         """Height of the ground as built."""
         return terrain.height_at(self.network.terrain, xy_world) + self.above_terrain(xy_world)
 
+    def foot_height(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Height of somebody who walks over the ground: as its own, but steps, such as kerbs, are climbed smoothly."""
+        return self.height(xy_world)
+
     def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
         """Which points lie in the ground as built."""
         return np.asarray(self.height(points_world[:, :2]) > points_world[:, 2])

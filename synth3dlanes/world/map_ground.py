@@ -61,6 +61,8 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # The edges of a road's pavement.
 EDGES = attrgetter("left"), attrgetter("right")
+# Of people who climb a kerb; strips beside each other have gaps of at most twice GAP_M.
+STRIDE_M, GAP_M = 0.3, 0.01
 # Distance beside a junction's decks at which the ground ends.
 OFF_M = 0.3
 
@@ -345,6 +347,20 @@ class MapGround(Ground):
         for polygon, raised_m in self._raised:
             above[contains(polygon, flat)] += raised_m
         return above
+
+    def foot_height(self, xy_world: AnyPoints2) -> AnyScalars:
+        """Height of somebody who walks over the ground: kerbs are climbed smoothly, STRIDE_M to both sides of them."""
+        flat = xy_world.reshape(-1, 2)
+        z = self.height(flat)
+        for (polygon, raised_m), outline in zip(self._raised, self._raised_outlined, strict=True):
+            share = np.clip(0.5 - signed_distance(outline, flat) / (2 * STRIDE_M), 0.0, 1.0)
+            z += raised_m * (share**2 * (3 - 2 * share) - contains(polygon, flat))
+        return z.reshape(xy_world.shape[:-1])
+
+    @cached_property
+    def _raised_outlined(self) -> list[Outlined]:
+        """The outlines of what is raised, without the gaps between strips beside each other."""
+        return [outlined(outset(polygon, GAP_M)) for polygon, _ in self._raised]
 
     def _graded_above(self, flat: Points2) -> Scalars:
         """Height over the terrain of the ground below all decks, without kerbs."""

@@ -75,8 +75,13 @@ def placed_things(scene: Scene, ground: Ground) -> Iterator[PlacedObject]:
     velocities = np.array([at.velocity_world for at in moved])
     xy_world = np.array([(at.thing.x_m, at.thing.y_m) for at in moved])
     step_m = velocities * CLIMB_S / 2
-    low, z, high = ground.height(np.stack([xy_world - step_m, xy_world, xy_world + step_m]))
-    for number, (at, foot_m, climbs) in enumerate(zip(moved, z, (high - low) / CLIMB_S, strict=True)):
+    places, z = np.stack([xy_world - step_m, xy_world, xy_world + step_m]), np.zeros((3, len(moved)))
+    walks = np.array([len(thing.track) > 1 for thing in scene.things])
+    for of, height in ((walks, ground.foot_height), (~walks, ground.height)):
+        if of.any():
+            z[:, of] = height(places[:, of])
+    low, foot, high = z
+    for number, (at, foot_m, climbs) in enumerate(zip(moved, foot, (high - low) / CLIMB_S, strict=True)):
         thing = at.thing
         model = scene.assets.thing_models(thing.kind)[thing.model - 1]
         pose = turned(thing.yaw_rad, thing.x_m, thing.y_m)

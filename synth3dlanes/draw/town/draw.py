@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from synth3dlanes.draw.on_map import map_roads
 from synth3dlanes.draw.town.furniture import StreetDraws, furnish, street_trees
 from synth3dlanes.draw.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.draw.town.layout import TownMap, lay_out
+from synth3dlanes.draw.town.meetings import draw_meetings
 from synth3dlanes.draw.town.plan import poses
 from synth3dlanes.draw.town.streets import LANES, PARKING_M
 from synth3dlanes.draw.town.traffic import (
@@ -26,6 +28,7 @@ from synth3dlanes.draw.town.traffic import (
     plan_host,
     simulate,
 )
+from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.assets.catalogue import Assets, CarModel
 from synth3dlanes.scene.host import Shot
@@ -44,6 +47,8 @@ PARKED_M, MOVING_M = 90.0, 160.0
 TRIES, LONG_M = 30, 6.5
 # Bodies whose middles are farther apart do not touch.
 TOUCHING_WITHIN_M = 16.0
+# Steps along the host's way.
+WAY_STEP_M = 5.0
 
 
 class DrawnTown(NamedTuple):
@@ -69,7 +74,11 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     def body(may_be_long: bool) -> CarBody:
         return _body(bodies, assets, lambda body, _: may_be_long or body.length_m <= LONG_M)[0]
 
-    traffic = simulate(town_map, town.host, body, flow("traffic"), shot.duration_s, Usual.draw(own, bodies.rng))
+    farthest_m = extent(of.params.town_streets.speed_m_s)[1] * shot.duration_s
+    host_places = Route(host.lanes, lines).at(host.at_m + np.arange(0.0, farthest_m + 1.0, WAY_STEP_M))[0]
+    meetings = partial(draw_meetings, town_map, host_places, of, shot.duration_s)
+    usual = Usual.draw(own, bodies.rng, flow("traffic"))
+    traffic = simulate(town_map, town.host, body, usual, shot.duration_s, meetings)
 
     def stand(scene: Scene, ground: Ground) -> Roadside:
         draws = StreetDraws(of("town", "town_fronts"), of("roadside"), of("structures"), own)
@@ -85,7 +94,10 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
 
     shot = _shot_of(town, traffic, shot, hills)
     roads = map_roads(of, town_map.road_map(host.lanes), camera, shot, stand)
-    return replace(roads, fields=roads.fields | {"town": town_map.town}, drive=drive, grow=grow)
+    fields = roads.fields | {"town": town_map.town}
+    return replace(
+        roads, fields=fields, drive=drive, grow=grow, crossers=traffic.crossers if shot.n_frames > 1 else None
+    )
 
 
 def town_of(draw: Draw) -> Town:

@@ -2,15 +2,22 @@
 and enter a junction only where their way is free. World frame, metres and seconds; lengths are of cars' middles."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
+from synth3dlanes.draw.crossing import STEP_S, Crosser
+from synth3dlanes.draw.town.junctions import Arm
 from synth3dlanes.draw.town.lanes import LaneLines, Route
 from synth3dlanes.draw.town.lights import Lights
-from synth3dlanes.draw.town.paint import line_m
+from synth3dlanes.draw.town.paint import CROSSWALK_M, line_m
 from synth3dlanes.draw.town.rules import Conflict, JunctionRules, LightGroup
+from synth3dlanes.draw.town.streets import LaneAt
+from synth3dlanes.system.arrays import Points2
 
-STEP_S = 0.2
 # Of following (the intelligent driver model): acceleration, comfortable deceleration, time gap, standing gap.
 ACCELERATION, DECELERATION, HEADWAY_S, GAP_M, HARDEST = 1.8, 2.2, 1.2, 2.2, 7.0
 # Sideways acceleration in bends (m/s^2), and how far ahead a driver looks for bends.
@@ -24,6 +31,10 @@ PATIENCE_S, STANDING = 3.0, 0.3
 NEXT_M = 6.0
 # A car that cannot stop within this deceleration goes on at amber.
 AMBER_STOP = 3.0
+# A car for which somebody at a crosswalk waits is faster than this, and one farther away does not matter.
+ROLLING, FAR_M = 2.0, 70.0
+# A crosswalk by its junction and arm.
+CrosswalkKey = tuple[str, int]
 
 
 class Zone(NamedTuple):
@@ -34,15 +45,34 @@ class Zone(NamedTuple):
     conflict: Conflict
 
 
+class CrosswalkWay(NamedTuple):
+    """A crosswalk on a route: lengths along the route, the sides of the lane there, and whether it is behind the
+    junction."""
+
+    key: CrosswalkKey
+    from_m: float
+    to_m: float
+    sides: Points2
+    is_behind: bool
+
+
 class Gate(NamedTuple):
-    """The line before a junction on a route: where bodies stop, where its lanes end, the zones in it, the signal."""
+    """The line before a junction on a route: where bodies stop, where its lanes begin and end, the zones in it, the
+    signal, and the crosswalks before and behind it."""
 
     line_m: float
+    start_m: float
     end_m: float
     zones: tuple[Zone, ...]
     group: LightGroup
     rules: JunctionRules
     lanes: tuple[str, ...]
+    crosswalks: tuple[CrosswalkWay, ...] = ()
+
+    @property
+    def has_signals(self) -> bool:
+        """Whether lights say when to enter."""
+        return self.rules.control == "signals" and not self.rules.junction.is_roundabout
 
 
 @dataclass(eq=False)
@@ -103,28 +133,57 @@ def gates_of(route: Route, rules: tuple[JunctionRules, ...], has_crosswalks: boo
             for at in each.conflicts
             if at.lane == lane and at.other not in inside
         )
-        start = next(at for at in each.junction.connectors if at.lane == inside[0])
+        start, end = (next(at for at in each.junction.connectors if at.lane == inside[n]) for n in (0, -1))
         assert start.from_arm is not None, "routes enter junctions from arms"
         keys = {lane.name: lane.key for lane in each.junction.arms[start.from_arm].lanes(incoming=True)}
         group = each.group(start.from_arm, keys[start.before[0]])
         # The line is on the lane before: it is part of the route, or the car begins in the junction.
         line = route.starts[first] - line_m(has_crosswalks) - BEFORE_LINE_M
-        found.append(Gate(line, route.starts[k], zones, group, each, inside))
+        start_m, end_m, ways = route.starts[first], route.starts[k], list[CrosswalkWay]()
+        if has_crosswalks:
+            near_m, far_m = CROSSWALK_M
+            for number, name, lengths_m in (
+                (start.from_arm, start.before[0], (start_m - far_m, start_m - near_m)),
+                (end.to_arm, end.after[0], (end_m + near_m, end_m + far_m)),
+            ):
+                assert number is not None, "routes leave junctions by arms"
+                arm, is_behind = each.junction.arms[number], lengths_m[0] > start_m
+                lane = next(lane for lane in arm.lanes(incoming=not is_behind) if lane.name == name)
+                ways.append(CrosswalkWay((each.junction.id, number), *lengths_m, _sides(arm, lane), is_behind))
+        found.append(Gate(line, start_m, end_m, zones, group, each, inside, tuple(ways)))
     return tuple(found)
 
 
+def _sides(arm: Arm, lane: LaneAt) -> Points2:
+    """Points at both sides of a lane at the crosswalk of its arm."""
+    at = [arm.pose.moved(sum(CROSSWALK_M) / 2, lane.offset_m + by * lane.width_m / 2) for by in (-1, 1)]
+    return np.array([(pose.x, pose.y) for pose in at])
+
+
 class TownTraffic:
-    """All cars on the streets of a town."""
+    """All cars on the streets of a town, and in clips the people at its crosswalks."""
 
     def __init__(self, lines: LaneLines, lights: dict[str, Lights]) -> None:
         self.lines, self.lights = lines, lights
         self.drivers: list[Driver] = []
+        self.crossers: dict[CrosswalkKey, list[Crosser]] = {}
         self.time_s = 0.0
         self._on: dict[str, list[tuple[Driver, float]]] = {}
+        self._groups: dict[CrosswalkKey, Sequence[LightGroup]] = {}
+
+    def meet(self, key: CrosswalkKey, crosser: Crosser, groups: Sequence[LightGroup]) -> None:
+        """Let somebody come to a crosswalk, whose vehicles these lights stop."""
+        self._on = self._occupied()
+        self._groups[key] = groups
+        crosser.begin(partial(self._may_cross, key, crosser))
+        self.crossers.setdefault(key, []).append(crosser)
 
     def step(self) -> None:
-        """Move all cars by STEP_S."""
+        """Move all by STEP_S."""
         self._on = self._occupied()
+        for key, crossers in self.crossers.items():
+            for crosser in crossers:
+                crosser.step(partial(self._may_cross, key, crosser))
         wanted = [self._acceleration(driver) for driver in self.drivers]
         for driver, acceleration in zip(self.drivers, wanted, strict=True):
             speed = max(0.0, driver.speed + acceleration * STEP_S)
@@ -195,7 +254,11 @@ class TownTraffic:
         gate = driver.gates[driver.gate]
         front_m = driver.at_m + driver.length_m / 2
         if driver.entered:
-            return self._occupied_zone(driver, gate, front_m)
+            stops = [self._occupied_zone(driver, gate, front_m)]
+            for way in gate.crosswalks:
+                if way.is_behind and way.from_m > front_m and self._goes_before(way, driver):
+                    stops.append(max(way.from_m - BEFORE_ZONE_M - front_m, 0.0))
+            return min((at_m for at_m in stops if at_m is not None), default=None)
         before_m = gate.line_m - front_m
         braking_m = driver.speed**2 / (2 * DECELERATION)
         if before_m > braking_m + 12:
@@ -205,12 +268,14 @@ class TownTraffic:
         return max(before_m, 0.0)
 
     def _may_enter(self, driver: Driver, gate: Gate, before_m: float) -> bool:
-        if gate.rules.control == "signals" and not gate.rules.junction.is_roundabout:
+        if gate.has_signals:
             state = self.lights[gate.rules.junction.id].state(gate.group, self.time_s)
             hard = driver.speed**2 / (2 * max(before_m, 0.1))
             if state in ("red", "red_amber", "off") or (state == "amber" and hard < AMBER_STOP):
                 return False
         elif self._must_stop(driver, gate, before_m):
+            return False
+        if any(self._lets_cross_at(driver, gate, way, before_m) for way in gate.crosswalks):
             return False
         return self._has_room_behind(driver, gate) and all(self._is_free(driver, gate, zone) for zone in gate.zones)
 
@@ -259,7 +324,7 @@ class TownTraffic:
 
     def _goes_first(self, driver: Driver, other: Driver, gate: Gate) -> bool:
         """Whether a car that has priority and has not entered takes it."""
-        if gate.rules.control == "signals" and not gate.rules.junction.is_roundabout:
+        if gate.has_signals:
             state = self.lights[gate.rules.junction.id].state(gate.group, self.time_s)
             if state not in ("green", "amber"):
                 return False
@@ -283,6 +348,76 @@ class TownTraffic:
                     before_m = max(zone.from_m - BEFORE_ZONE_M - front_m, 0.0)
                     nearest = before_m if nearest is None else min(nearest, before_m)
         return nearest
+
+    # -- people at crosswalks
+
+    def _lets_cross_at(self, driver: Driver, gate: Gate, way: CrosswalkWay, before_m: float) -> bool:
+        """Whether it waits at its line for somebody at a crosswalk."""
+        if way.is_behind:
+            return self._goes_before(way, driver) and not self._has_room_inside(driver, gate, way)
+        hard = driver.speed**2 / (2 * max(before_m, 0.1))
+        waits = hard < DECELERATION and not gate.has_signals
+        return self._goes_before(way, driver) or (
+            waits and any(at.wants_to_cross for at in self.crossers.get(way.key, ()))
+        )
+
+    def _goes_before(self, way: CrosswalkWay, driver: Driver) -> bool:
+        """Whether somebody who crosses is on a car's lane, or will be before the car has passed."""
+        return any(
+            at.started and at.gone_m < at.within(way.sides)[1] and not _passes_before(driver, way, at)
+            for at in self.crossers.get(way.key, ())
+        )
+
+    def _may_cross(self, key: CrosswalkKey, crosser: Crosser) -> bool:
+        """Whether somebody may cross now: lights keep vehicles away until the other side is reached, and every vehicle
+        that comes passes before or can stop."""
+        if groups := self._groups[key]:
+            lights, over_s = self.lights[key[0]], crosser.seconds_to(crosser.across_m)
+            times_s = self.time_s + np.append(np.arange(0.0, over_s, 0.5), over_s)
+            if any(lights.state(group, time_s) != "red" for group in groups for time_s in times_s.tolist()):
+                return False
+        return all(
+            self._lets(driver, gate, way, crosser)
+            for driver in self.drivers
+            for gate in driver.gates[driver.gate :]
+            for way in gate.crosswalks
+            if way.key == key
+        )
+
+    def _lets(self, driver: Driver, gate: Gate, way: CrosswalkWay, crosser: Crosser) -> bool:
+        """Whether a car is past a crosswalk, passes it before somebody is on its lane, or can stop before it."""
+        half, has_entered = driver.length_m / 2, driver.entered and gate is driver.gates[driver.gate]
+        front_m = driver.at_m + half
+        if (
+            driver.at_m - half > way.to_m
+            or way.from_m - front_m > FAR_M
+            or crosser.gone_m > crosser.within(way.sides)[1]
+        ):
+            return True
+        if _passes_before(driver, way, crosser):
+            return True
+        if front_m > way.from_m or (has_entered and not way.is_behind):
+            return False
+        stop_m = gate.line_m
+        if way.is_behind and self._has_room_inside(driver, gate, way):
+            stop_m = way.from_m - BEFORE_ZONE_M
+        elif has_entered:
+            return False
+        return stop_m - front_m > driver.speed**2 / (2 * DECELERATION) + driver.speed * 2 * STEP_S - 0.5
+
+    def _has_room_inside(self, driver: Driver, gate: Gate, way: CrosswalkWay) -> bool:
+        """Whether a car alone fits between the crosswalks before and behind a junction."""
+        if way.from_m - BEFORE_ZONE_M - driver.length_m < gate.start_m:
+            return False
+        return not any(other is not driver for lane in gate.lanes for other, _ in self._on.get(lane, ()))
+
+
+def _passes_before(driver: Driver, way: CrosswalkWay, crosser: Crosser) -> bool:
+    """Whether a car at its speed is past a crosswalk before somebody is on its lane."""
+    if driver.speed < ROLLING:
+        return False
+    past_s = (way.to_m + driver.length_m / 2 - driver.at_m) / driver.speed
+    return past_s + APART_S < crosser.seconds_to(crosser.within(way.sides)[0])
 
 
 def _following(speed: float, limit: float, gap_m: float, leader: float) -> float:

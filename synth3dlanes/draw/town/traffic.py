@@ -1,17 +1,19 @@
 """The traffic of a town: cars at the start, the host's drive to its place, and the ways of all through a clip."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.draw.crossing import STEP_S, Crosser
 from synth3dlanes.draw.draws import Draw
-from synth3dlanes.draw.town.drive import STANDING, STEP_S, Driver, Gate, TownTraffic, gates_of
+from synth3dlanes.draw.town.drive import STANDING, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.draw.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.draw.town.layout import TownMap
 from synth3dlanes.draw.town.lights import Lights
+from synth3dlanes.draw.town.meetings import Meeting
 from synth3dlanes.draw.town.paint import line_m
 from synth3dlanes.draw.town.rules import JunctionWay
 from synth3dlanes.draw.town.streets import Street
@@ -50,12 +52,13 @@ class MovingCar:
 
 
 class TownDrive(NamedTuple):
-    """What a simulation leaves: the host's route and track, all other cars, and the lights of the junctions, whose
-    shifts are those at the scene's instant."""
+    """What a simulation leaves: the host's route and track, all other cars, the lights of the junctions, whose shifts
+    are those at the scene's instant, and the people at crosswalks in a clip."""
 
     host: MovingCar
     cars: tuple[MovingCar, ...]
     lights: dict[str, Lights]
+    crossers: tuple[Crosser, ...]
 
 
 class HostPlan(NamedTuple):
@@ -68,17 +71,19 @@ class HostPlan(NamedTuple):
 
 class Usual(NamedTuple):
     """What all cars of a town have in common: the parameters, the mean time between those that enter a street, a number
-    in [0, 1) that is part of the one for their speed, and the seed of all that they do."""
+    in [0, 1) that is part of the one for their speed, the seed of all that they do, and the share of the most
+    traffic."""
 
     own: Draw
     arrival_s: float
     u: float
     seed: int
+    flow: float
 
     @classmethod
-    def draw(cls, own: Draw, rng: Rng) -> "Usual":
+    def draw(cls, own: Draw, rng: Rng, flow: float) -> "Usual":
         """That of one town."""
-        return cls(own, own("arrival_s"), own.rng.random(), int(rng.integers(2**62)))
+        return cls(own, own("arrival_s"), own.rng.random(), int(rng.integers(2**62)), flow)
 
 
 def plan_host(town_map: TownMap, lines: LaneLines, own: Draw, rng: Rng) -> HostPlan:
@@ -111,15 +116,16 @@ def simulate(
     town_map: TownMap,
     host: HostPlan,
     draw_body: Callable[[bool], CarBody],
-    flow: float,
-    duration_s: float,
     usual: Usual,
+    duration_s: float,
+    meetings: Callable[[], Iterable[Meeting]],
 ) -> TownDrive:
-    """Traffic until the host is at its place, and from then on for a clip. Where the host does not get there, with
-    fewer cars. `draw_body` draws a car that is long only if it may be; `flow` is the share of the most traffic."""
+    """Traffic until the host is at its place, and from then on for a clip, in which it meets people at crosswalks.
+    Where the host does not get there, with fewer cars. `draw_body` draws a car that is long only if it may be."""
     lines = LaneLines(town_map)
     for share in (1.0, 0.4, 0.0):
-        found = _Simulation(town_map, lines, host, draw_body, flow * share, usual).run(duration_s)
+        fewer = usual._replace(flow=usual.flow * share)
+        found = _Simulation(town_map, lines, host, draw_body, fewer).run(duration_s, meetings)
         if found is not None:
             return found
     raise AssertionError("a host alone gets to its place")
@@ -132,10 +138,10 @@ class _Simulation:
         lines: LaneLines,
         host: HostPlan,
         draw_body: Callable[[bool], CarBody],
-        flow: float,
         usual: Usual,
     ) -> None:
-        self.town_map, self.lines, self.flow, self.rng = town_map, lines, flow, np.random.default_rng(usual.seed)
+        self.town_map, self.lines, self.flow = town_map, lines, usual.flow
+        self.rng = np.random.default_rng(usual.seed)
         self.draw_body, self.usual = draw_body, usual
         self.has_crosswalks = town_map.town.has_crosswalks
         self.lights = {
@@ -156,7 +162,7 @@ class _Simulation:
         self.at_m, self.host_offset_m = host.at_m, host.offset_m
         self._fill()
 
-    def run(self, duration_s: float) -> TownDrive | None:
+    def run(self, duration_s: float, meetings: Callable[[], Iterable[Meeting]]) -> TownDrive | None:
         """Drive; None if the host does not get to its place."""
         entries = self._entries()
         waits = {entry: float(self.rng.exponential(self.usual.arrival_s / max(self.flow, 0.05))) for entry in entries}
@@ -176,6 +182,9 @@ class _Simulation:
         tracks = {id(driver): [(0.0, driver.at_m)] for driver in traffic.drivers}
         speeds = {id(driver): driver.speed if driver.speed > STANDING else 0.0 for driver in traffic.drivers}
         shift_s = traffic.time_s
+        met = [*meetings()] if duration_s else []
+        for meeting in met:
+            traffic.meet(*meeting)
         for n in range(int(np.ceil(duration_s / STEP_S - 1e-9))):
             traffic.step()
             for driver in traffic.drivers:
@@ -185,7 +194,7 @@ class _Simulation:
             name: at._replace(shift_s=round((at.shift_s + shift_s) % at.cycle_s, 3)) for name, at in self.lights.items()
         }
         moving = [self._moving(driver, speeds[id(driver)], tracks[id(driver)]) for driver in keep]
-        return TownDrive(moving[0], tuple(moving[1:]), lights)
+        return TownDrive(moving[0], tuple(moving[1:]), lights, tuple(meeting.crosser for meeting in met))
 
     def _moving(self, driver: Driver, speed_m_s: float, track: Sequence[tuple[float, float]]) -> MovingCar:
         rounded = tuple((time_s, round(at_m, 4)) for time_s, at_m in track)
