@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from things import MATERIALS, build_things
 from trees import Tree, fit, grow_all
 
-from synth3dlanes.blender.shaders import car_paint, coated, new_material
+from synth3dlanes.blender.shaders import car_paint, coated, new_material, thing_paint
 from synth3dlanes.scene.things import SEMANTIC_IDS, ThingKind
 
 CAR_ID, TREE_ID = SEMANTIC_IDS["car"], SEMANTIC_IDS["tree"]
@@ -119,9 +119,7 @@ def leaf(name: str) -> bpy.types.Material:
 def cloth(name: str, paint: int, semantic_id: int) -> bpy.types.Material:
     """Matt cloth, skin or hair, whose colour (a display value) is a property of the object."""
     material, graph = new_material(name, semantic_id)
-    own = graph.node("ShaderNodeAttribute", {}, attribute_type="OBJECT", attribute_name=f"paint{paint}")
-    color = graph.node("ShaderNodeGamma", {"Color": own.outputs["Color"], "Gamma": 2.0})
-    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0]}))
+    thing_paint(graph, paint)
     return material
 
 

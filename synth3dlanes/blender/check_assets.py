@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 import numpy as np
@@ -16,7 +17,17 @@ from PIL import Image, UnidentifiedImageError
 from synth3dlanes.blender.sky_file import read_sky
 from synth3dlanes.blender.user_models import ImportedMesh, ModelKind, import_model, points_of
 from synth3dlanes.imaging.user_sky import brightest_azimuth
-from synth3dlanes.scene.assets.catalogue import AssetKind, Assets, CarModel, Sky, Texture, TreeModel, vehicle_class
+from synth3dlanes.scene.assets.catalogue import (
+    THING_FOLDERS,
+    AssetKind,
+    Assets,
+    CarModel,
+    Sky,
+    Texture,
+    ThingModel,
+    TreeModel,
+    vehicle_class,
+)
 from synth3dlanes.scene.assets.folder import (
     AssetFiles,
     AssetRow,
@@ -24,14 +35,15 @@ from synth3dlanes.scene.assets.folder import (
     FolderCheck,
     Notes,
     digest,
+    pose_files,
     read_notes,
     scan,
     texture_digest,
 )
 from synth3dlanes.system.errors import FormatError
 
-CAR_LENGTH_M, TREE_HEIGHT_M = (2.5, 20.0), (0.3, 60.0)
-TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000}
+CAR_LENGTH_M, TREE_HEIGHT_M, THING_HEIGHT_M = (2.5, 20.0), (0.3, 60.0), (0.2, 3.0)
+TRIANGLES: dict[ModelKind, int] = {"car": 15_000, "tree": 10_000, **dict.fromkeys(THING_FOLDERS.values(), 5_000)}
 TOO_MANY = 10  # this many times the limit is an error
 # Tolerances: of a car's lowest point around z = 0 (it is moved there), of a tree's above it, and of its roots below it,
 # as a share of its height.
@@ -53,6 +65,14 @@ class AssetFindings:
     warnings: list[str] = field(default_factory=list)
 
 
+class PoseFile(NamedTuple):
+    """What a file of a thing has: its vertices, the names of its paints, and the number of its triangles."""
+
+    points: Float[np.ndarray, "v 3"]
+    paints: tuple[str, ...]
+    n_triangles: int
+
+
 def check_folder(root: Path) -> FolderCheck:
     """Check a folder; raise InputError if it does not exist."""
     folder = scan(root)
@@ -67,6 +87,7 @@ def check_folder(root: Path) -> FolderCheck:
         tuple(_textures(folder, "roads", found)),
         tuple(_textures(folder, "terrains", found)),
         tuple(_skies(folder, notes, found)),
+        *(tuple(_things(kind, folder, notes, found)) for kind in THING_FOLDERS),
     )
     return FolderCheck(assets, tuple(found.rows), tuple(found.problems), tuple(found.warnings))
 
@@ -129,6 +150,57 @@ def _tree(name: str, path: Path, found: AssetFindings) -> TreeModel | None:
     model = TreeModel(name, round(height_m, SIZE_DECIMALS), round(crown_m, SIZE_DECIMALS), digest(path))
     _add_row(found, "trees", model, f"{height_m:.2f} m high, crown {2 * crown_m:.2f} m", _triangles(imported.mesh))
     return model
+
+
+def _things(kind: AssetKind, folder: AssetFiles, notes: Notes, found: AssetFindings) -> Iterator[ThingModel]:
+    """The models of a folder of things, with the poses of each."""
+    models, problems = pose_files(folder.models[kind])
+    found.problems += problems
+    for name, paths in models.items():
+        where = f"{kind}/{paths[0].name}"
+        poses = list[PoseFile]()
+        for path in paths:
+            imported = _model(path, THING_FOLDERS[kind], f"{kind}/{path.name}", found)
+            # The next file takes the mesh away.
+            if imported is not None:
+                poses.append(PoseFile(points_of(imported.mesh), imported.paints, _triangles(imported.mesh)))
+        if len(poses) < len(paths):
+            continue
+        points = np.concatenate([pose.points for pose in poses])
+        low, high = points.min(axis=0), points.max(axis=0)
+        problems = _out_of_scale(where, "a height", float(high[2]), THING_HEIGHT_M)
+        if not problems and not -STANDS_M <= low[2] <= STANDS_M:
+            problems.append(f"{where}: expected its lowest point at z = 0, got it at {low[2]:.2f} m")
+        middle = (low + high)[:2] / 2
+        if not problems and np.hypot(*middle) > 0.25 * np.hypot(*(high - low)[:2]):
+            problems.append(
+                f"{where}: expected its middle at x = y = 0, got it at ({middle[0]:.2f}, {middle[1]:.2f}) m"
+            )
+        for path, pose in zip(paths, poses, strict=True):
+            if pose.paints != poses[0].paints:
+                wanted, got = (", ".join(paints) or "none" for paints in (poses[0].paints, pose.paints))
+                problems.append(f"{kind}/{path.name}: expected the paints of {paths[0].name} ({wanted}), got {got}")
+        noted = notes.things.get(name)
+        if not problems and (len(poses) > 1) != (noted is not None):
+            got = "no stride_m" if noted is None else "one pose"
+            problems.append(f"{where}: expected things.{name}.stride_m in assets.yaml with a cycle of poses, got {got}")
+        found.problems += problems
+        if problems:
+            continue
+        reach_x_m, reach_y_m = np.maximum(-low, high)[:2].tolist()
+        model = ThingModel(
+            name,
+            width_m=round(2 * reach_x_m, SIZE_DECIMALS),
+            length_m=round(2 * reach_y_m, SIZE_DECIMALS),
+            height_m=round(float(high[2]), SIZE_DECIMALS),
+            paints=poses[0].paints,
+            n_poses=len(poses) - 1,
+            stride_m=noted.stride_m if noted else 1.0,
+            sha256=digest(*paths),
+        )
+        size = f"{model.width_m:.2f} x {model.length_m:.2f} x {model.height_m:.2f} m, {len(poses)} poses"
+        _add_row(found, kind, model, size, max(pose.n_triangles for pose in poses))
+        yield model
 
 
 def _model(path: Path, kind: ModelKind, where: str, found: AssetFindings) -> ImportedMesh | None:
@@ -234,7 +306,11 @@ def _triangles(mesh: bpy.types.Mesh) -> int:
 
 
 def _add_row(
-    found: AssetFindings, kind: AssetKind, model: CarModel | TreeModel | Texture | Sky, size: str, triangles: int
+    found: AssetFindings,
+    kind: AssetKind,
+    model: CarModel | TreeModel | ThingModel | Texture | Sky,
+    size: str,
+    triangles: int,
 ) -> None:
     number = 1 + sum(row.kind == kind for row in found.rows)
     found.rows.append(AssetRow(kind, number, model.name, size, triangles, model.sha256))

@@ -1,7 +1,7 @@
 """Write an example folder of a user's own assets (see docs/assets.md).
 
-A box-shaped car (.glb), a round tree (.blend), a road and a terrain texture, and a small sky (.hdr). Run it in a
-separate process: it resets Blender for every file.
+A box-shaped car (.glb), a round tree (.blend), a person of boxes with three poses (.glb), a road and a terrain texture,
+and a small sky (.hdr). Run it in a separate process: it resets Blender for every file.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,19 @@ from synth3dlanes.system.files import encoded, write
 LENGTH_M, WIDTH_M, HEIGHT_M = 4.2, 1.7, 1.5
 WHEELBASE_M, TRACK_M, WHEEL_RADIUS_M = 2.6, 1.48, 0.32
 TRUNK_M, CROWN_M, TREE_M = 2.0, 1.5, 5.0
+PERSON_M, SWING_M = 1.7, 0.25
 SUN_AZIMUTH_DEG = 90.0  # from the middle column of the sky's picture to the left
 
 
 def make_example(folder: Path) -> None:
     """Write the example assets into a folder."""
-    for kind in ("cars", "trees", "roads", "terrains/moss", "skies"):
+    for kind in ("cars", "trees", "pedestrians", "roads", "terrains/moss", "skies"):
         (folder / kind).mkdir(parents=True, exist_ok=True)
     car(folder / "cars" / "box.glb")
     tree(folder / "trees" / "ball.blend")
+    for number, swing_m in enumerate((0.0, SWING_M, -SWING_M)):
+        person(folder / "pedestrians" / (f"boxes.{number}.glb" if number else "boxes.glb"), swing_m)
+    write(folder / "assets.yaml", b"things:\n  boxes: {stride_m: 1.2}\n")
     texture(folder / "roads", "brick_", (0.36, 0.2, 0.15))
     texture(folder / "terrains" / "moss", "", (0.16, 0.22, 0.08))
     sky(folder / "skies" / "evening.hdr")
@@ -53,6 +57,17 @@ def car(path: Path) -> None:
             )  # fmt: skip
             bpy.context.object.name = f"wheel_{front_rear}_{left_right}"
             bpy.context.object.data.materials.append(rubber)
+    bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLB")
+
+
+def person(path: Path, swing_m: float) -> None:
+    """A head, a body in the scene's colours, and two legs, the left one `swing_m` ahead."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    lower = material("lower", (0.1, 0.1, 0.2))
+    for side in (-1, 1):
+        box(f"leg {side}", (0.16, 0.2, 0.8), (0.11 * side, -side * swing_m, 0.4), lower)
+    box("body", (0.44, 0.26, 0.65), (0, 0, 1.125), material("upper", (0.5, 0.1, 0.1)))
+    box("head", (0.18, 0.22, PERSON_M - 1.45), (0, 0, (PERSON_M + 1.45) / 2), material("skin", (0.6, 0.4, 0.3)))
     bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLB")
 
 

@@ -12,15 +12,26 @@ from synth3dlanes.imaging.user_sky import UserSky, prepare_sky
 from synth3dlanes.scene.assets.catalogue import (
     BUILT_IN,
     CARS,
+    THING_FOLDERS,
     THINGS,
     TREES,
     AssetKind,
+    Assets,
     CarModel,
     Library,
     Texture,
     TreeModel,
 )
-from synth3dlanes.scene.assets.folder import ROLES, AssetFiles, TextureFiles, scan, texture_digest, verified
+from synth3dlanes.scene.assets.folder import (
+    ROLES,
+    AssetFiles,
+    TextureFiles,
+    digest,
+    pose_files,
+    scan,
+    texture_digest,
+    verified,
+)
 from synth3dlanes.scene.things import ThingKind
 from synth3dlanes.system.errors import FormatError
 
@@ -54,17 +65,26 @@ def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
             prepare_sky(read_sky(verified(_path(folder, "skies", sky.name), sky.sha256)), sky.sun_azimuth_rad)
             for sky in own.skies
         ),
-        _things(),
+        {kind: _things(folder, own, name, kind) for name, kind in THING_FOLDERS.items()},
     )
 
 
-def _things() -> dict[ThingKind, tuple[tuple[bpy.types.Mesh, ...], ...]]:
-    names = [f"{model.name}.{pose}" for models in THINGS.values() for model in models for pose in model.poses]
-    meshes = dict(zip(names, load_meshes(names), strict=True))
-    return {
-        kind: tuple(tuple(meshes[f"{model.name}.{pose}"] for pose in model.poses) for model in models)
-        for kind, models in THINGS.items()
-    }
+def _things(
+    folder: AssetFiles, own: Assets, name: AssetKind, kind: ThingKind
+) -> tuple[tuple[bpy.types.Mesh, ...], ...]:
+    """The meshes of a kind of things, those of a user or ours, by model and pose."""
+    if not own.own(name):
+        names = [f"{model.name}.{pose}" for model in THINGS[kind] for pose in model.poses]
+        meshes = dict(zip(names, load_meshes(names), strict=True))
+        return tuple(tuple(meshes[f"{model.name}.{pose}"] for pose in model.poses) for model in THINGS[kind])
+    files, found = pose_files(folder.models[name])[0], []
+    for model in own.thing_models(kind):
+        paths = files.get(model.name, [])
+        if not paths or digest(*paths) != model.sha256:
+            raise FormatError(f"{name}/{model.name}: its files have changed since they were checked")
+        poses = (import_model(path, kind, f"{path.stem}-{model.sha256[:12]}") for path in paths)
+        found.append(tuple(pose.mesh for pose in poses if pose is not None))
+    return tuple(found)
 
 
 def our_texture(name: str) -> TextureFiles:

@@ -124,6 +124,14 @@ def coated(
     graph.surface(graph.node("ShaderNodeMixShader", {0: share, 1: base.outputs[0], 2: coat.outputs[0]}))
 
 
+def thing_paint(graph: ShaderGraph, number: int) -> None:
+    """Matt cloth, skin or hair, whose colour (a display value, hence the gamma) is the object's property
+    `paint{number}`."""
+    own = graph.node("ShaderNodeAttribute", {}, attribute_type="OBJECT", attribute_name=f"paint{number}")
+    color = graph.node("ShaderNodeGamma", {"Color": own.outputs["Color"], "Gamma": 2.0})
+    graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0]}))
+
+
 def car_paint(graph: ShaderGraph) -> None:
     """Body paint: the object's colour (a display value, hence the gamma) under a clear coat with the object's gloss.
     Reads `object.color = (r, g, b, gloss)`."""

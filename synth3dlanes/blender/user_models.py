@@ -1,7 +1,7 @@
 """Import a user's .blend and .glb files, each as one mesh with its materials, like the built-in models.
 
 Model frame: metres, x right, y forward, z up. A car is moved so that its middle is at x = y = 0 and its lowest point at
-z = 0; a tree is not moved.
+z = 0; trees and things are not moved.
 """
 
 from collections.abc import Iterator
@@ -14,21 +14,24 @@ import numpy as np
 from jaxtyping import Float
 from mathutils import Matrix
 
-from synth3dlanes.blender.shaders import ShaderGraph, car_paint, new_material
-from synth3dlanes.scene.things import SEMANTIC_IDS
+from synth3dlanes.blender.shaders import ShaderGraph, car_paint, new_material, thing_paint
+from synth3dlanes.scene.assets.catalogue import HOLDS, RIDER, THINGS
+from synth3dlanes.scene.things import SEMANTIC_IDS, ThingKind
 
-ModelKind = Literal["car", "tree"]
+ModelKind = Literal["car", "tree", ThingKind]
 PAINTED = ("paint", "body")
 WHEEL = "wheel"
 
 
 @dataclass(frozen=True, eq=False)
 class ImportedMesh:
-    """One mesh, the translation that was applied to it, and the vertices of parts named wheel*."""
+    """One mesh, the translation that was applied to it, the vertices of parts named wheel*, and the names of the paints
+    of a thing."""
 
     mesh: bpy.types.Mesh
     moved: Float[np.ndarray, "3"]
     wheels: Float[np.ndarray, "n 3"]
+    paints: tuple[str, ...]
 
 
 def import_model(path: Path, kind: ModelKind, name: str) -> ImportedMesh | None:
@@ -45,7 +48,7 @@ def import_model(path: Path, kind: ModelKind, name: str) -> ImportedMesh | None:
     if whole is None or not len(whole.polygons):
         return None
     whole.name, whole.use_fake_user = name, True
-    _set_materials(whole, kind)
+    paints = _set_materials(whole, kind)
     moved = np.zeros(3)
     if kind == "car":
         points = points_of(whole)
@@ -53,7 +56,7 @@ def import_model(path: Path, kind: ModelKind, name: str) -> ImportedMesh | None:
         moved = -np.array([*(low + high)[:2] / 2, low[2]])
         whole.transform(Matrix.Translation(moved.tolist()))
     wheels = np.concatenate([np.zeros((0, 3)), *(points for _, points in parts)]) + moved
-    return ImportedMesh(whole, moved, wheels)
+    return ImportedMesh(whole, moved, wheels, paints)
 
 
 def points_of(mesh: bpy.types.Mesh) -> Float[np.ndarray, "v 3"]:
@@ -118,9 +121,9 @@ def _joined(meshes: list[bpy.types.Mesh]) -> bpy.types.Mesh:
     return items[0].data
 
 
-def _set_materials(mesh: bpy.types.Mesh, kind: ModelKind) -> None:
-    """Set the semantic id of every material, use the scene's colour for body paint, and gray for parts without
-    material."""
+def _set_materials(mesh: bpy.types.Mesh, kind: ModelKind) -> tuple[str, ...]:
+    """Set the semantic id of every material, use the scene's colour for body paint and for what a thing's paints are
+    named, and gray for parts without material; the names of these paints, in our order."""
     if not mesh.materials or None in list(mesh.materials):
         gray, graph = new_material("bare", SEMANTIC_IDS[kind])
         graph.surface(graph.node("ShaderNodeBsdfDiffuse", {"Color": (0.3, 0.3, 0.3)}))
@@ -128,9 +131,17 @@ def _set_materials(mesh: bpy.types.Mesh, kind: ModelKind) -> None:
             mesh.materials.append(gray)
         for slot, material in enumerate(mesh.materials):
             mesh.materials[slot] = material or gray
-    for material in mesh.materials:
+    named = [material.name.lower().split(".")[0] for material in mesh.materials]
+    # Nobody draws colours for road works.
+    is_drawn = kind != "car" and kind != "tree" and any(model.paints for model in THINGS[kind])
+    paints = tuple(name for name in dict.fromkeys((*HOLDS, *RIDER)) if is_drawn and name in named)
+    for name, material in zip(named, mesh.materials, strict=True):
         material.pass_index = SEMANTIC_IDS[kind]
         material.use_nodes = True
         if kind == "car" and material.name.lower().startswith(PAINTED):
             material.node_tree.nodes.clear()
             car_paint(ShaderGraph(material.node_tree))
+        elif name in paints:
+            material.node_tree.nodes.clear()
+            thing_paint(ShaderGraph(material.node_tree), paints.index(name))
+    return paints

@@ -21,7 +21,7 @@ from synth3dlanes.params.distributions import (
     parse_integers,
     reals,
 )
-from synth3dlanes.scene.assets.catalogue import THINGS, AssetKind, Assets
+from synth3dlanes.scene.assets.catalogue import AssetKind, Assets
 from synth3dlanes.scene.settings import JPEG_QUALITY
 
 Fraction = Annotated[Real, reals(0, 1)]
@@ -492,9 +492,7 @@ class PeopleParams(Group):
     per_100_m: Annotated[Real, reals(0, 60)] = added(0.0)
     crossing: Annotated[Integer, integers(0, 8)] = added(0)
     standing: Fraction = added(0.2)
-    model: Annotated[Integer, integers(1, len(THINGS["pedestrian"]))] = Choice(
-        (1, 2, 3, 4, 5, 6), (5.0, 5.0, 2.0, 2.0, 2.0, 2.0)
-    )
+    model: Annotated[Integer, numbers("pedestrians")] = Choice((1, 2, 3, 4, 5, 6), (5.0, 5.0, 2.0, 2.0, 2.0, 2.0))
     scale: Annotated[Real, reals(0.5, 1.5)] = Uniform(0.95, 1.05)
     speed_m_s: Annotated[Real, reals(0.3, 4)] = Uniform(0.9, 1.7)
     umbrella: Fraction = added(0.6)

@@ -21,7 +21,7 @@ from synth3dlanes.params.groups import CameraParams
 from synth3dlanes.params.shots import SINGLE
 from synth3dlanes.production.condition import Condition, fitting_world
 from synth3dlanes.scene import scene as scene_module
-from synth3dlanes.scene.assets.catalogue import BUILT_IN, KINDS, Library
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, FIRST_KINDS, KINDS, Library
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import MissingPackageError
@@ -61,7 +61,12 @@ class Recipe:
             "image_format": self.image_format,
             "render": asdict(self.settings),
             "params": scenes.params.model_dump(mode="json"),
-            "assets": {kind: {own.name: asdict(own) for own in self.library.assets.own(kind)} for kind in KINDS},
+            "assets": {
+                kind: {own.name: asdict(own) for own in self.library.assets.own(kind)}
+                for kind in KINDS
+                # Older data sets know the first ones only.
+                if kind in FIRST_KINDS or self.library.assets.own(kind)
+            },
             **({} if scenes.shots == SINGLE else {"shots": scenes.shots.model_dump(mode="json")}),
             **({} if scenes.like is None else {"like": scenes.like.model_dump(mode="json")}),
             **({} if scenes.map is None else {"map": scenes.map.description()}),

@@ -20,7 +20,7 @@ from synth3dlanes.blender.build import build  # noqa: E402
 from synth3dlanes.blender.check_assets import _wheels, check_folder  # noqa: E402
 from synth3dlanes.blender.sky_file import read_sky  # noqa: E402
 from synth3dlanes.blender.user_models import points_of  # noqa: E402
-from synth3dlanes.draw.sample import Scenes  # noqa: E402
+from synth3dlanes.draw.sample import Scenes, sample_scene  # noqa: E402
 from synth3dlanes.geometry.frames import transform  # noqa: E402
 from synth3dlanes.imaging.daylight import daylight  # noqa: E402
 from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance  # noqa: E402
@@ -30,8 +30,10 @@ from synth3dlanes.params.params import load_params  # noqa: E402
 from synth3dlanes.production.recipe import Recipe, take_picture  # noqa: E402
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
 from synth3dlanes.scene.assets.folder import FolderCheck, require_assets  # noqa: E402
-from synth3dlanes.scene.scene import Scene, from_json, to_json  # noqa: E402
+from synth3dlanes.scene.instance_ids import instance_id  # noqa: E402
+from synth3dlanes.scene.scene import Scene, Thing, from_json, to_json  # noqa: E402
 from synth3dlanes.scene.settings import RenderSettings  # noqa: E402
+from synth3dlanes.scene.things import SEMANTIC_IDS  # noqa: E402
 from synth3dlanes.system.errors import FormatError, InputError  # noqa: E402
 from synth3dlanes.world.world import resolve  # noqa: E402
 
@@ -75,6 +77,49 @@ def test_sizes_are_those_that_the_files_were_made_with(library: Library) -> None
     assert sizes == pytest.approx(expected, abs=1e-3)
     assert (tree.height_m, tree.crown_radius_m) == pytest.approx((example.TREE_M, example.CROWN_M), abs=0.02)
     assert np.rad2deg(sky.sun_azimuth_rad) == pytest.approx(example.SUN_AZIMUTH_DEG, abs=1)
+
+
+def test_a_person_has_the_size_and_the_paints_of_its_files_and_walks(scene: Scene, library: Library) -> None:
+    """The box is around all poses; 12 m ahead it is rendered where the box is, in its colours, with the legs apart."""
+    (person,) = library.assets.pedestrians
+    sizes = (person.width_m, person.length_m, person.height_m, person.stride_m)
+    assert sizes == pytest.approx((0.44, 0.7, example.PERSON_M, 1.2), abs=1e-3)
+    assert (person.name, person.n_poses, person.paints) == ("boxes", 2, ("upper", "lower", "skin"))
+    x_m, y_m = transform(resolve(scene).view.world_from_host, np.array([[0.0, 12.0, 0.0]]))[0, :2].tolist()
+    counts, settings = [], RenderSettings(1, ("instance", "semantic"))
+    for speed_m_s in (0.0, 1.0):
+        place = {"kind": "pedestrian", "model": 1, "x_m": x_m, "y_m": y_m, "yaw_rad": 1.5, "speed_m_s": speed_m_s}
+        thing = Thing(**place, colors=((0.9, 0.05, 0.05), (0.05, 0.05, 0.9), (0.9, 0.7, 0.6)))  # type: ignore[arg-type]
+        shown = scene.model_copy(update={"things": (thing,), "cars": (), "trees": ()})
+        assert from_json(to_json(shown), "") == shown
+        picture = take_picture(resolve(shown), settings, library)
+        mask = picture.passes["semantic"] == SEMANTIC_IDS["pedestrian"]
+        np.testing.assert_array_equal(mask, picture.passes["instance"] == instance_id("thing", 0))
+        rows = np.flatnonzero(mask.any(axis=1))
+        (item,) = picture.labels.objects or ()
+        assert item.box_px is not None
+        _, y0, _, y1 = item.box_px
+        assert (rows[0], rows[-1] + 1) == pytest.approx((y0, y1), abs=1)
+        upper = rows[0] + int(0.35 * len(rows))
+        red, _, blue = picture.image[upper][mask[upper]].mean(axis=0)
+        assert red > 1.5 * blue
+        counts.append(int(mask[rows[0] + int(0.8 * len(rows)) :].any(axis=0).sum()))
+    assert counts[1] > 1.5 * counts[0], "legs apart"
+
+
+def test_people_of_a_town_are_the_users(library: Library) -> None:
+    """All of their numbers; the built-in ones have more."""
+    params = load_params(
+        "town", ("people.per_100_m=10", "town.walkway_m=2.6", "town.traffic=0", "town.parked=0"), library.assets
+    )
+    scene = sample_scene(Scenes(params, 5, assets=library.assets), 0)
+    people = [thing for thing in scene.things if thing.kind == "pedestrian"]
+    assert len(people) > 5
+    assert {(thing.model, len(thing.colors)) for thing in people} == {(1, 3)}
+    with pytest.raises(
+        InputError, match=r"scene.json: pedestrians: expected 'boxes' with digest \w+, got the built-in"
+    ):
+        require_assets(scene.assets, BUILT_IN, "scene.json")
 
 
 def test_a_copy_elsewhere_is_the_same_library_and_notes_overrule(
@@ -235,6 +280,17 @@ def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FolderCheck]:
     (root / "cars" / "broken.fbx").write_text("")
     example.box("trunk", (0.2, 0.2, 3), (0, 0, 2.5), example.material("bark", (0, 0, 0)))
     bpy.data.libraries.write(str(root / "trees" / "floating.blend"), {bpy.context.object})
+    (root / "pedestrians").mkdir()
+    for name, height_m, low_m in (
+        ("giant", 170, 0),
+        ("flying", 1.7, 0.4),
+        ("stiff", 1.7, 0),
+        ("lame", 1.7, 0),
+        ("lame.2", 1.7, 0),
+    ):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        example.box("body", (0.4, 0.3, height_m), (0, 0, low_m + height_m / 2), example.material("upper", (1, 1, 1)))
+        bpy.data.libraries.write(str(root / "pedestrians" / f"{name}.blend"), {bpy.context.object})
     example.texture(root / "roads", "small_", (1, 1, 1), 128)
     example.texture(root / "roads", "half_", (1, 1, 1), 256)
     (root / "roads" / "half_roughness.png").rename(root / "roads" / "half_ruoghness.png")
@@ -246,7 +302,10 @@ def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FolderCheck]:
     picture = bpy.data.images.new("square", 64, 64, float_buffer=True)
     picture.file_format, picture.filepath_raw = "HDR", str(root / "skies" / "square.hdr")
     picture.save()
-    (root / "assets.yaml").write_text("cars: {bus: {wheelbase_m: 3, track_m: 2, wheel_radius_m: 0.5}}")
+    (root / "assets.yaml").write_text(
+        "cars: {bus: {wheelbase_m: 3, track_m: 2, wheel_radius_m: 0.5}}\n"
+        "things: {stiff: {stride_m: 1}, nobody: {stride_m: 1}}"
+    )
     yield check_folder(root)
     renderer.opened.cache_clear()
 
@@ -268,6 +327,11 @@ def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FolderCheck]:
         "terrains/wide_albedo.png: expected a square picture, got 512x256",
         "terrains/wide_normal.png: cannot read it: ",
         "skies/square.hdr: expected a picture twice as wide as high (equirectangular), got 64x64",
+        "pedestrians/giant.blend: expected a height of 0.2 to 3 m, got 170 m; modelled in centimetres?",
+        "pedestrians/flying.blend: expected its lowest point at z = 0, got it at 0.40 m",
+        "pedestrians/stiff.blend: expected things.stiff.stride_m in assets.yaml with a cycle of poses, got one pose",
+        "pedestrians/lame.blend: expected the poses 0 to 2, got no lame.1",
+        "assets.yaml: things.nobody: expected the name of a file in pedestrians/, cyclists/",
         "assets.yaml: cars.bus: expected the name of a file in cars/",
     ],
 )

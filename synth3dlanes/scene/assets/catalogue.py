@@ -5,15 +5,20 @@
 """
 
 import re
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from synth3dlanes.scene.things import ThingKind, VehicleClass
+from synth3dlanes.system.schema import is_empty
 
-AssetKind = Literal["cars", "trees", "roads", "terrains", "skies"]
-KINDS: tuple[AssetKind, ...] = ("cars", "trees", "roads", "terrains", "skies")
+ThingFolder = Literal["pedestrians", "cyclists", "motorcyclists", "cones", "barrels", "barricades"]
+AssetKind = Literal["cars", "trees", "roads", "terrains", "skies", ThingFolder]
+# The kinds of things by their folders.
+THING_FOLDERS: dict[AssetKind, ThingKind] = dict(zip(get_args(ThingFolder), get_args(ThingKind), strict=True))
+FIRST_KINDS: tuple[AssetKind, ...] = ("cars", "trees", "roads", "terrains", "skies")
+KINDS: tuple[AssetKind, ...] = (*FIRST_KINDS, *THING_FOLDERS)
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 PositiveMetres = Annotated[float, Field(gt=0)]
 # Words in the names of a user's files that tell the class, and sizes that do where none is there: all cars are lower
@@ -56,7 +61,7 @@ class TreeModel:
 class ThingModel:
     """A person, a rider or a piece of road works at scale 1: the box around all its poses, whose middle is over the
     foot; the names of its paints; and how many poses a cycle of `stride_m` metres of its way has, besides the one at
-    rest."""
+    rest. `sha256` is the digest of a user's file, or files, as of cars."""
 
     name: str
     width_m: PositiveMetres
@@ -152,6 +157,9 @@ THINGS: dict[ThingKind, tuple[ThingModel, ...]] = {
     "barricade": (ThingModel("barricade", 1.6, 0.6, 1.165),),
 }
 
+# Left out of scenes without any, as older scenes are.
+OwnThings = Annotated[tuple[ThingModel, ...], Field(exclude_if=is_empty)]
+
 # Mean albedo (linear red, green, blue) and roughness of the built-in roads.
 ROAD_MEANS = {
     "road_1": ((0.075, 0.075, 0.075), 0.62),
@@ -170,11 +178,14 @@ class Assets:
         "roads": 3,
         "terrains": 2,
         "skies": 0,
+        **{folder: len(THINGS[kind]) for folder, kind in THING_FOLDERS.items()},
     }
 
-    # Numbers of built-in assets of which a preset draws all; see `params.numbers`. The paper's presets have six cars.
+    # Numbers of built-in assets of which a preset draws all; see `params.numbers`. The paper's presets have six cars,
+    # and umbrellas, which are for rain, are the last two.
     WHOLE: ClassVar[dict[AssetKind, tuple[int, ...]]] = {kind: (number,) for kind, number in OURS.items()} | {
-        "cars": (6, len(CARS))
+        "cars": (6, len(CARS)),
+        "pedestrians": (6, len(THINGS["pedestrian"])),
     }
 
     cars: tuple[CarModel, ...] = ()
@@ -182,6 +193,12 @@ class Assets:
     roads: tuple[Texture, ...] = ()
     terrains: tuple[Texture, ...] = ()
     skies: tuple[Sky, ...] = ()
+    pedestrians: OwnThings = ()
+    cyclists: OwnThings = ()
+    motorcyclists: OwnThings = ()
+    cones: OwnThings = ()
+    barrels: OwnThings = ()
+    barricades: OwnThings = ()
 
     @property
     def car_models(self) -> tuple[CarModel, ...]:
@@ -194,16 +211,17 @@ class Assets:
         return self.trees or TREES
 
     def thing_models(self, kind: ThingKind) -> tuple[ThingModel, ...]:
-        """The models of a kind of things."""
-        return THINGS[kind]
+        """The models of a kind of things in use: the user's own, or else the built-in ones."""
+        own: tuple[ThingModel, ...] = getattr(self, f"{kind}s")
+        return own or THINGS[kind]
 
     def count(self, kind: AssetKind) -> int:
         """Number of models, textures or skies of a kind."""
         return len(self.own(kind)) or self.OURS[kind]
 
-    def own(self, kind: AssetKind) -> tuple[CarModel | TreeModel | Texture | Sky, ...]:
+    def own(self, kind: AssetKind) -> tuple[CarModel | TreeModel | Texture | Sky | ThingModel, ...]:
         """The user's own models, textures or skies of a kind."""
-        own: tuple[CarModel | TreeModel | Texture | Sky, ...] = getattr(self, kind)
+        own: tuple[CarModel | TreeModel | Texture | Sky | ThingModel, ...] = getattr(self, kind)
         return own
 
 

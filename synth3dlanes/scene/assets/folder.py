@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError, model_validator
 
-from synth3dlanes.scene.assets.catalogue import KINDS, AssetKind, Assets, Library
+from synth3dlanes.scene.assets.catalogue import KINDS, THING_FOLDERS, AssetKind, Assets, Library
 from synth3dlanes.scene.things import VehicleClass
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.files import open_regular
@@ -20,6 +20,7 @@ NOTES = "assets.yaml"
 SUFFIXES: dict[AssetKind, tuple[str, ...]] = {
     "cars": (".blend", ".glb"),
     "trees": (".blend", ".glb"),
+    **dict.fromkeys(THING_FOLDERS, (".blend", ".glb")),
     "skies": (".hdr", ".exr"),
     "roads": (".jpg", ".jpeg", ".png", ".tif", ".tiff"),
     "terrains": (".jpg", ".jpeg", ".png", ".tif", ".tiff"),
@@ -82,6 +83,12 @@ class CarNotes(DocumentPart):
         return {name: getattr(self, name) for name in ("wheelbase_m", "track_m", "wheel_radius_m")}
 
 
+class ThingNotes(DocumentPart):
+    """How far a person or a rider goes in a whole cycle of its poses."""
+
+    stride_m: Positive
+
+
 class SkyNotes(DocumentPart):
     """The azimuth of the sun in a sky picture: degrees from its middle column to the left."""
 
@@ -93,6 +100,7 @@ class Notes(DocumentPart):
 
     cars: dict[str, CarNotes] = Field(default_factory=dict)
     skies: dict[str, SkyNotes] = Field(default_factory=dict)
+    things: dict[str, ThingNotes] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -162,7 +170,33 @@ def read_notes(root: Path, folder: AssetFiles) -> tuple[Notes, list[str]]:
             for name in names
             if name not in folder.models[kind]
         ]
+    among = [name for folder_name in THING_FOLDERS for name in folder.models[folder_name]]
+    problems += [
+        f"{NOTES}: things.{name}: expected the name of a file in {', '.join(f'{kind}/' for kind in THING_FOLDERS)}"
+        for name in notes.things
+        if name not in among
+    ]
     return notes, problems
+
+
+def pose_files(files: dict[str, Path]) -> tuple[dict[str, list[Path]], list[str]]:
+    """The files of each model of a thing by its name, NAME.glb at rest and then NAME.1.glb, NAME.2.glb, ... of its
+    cycle, and problems."""
+    found: dict[str, dict[int, Path]] = {}
+    for stem, path in files.items():
+        pose = re.fullmatch(r"(.+)\.(\d{1,3})", stem)
+        name, number = (pose[1], int(pose[2])) if pose else (stem, 0)
+        found.setdefault(name, {})[number] = path
+    problems, whole = list[str](), dict[str, list[Path]]()
+    for name, poses in found.items():
+        missing = [number for number in range(max(poses)) if number not in poses]
+        if missing:
+            there, wanted = poses[min(poses)], f"{name}.{missing[0]}" if missing[0] else name
+            where = f"{there.parent.name}/{there.name}"
+            problems.append(f"{where}: expected the poses 0 to {max(poses)}, got no {wanted}")
+        else:
+            whole[name] = [poses[number] for number in sorted(poses)]
+    return whole, problems
 
 
 def digest(*paths: Path) -> str:
