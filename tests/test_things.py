@@ -143,7 +143,8 @@ def test_steps_follow_the_way_and_rest_is_at_standstill():
 # Modules and folders that name kinds of things, by the reason.
 NAMING = {
     "the table, and lists of scenes": (
-        f"scene/{name}.py" for name in ("assets/catalogue", "instance_ids", "roadside", "scene", "things")
+        "params/groups.py",
+        *(f"scene/{name}.py" for name in ("assets/catalogue", "instance_ids", "roadside", "scene", "things")),
     ),
     "who draws it": ("draw/",),
     "its shape and place": (
