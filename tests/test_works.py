@@ -13,6 +13,7 @@ from synth3dlanes.dataset.columns import numbers_of
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
 from synth3dlanes.figures.describe import describe
 from synth3dlanes.figures.shown import ShownScene
+from synth3dlanes.formats.lanelet_map import lanelets_of
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import SINGLE, Shots
@@ -312,6 +313,14 @@ def test_index_and_summary_say_them() -> None:
     assert (numbers_of(FLAT, ground_truth(FLAT))["works"]) == "none"
     words = describe(ShownScene(scene, labels))["road"]["road works"]
     assert words == "lane closed on the outer side, from y = -30 m to 40 m, yellow temporary lines"
+
+
+def test_a_lanelet_beside_the_closed_lane_is_cut_where_the_temporary_line_meets_it() -> None:
+    found, _ = lanelets_of(resolve(flat(CLOSED)))
+    looks = [None if at.right.paint is None else at.right.paint.ascending for at in found.pieces["works_2"]]
+    (line,) = (look for look in looks if look is not None)
+    assert (line["subtype"], line["color"]) == ("solid", "yellow")
+    assert looks == [None, line, None], "not in the tapers"
 
 
 @pytest.mark.render

@@ -40,13 +40,15 @@ THICK_M = 0.18
 
 @dataclass(frozen=True)
 class Paint:
-    """Paint along a road between two of its stations: its tags as s grows, and as s falls."""
+    """Paint along a road between two of its stations: its tags as s grows, and as s falls, and whether it is a line of
+    road works that moves."""
 
     t: Offset
     from_m: float
     to_m: float
     ascending: Tags
     descending: Tags
+    is_temporary: bool
 
 
 @dataclass(eq=False)
@@ -194,10 +196,11 @@ def _paint_along(world: World, road: Road) -> Iterator[Paint]:
         tags, other = _look(line, world.scene.markings)
         for piece in line.pieces:
             if piece.road.id == road.id:
-                ends = np.clip([piece.start_m, piece.end_m], -1e6, 1e6)
+                ends = np.clip([max(piece.start_m, line.start_m), min(piece.end_m, line.end_m)], -1e6, 1e6)
                 low, high = sorted(piece.on(ends).tolist())
                 along = piece.along * world.network.onwards
-                yield Paint(piece.offset, low, high, *((tags, other) if along > 0 else (other, tags)))
+                is_temporary = bool(world.network.removed) and piece.offset.moves is not None
+                yield Paint(piece.offset, low, high, *((tags, other) if along > 0 else (other, tags)), is_temporary)
 
 
 def _cuts(lanes: Sequence[tuple[NetworkLane, float, float]], painted: Sequence[Paint], road: Road) -> list[float]:
@@ -213,7 +216,19 @@ def _cuts(lanes: Sequence[tuple[NetworkLane, float, float]], painted: Sequence[P
             )
             if is_on and min(abs(s_m - end) for end in ends) > LEAST_M:
                 ends.add(s_m)
+        for s_m in _meeting(lanes, paint) if paint.is_temporary else ():
+            if min(abs(s_m - end) for end in ends) > LEAST_M:
+                ends.add(s_m)
     return sorted(ends)
+
+
+def _meeting(lanes: Sequence[tuple[NetworkLane, float, float]], paint: Paint) -> Iterator[float]:
+    """The stations where a line of road works comes to the edge of a lane, or leaves it."""
+    for lane, low, high in lanes:
+        s = np.arange(max(low, paint.from_m), min(high, paint.to_m), BOUND_STEP_M)
+        for edge in lane.edges:
+            is_near = np.abs(edge(s) - paint.t(s)) < PAINT_M
+            yield from s[1:][is_near[1:] != is_near[:-1]].tolist()
 
 
 def _pieces(
