@@ -192,7 +192,7 @@ def _across(piece: _Piece, opposite: Sequence[str], pieces: Mapping[str, Sequenc
     """The pieces of lanes of the other direction that share a stretch of the left line of one."""
     tree = cKDTree(piece.left_world)
     others = [other for name in opposite for other in pieces[name]]
-    return [other for other in others if tree.query(other.left_world)[0].min() < SAME_LINE_M]
+    return [other for other in others if np.min(tree.query(other.left_world)[0]) < SAME_LINE_M]
 
 
 def _opposite(lane: LaneSegment, lanes: Sequence[LaneSegment], world: World) -> list[str]:
