@@ -85,7 +85,7 @@ def test_tufts_in_a_line_of_sight_are_those_found_one_by_one(seed: int) -> None:
     height_m = rng.uniform(0.1, 0.6, 150)
     expected = []
     for foot, tall_m in zip(feet, height_m, strict=True):
-        room_m = grass.ROOM_M + grass.ROOM * np.linalg.norm(foot - eye)
+        room_m = grass.ROOM_M + grass.ROOM_SHARE * np.linalg.norm(foot - eye)
         radius_m, met = grass.RADIUS_M + grass.LEAN * tall_m + room_m, False
         for point in points:
             reach_m = np.hypot(*(point - eye)[:2])

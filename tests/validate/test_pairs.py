@@ -59,4 +59,4 @@ def test_the_picture_has_each_stripe_on_its_side_and_a_swap_is_found(pair: Pair,
     other = Evidence(resolve(repainted(scene, OTHER[pair])), swapped, *picture)
     assert "expected paint where the line is painted" in reasons(other, "ids")
     both = Evidence(resolve(repainted(scene, "same")), made.labels, *picture)
-    assert "of the paint" in reasons(both, "points"), "a stripe that ought to be solid has gaps"
+    assert "of the line in all of its paint" in reasons(both, "ids"), "a stripe that ought to be solid has gaps"
