@@ -206,6 +206,7 @@ def begun(world: World, street: shapely.Geometry) -> int:
     return sum(street.contains(last) and not street.contains(first) for first, last in zip(*feet, strict=True))
 
 
+@pytest.mark.thorough
 def test_people_climb_kerbs_smoothly() -> None:
     """From frame to frame, between the heights of the pavement and of the walkway."""
     shots = Shots(frames=61, fps=15.0)
