@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 import shapely
 
+from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import Shots
+from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.assets.catalogue import THINGS
 from synth3dlanes.scene.scene import Scene, to_json
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.motion import host_speed
 from synth3dlanes.world.world import World
 from tests.golden.frozen import ROWS, scenes_of
+from tests.maps.files import lane, opendrive, plan, road, section
 from tests.thorough import first
 from tests.town_checks import bodies
 
@@ -312,3 +315,33 @@ def test_riders_keep_off_roads_below_others() -> None:
     assert world.ground.is_stacked(middles).any()
     assert len(places) > 10
     assert not world.ground.is_stacked(places).any()
+
+
+@pytest.mark.parametrize("rule", ["RHT", "LHT"])
+def test_cyclists_ride_on_the_cycle_lanes_of_maps_as_their_traffic_drives(rule: str) -> None:
+    """One is beside the driving lane, one beyond a lane for parking; offsets are to the right along the road."""
+    width = '<width sOffset="0" a="{}" b="0" c="0" d="0"/>'
+    lanes = section(
+        lane(2, width.format(1.8), "biking"),
+        lane(1, width.format(3.5)),
+        lane(-1, width.format(3.5)),
+        lane(-2, width.format(2.0), "parking"),
+        lane(-3, width.format(1.8), "biking"),
+    )
+    text = opendrive(road(plan(("<line/>", 100.0), ('<arc curvature="0.005"/>', 200.0)), lanes, more=f'rule="{rule}"'))
+    given = read_opendrive(text, "cycles.xodr", "map cycles.xodr")
+    own = load_params("streets", ("riders.cyclists=8", "riders.motorcyclists=0", "cars.n=0"))
+    shots, along = Shots(frames=5, fps=2.0), list[bool]()
+    for index in range(3):
+        scenes = Scenes(own, 5, shots=shots, map=MapPlace(given))
+        world = draw_world(scenes, index)
+        line = world.network.roads[0].line
+        for frame in (0, 4):
+            poses = world_in_shot(scenes, world, shots.place(frame)).view.world_from_things
+            s, t = line.project(np.array([pose[:2, 3] for pose in poses]).reshape(-1, 2))
+            ahead = np.array([pose[:2, 1] for pose in poses]).reshape(-1, 2)
+            right = line.frames(s).normals
+            onwards = right[:, 0] * ahead[:, 1] - right[:, 1] * ahead[:, 0] > 0
+            assert np.abs(t - np.where(onwards == (rule == "RHT"), 6.4, -4.4)).max(initial=0.0) < 0.05
+            along += onwards.tolist()
+    assert 0.2 < np.mean(along) < 0.8

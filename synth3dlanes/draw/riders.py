@@ -1,5 +1,5 @@
-"""Cyclists beside kerbs and motorcyclists on lanes near the host, with gaps to vehicles. They ride along their lane at
-their speed, and on maps stop before a junction. World frame, metres and seconds."""
+"""Cyclists on cycle lanes or beside kerbs and motorcyclists on lanes near the host, with gaps to vehicles. They ride
+along their lane at their speed, and on maps stop before a junction. World frame, metres and seconds."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from synth3dlanes.draw.bodies import Bodies, Motion, track_times, way_poses
 from synth3dlanes.draw.clothes import dressed
 from synth3dlanes.draw.draws import Draw, DrawsOf
 from synth3dlanes.params.distributions import extent
+from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
@@ -22,10 +23,21 @@ MAX_FROM_HOST_M, TRIES = 60.0, 12
 # Room before and behind riders, and beside them; of a cyclist from the middle to the edge of the lane.
 ROOM_M: dict[str, tuple[float, float]] = {"cyclist": (0.8, 0.2), "motorcyclist": (2.5, 0.2)}
 KERB_M, PARKED_M, LEAST_LANE_M = 0.30, 0.55, 2.5
+# Least distance of a cyclist's middle from the edges of a cycle lane.
+IN_CYCLE_LANE_M = 0.4
 # Greatest distance of motorcyclists from the middle of their lane.
 MIDDLE_M = 0.4
 # Distance before the end of a street, where crosswalks and lines are, at which riders stop, and their deceleration.
 LINE_M, DECELERATION = 7.5, 1.5
+
+
+class Ridden(NamedTuple):
+    """A lane of traffic near the host, the offset to the driver's right of its middle at which a cyclist rides, and
+    whether that is on a cycle lane beside it."""
+
+    lane: NetworkLane
+    offset_m: float
+    is_cycle_lane: bool
 
 
 class RiderPlace(NamedTuple):
@@ -87,8 +99,9 @@ def _places(
     if scene.map is not None:
         lanes = list(map_lanes(network, bodies, kind == "cyclist"))
         for lane, at, aside in rng.random((TRIES if lanes else 0, 3)).tolist():
-            chosen, offset_m = lanes[int(lane * len(lanes))]
-            way = network.way_through(_onward(network, chosen))
+            chosen, offset_m, is_cycle_lane = lanes[int(lane * len(lanes))]
+            # A cycle lane may end where the next section begins.
+            way = network.way_through([chosen] if is_cycle_lane else _onward(network, chosen))
             own_m = way.pieces[0].end_m
             start_m = at * own_m
             by_m = offset_m if kind == "cyclist" else MIDDLE_M * (2 * aside - 1)
@@ -102,9 +115,9 @@ def _places(
             yield RiderPlace(network.path(lane.id), s_m * network.onwards, MIDDLE_M * (2 * aside - 1), np.inf)
 
 
-def map_lanes(network: Network, bodies: Bodies, beside_kerb: bool) -> Iterator[tuple[NetworkLane, float]]:
-    """The lanes near the host outside junctions, and the offset to the driver's right of their middle that a cyclist
-    keeps; with `beside_kerb` those that are the outermost of their direction."""
+def map_lanes(network: Network, bodies: Bodies, for_cyclists: bool) -> Iterator[Ridden]:
+    """The lanes near the host outside junctions; `for_cyclists` those that have a cycle lane beside them or are the
+    outermost of their direction."""
     for lane in network.lanes.values():
         if lane.junction is not None or lane.width_m < LEAST_LANE_M:
             continue
@@ -114,14 +127,31 @@ def map_lanes(network: Network, bodies: Bodies, beside_kerb: bool) -> Iterator[t
         if away_m.min() > MAX_FROM_HOST_M:
             continue
         (section,) = road.stretch_of(lane).sections
-        kinds = {at.number: at.kind for at in section.lanes}
         number = int(lane.id.rsplit(".", 1)[1])
-        outside = kinds.get(number + (1 if number > 0 else -1), "none")
-        if not beside_kerb or outside != "driving":
+        outwards = [at for at in section.lanes if at.number * number > 0 and abs(at.number) > abs(number)]
+        outside = min(outwards, key=lambda at: abs(at.number)).kind if outwards else "none"
+        if for_cyclists and (offset_m := _to_cycle_lane(section, lane, number, s)) is not None:
+            yield Ridden(lane, offset_m, True)
+        elif not for_cyclists or outside != "driving":
             room_m = PARKED_M if outside in ("parking", "none") else KERB_M
             # Where traffic keeps left, kerbs are on the left.
             side = 1 if (number < 0) == lane.ascends else -1
-            yield lane, side * (lane.width_m / 2 - room_m)
+            yield Ridden(lane, side * (lane.width_m / 2 - room_m), False)
+
+
+def _to_cycle_lane(section: CrossSection, lane: NetworkLane, number: int, s: Scalars) -> float | None:
+    """The offset to the driver's right from a lane's middle to that of the cycle lane beside it, with no lane of
+    traffic between; None where there is none that is wide enough all along."""
+    edges, numbers = section.edges(s), [at.number for at in section.lanes]
+    step = 1 if number > 0 else -1
+    beyond = range(numbers.index(number) - step, len(numbers) if step < 0 else -1, -step)
+    kinds = [section.lanes[i].kind for i in beyond]
+    if "cycle" not in kinds or "driving" in kinds[: kinds.index("cycle")]:
+        return None
+    i = beyond[kinds.index("cycle")]
+    aside_m = (edges[i : i + 2] - lane.middle(s)) * (1 if lane.ascends else -1)
+    low_m, high_m = float(aside_m.min(axis=0).max()), float(aside_m.max(axis=0).min())
+    return (low_m + high_m) / 2 if high_m - low_m > 2 * IN_CYCLE_LANE_M else None
 
 
 def _onward(network: Network, lane: NetworkLane) -> list[NetworkLane]:
