@@ -38,8 +38,9 @@ MIN_POINTS = 150
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
 BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
 # The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. The axles of
-# vans are AXLE_M behind: their wheels are hidden as a whole by an end that is CLEARANCE_M over the ground, or higher.
-SET_BACK, AXLE_M, CLEARANCE_M = 0.25, 1.1, 0.15
+# vans are AXLE_M behind, the wheels of buses OVERHANG of half their length: they are hidden as a whole by an end that is
+# CLEARANCE_M over the ground, or higher.
+SET_BACK, AXLE_M, OVERHANG, CLEARANCE_M = 0.25, 1.1, 0.43, 0.15
 # The most that mirrors reach beyond a body.
 MIRROR_M = 0.07
 
@@ -167,7 +168,8 @@ def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: i
     bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
     wider."""
     away_m, aside_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), half[axis] - sign * eye[axis]
-    share, of_axle = (back_m / (away_m + back_m) for back_m in (SET_BACK * half[ALONG], AXLE_M))
+    axle_m = max(AXLE_M, OVERHANG * half[ALONG])
+    share, of_axle = (back_m / (away_m + back_m) for back_m in (SET_BACK * half[ALONG], axle_m))
     if axis == UP and sign < 0 and aside_m * of_axle > CLEARANCE_M:
         return float(aside_m * of_axle)
     if axis != ACROSS:
