@@ -18,6 +18,7 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import ObjectLabel, rectangle_around
 from synth3dlanes.scene.instance_ids import END, thing_of
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.bodies import corners_world, covers, outline
 from synth3dlanes.validate.evidence import Evidence
@@ -37,10 +38,9 @@ MAX_GAP_M, MAX_PART = 0.035, {"pixels": 0.75, "points": 2.0}
 MIN_POINTS = 150
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
 BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
-# The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. The axles of
-# vans are AXLE_M behind, the wheels of buses OVERHANG of half their length: they are hidden as a whole by an end that is
-# CLEARANCE_M over the ground, or higher.
-SET_BACK, AXLE_M, OVERHANG, CLEARANCE_M = 0.25, 1.1, 0.43, 0.15
+# The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. Wheels are at
+# least WHEELS_M behind: they are hidden as a whole by an end that is CLEARANCE_M over the ground, or higher.
+SET_BACK, WHEELS_M, CLEARANCE_M = 0.25, 1.1, 0.15
 # The most that mirrors reach beyond a body.
 MIRROR_M = 0.07
 
@@ -65,6 +65,7 @@ class SideLimit(NamedTuple):
 
 def check_boxes(evidence: Evidence) -> Iterator[Result]:
     """Findings about objects that are not where pixels and points show them."""
+    wheels_m = _wheels_m(evidence.scene) if evidence.labels.objects else []
     for item in evidence.labels.objects or ():
         label = f"objects.{item.id}"
         if "instance" in evidence.has:
@@ -74,7 +75,18 @@ def check_boxes(evidence: Evidence) -> Iterator[Result]:
             expected, got = ("none" if count is None else count for count in (n, item.lidar_points))
             yield Finding("", f"{label}.lidar_points: expected {expected} by the sweep, got {got}")
         for seen in views_of(evidence, item):
-            yield from judge(item, seen)
+            series, number = thing_of(item.id)
+            is_known = series == "car" and number < len(wheels_m)
+            yield from judge(item, seen, wheels_m[number] if is_known else WHEELS_M)
+
+
+def _wheels_m(scene: Scene) -> list[float]:
+    """How far behind the ends of each car its wheels are, at least WHEELS_M."""
+    models = [(scene.assets.car_models[car.model - 1], car.scale) for car in scene.cars]
+    return [
+        max(WHEELS_M, scale * ((model.length_m - model.wheelbase_m) / 2 - model.wheel_radius_m))
+        for model, scale in models
+    ]
 
 
 def check_seen_box(evidence: Evidence, item: ObjectLabel, label: str) -> Iterator[Finding]:
@@ -145,33 +157,36 @@ def _step_rad(
     return np.inf if top_rad.max() > beams[-1] else float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
 
 
-def judge(item: ObjectLabel, seen: SeenPart) -> Iterator[Result]:
-    """Findings where points of an object are outside its box, or end before a side that is seen."""
+def judge(item: ObjectLabel, seen: SeenPart, wheels_m: float = WHEELS_M) -> Iterator[Result]:
+    """Findings where points of an object, whose wheels are `wheels_m` behind its ends, are outside its box, or end
+    before a side that is seen."""
     half, is_whole = item.size_m / 2, item.truncation == 0 and (item.visible_fraction or 0.0) >= MIN_SEEN
     # The box of a person is around all steps, and the ends of a bicycle are thin.
-    sides = _sides(half, seen) if is_whole and thing_of(item.id)[0] == "car" else ()
+    sides = _sides(half, seen, wheels_m) if is_whole and thing_of(item.id)[0] == "car" else ()
     yield from against_box(f"objects.{item.id}", "boxes", half, seen, MAX_OUTSIDE, sides)
 
 
-def _sides(half: Float[np.ndarray, "3"], seen: SeenPart) -> Iterator[SideLimit]:
+def _sides(half: Float[np.ndarray, "3"], seen: SeenPart, wheels_m: float) -> Iterator[SideLimit]:
     """The sides that are seen."""
     for axis, name in enumerate(("left right", "rear front", "lower upper")):
         for sign, side in zip((-1, 1), name.split(), strict=True):
             has_outline = seen.source == "pixels" and axis != ALONG
             if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
-                hidden_m = _hidden_m(half, seen.eye, axis, sign) if has_outline else 0.0
+                hidden_m = _hidden_m(half, seen.eye, (axis, sign), wheels_m) if has_outline else 0.0
                 yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
 
 
-def _hidden_m(half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], axis: int, sign: int) -> float:
+def _hidden_m(
+    half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], side: tuple[int, int], wheels_m: float
+) -> float:
     """How far before a side what is set back from an object's nearer end may be hidden by this end: wheels under a
     bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
     wider."""
+    axis, sign = side
     away_m, aside_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), half[axis] - sign * eye[axis]
-    axle_m = max(AXLE_M, OVERHANG * half[ALONG])
-    share, of_axle = (back_m / (away_m + back_m) for back_m in (SET_BACK * half[ALONG], axle_m))
-    if axis == UP and sign < 0 and aside_m * of_axle > CLEARANCE_M:
-        return float(aside_m * of_axle)
+    share, of_wheels = (back_m / (away_m + back_m) for back_m in (SET_BACK * half[ALONG], wheels_m))
+    if axis == UP and sign < 0 and aside_m * of_wheels > CLEARANCE_M:
+        return float(aside_m * of_wheels)
     if axis != ACROSS:
         return float(max(aside_m, 0.0) * share)
     # A body hides its far side from an eye beyond the near one, and the mirror there from one beyond the middle.
