@@ -147,10 +147,12 @@ def vehicle_places(
         model = scene.assets.car_models[car.model - 1]
         size = model.length_m * car.scale, model.width_m * car.scale
         way, start_m = network.car_way(car)
-        here = way_places(way, start_m, np.zeros(1), car.offset_m, size)[0].mean(axis=0)
-        if near is None or np.linalg.norm(near - here, axis=1).min() < VEHICLES_M:
-            driven_m = driven_after(car.track, _speed(scene, car), times_s)
-            found.append(way_places(way, start_m, driven_m, car.offset_m, size))
+        if near is not None:
+            here = way_places(way, start_m, np.zeros(1), car.offset_m, size)[0].mean(axis=0)
+            if np.linalg.norm(near - here, axis=1).min() >= VEHICLES_M:
+                continue
+        driven_m = driven_after(car.track, _speed(scene, car), times_s)
+        found.append(way_places(way, start_m, driven_m, car.offset_m, size))
     return np.stack(found)
 
 
@@ -180,10 +182,10 @@ def way_poses(
         s = stations_after(way, start_m, driven_m)
     ahead_m, least_m = HEADING_M if way.ascends else -HEADING_M, way.start_m + HEADING_M
     inside = np.clip(s, least_m, max(way.end_m - HEADING_M, least_m))
-    behind, ahead = (way.xy_world(inside + by) for by in (-ahead_m, ahead_m))
+    behind, here, ahead = np.split(way.xy_world(np.concatenate([inside - ahead_m, s, inside + ahead_m])), 3)
     heading = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
     right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
-    return way.xy_world(s) + offset_m * right, heading
+    return here + offset_m * right, heading
 
 
 def driven_after(track: tuple[tuple[float, float], ...], speed_m_s: float, times_s: Scalars) -> Scalars:
