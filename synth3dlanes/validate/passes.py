@@ -23,7 +23,7 @@ LENGTH = 0.005
 # pixels of a small car and 0.8 % of all others. Leaves and far hills are not checked.
 AWAY, MAX_AWAY, MIN_OF_KIND = 0.02, 0.25, 50
 FACING = ("road", "shoulder", "marking", "car")
-# Every so many cells of the height map are asked; in 26 scenes with and without maps up to 0.0021 of them, at kerbs,
+# One in MAP_STEP cells of the height map is asked; in 26 scenes with and without maps up to 0.0021 of them, at kerbs,
 # are farther from the ground.
 MAP_STEP, MAX_MAP_M, MAP_SHARE = 7, 0.002, 0.005
 # Of the image's height that the bonnet fills.
