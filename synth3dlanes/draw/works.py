@@ -17,7 +17,7 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.ground import Ground
 
 # Lines that would move by less do not, and on narrower shoulders there is no room for works.
-LEAST_M, LEAST_SHOULDER_M = 0.3, 1.2
+LEAST_MOVE_M, LEAST_SHOULDER_M = 0.3, 1.2
 # What is left of a shoulder beside lanes that are shifted onto it.
 SHOULDER_LEFT_M = 0.3
 # From the inner edge of the closed area to a cone or barrel; these stand twice as close in tapers.
@@ -25,7 +25,7 @@ ASIDE_M, IN_TAPERS = 0.25, 0.5
 # Barricades behind the taper: their distance from it and from cones, and the length of the road that each takes.
 BEHIND_TAPER_M, FROM_CONES_M, BARRICADE_M, MOST_BARRICADES = 2.0, 0.3, 1.8, 2
 # Steps along the road by which distances are measured.
-STEP_M = 0.1
+ROW_STEP_M = 0.1
 
 
 def with_works(road: PaperRoad, camera: HostCamera, draw: Draw) -> tuple[PaperRoad, HostCamera]:
@@ -56,12 +56,12 @@ def _of_kind(road: PaperRoad, kind: str, inner: bool, drawn: dict[str, Any], cam
     elif kind == "lanes_shifted":
         shift_m = min(drawn["moved_m"], road.shoulder_factor * road.lane_width_m - SHOULDER_LEFT_M)
         # Of the shoulder in a median cars may use little.
-        if shift_m < LEAST_M or (road.n_oncoming and not inner):
+        if shift_m < LEAST_MOVE_M or (road.n_oncoming and not inner):
             return None
         taken_m = shift_m
     elif kind == "lanes_narrowed":
         taken_m = min(drawn["moved_m"], road.n_lanes * (road.lane_width_m - drawn["least_lane_m"]))
-        if taken_m < LEAST_M:
+        if taken_m < LEAST_MOVE_M:
             return None
     else:
         lines = "as_before"
@@ -107,7 +107,7 @@ def draw_devices(scene: Scene, ground: Ground, of: DrawsOf) -> Iterator[Thing]:
     number = 1 + int(own.rng.random() * len(models))
     aside_m = lanes.outward * (ASIDE_M + models[number - 1].width_m / 2)
     low_m, high_m = lanes.span_m
-    s = np.linspace(low_m, high_m, 2 + int((high_m - low_m) / STEP_M))[:: int(network.onwards)]
+    s = np.linspace(low_m, high_m, 2 + int((high_m - low_m) / ROW_STEP_M))[:: int(network.onwards)]
     t = lanes.closed_from(s) + aside_m
     at = _spaced(lengths_along(road.xy(s, t)), lanes.share(s) < 1, spacing_m)
     yield from _things(road, s[at], t[at], kind, number, network.onwards)
@@ -139,7 +139,7 @@ def _barricades(scene: Scene, lanes: WorksLanes, road: Road, aside_m: float, onw
 
 def _things(road: Road, s: Scalars, t: Scalars, kind: ThingKind, model: int, onwards: float) -> Iterator[Thing]:
     """Things at places of a road that face the host's traffic."""
-    steps = road.xy(s + onwards * STEP_M, t) - road.xy(s, t)
+    steps = road.xy(s + onwards * ROW_STEP_M, t) - road.xy(s, t)
     yaws = np.arctan2(steps[:, 0], -steps[:, 1])
     for (x_m, y_m), yaw_rad in zip(road.xy(s, t).tolist(), yaws.tolist(), strict=True):
         place = {

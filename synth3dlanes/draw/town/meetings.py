@@ -14,7 +14,7 @@ from synth3dlanes.draw.town.rules import LightGroup
 from synth3dlanes.system.arrays import Points2
 
 # Crosswalks farther from the host's way in the clip are left out; people keep this far from a crosswalk's sides.
-NEAR_M, INSIDE_M = 55.0, 0.4
+MAX_FROM_HOST_M, INSIDE_M = 55.0, 0.4
 
 
 class Meeting(NamedTuple):
@@ -34,7 +34,7 @@ def draw_meetings(town_map: TownMap, host_places: Points2, of: DrawsOf, duration
         for number, arm in enumerate(rules.junction.arms):
             near_m, far_m = CROSSWALK_M
             middle = arm.pose.moved((near_m + far_m) / 2)
-            if np.linalg.norm(host_places - [middle.x, middle.y], axis=1).min() > NEAR_M:
+            if np.linalg.norm(host_places - [middle.x, middle.y], axis=1).min() > MAX_FROM_HOST_M:
                 continue
             has_signals = rules.control == "signals" and not rules.junction.is_roundabout
             groups = {rules.group(number, lane.key) for lane in arm.lanes(incoming=True)} if has_signals else set()
