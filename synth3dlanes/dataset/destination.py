@@ -5,16 +5,16 @@ place: a shard is fetched, continued in a folder of this machine (`spool`), and 
 relative to the data set: `Shard(Path("train"), ...)`.
 """
 
-import fcntl
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from synth3dlanes.dataset import folder, stores
 from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
+from synth3dlanes.dataset.locks import claimed
 from synth3dlanes.dataset.nesting import require_outside
 from synth3dlanes.dataset.patience import Patience, attempt
 from synth3dlanes.dataset.spool import made, spool, spool_of, spooled
@@ -131,17 +131,24 @@ class RunLog:
     def __init__(self, root: Path, name: str, url: str = "") -> None:
         folder = Folder(root)
         folder.make("logs")
-        self._stream = folder.append(f"logs/{name}")
         self._root, self._url = root, url
         self._path = root / "logs" / name
-        if url:
-            fcntl.flock(self._stream, fcntl.LOCK_EX)
+        self._stream = self._opened(folder)
 
     def __enter__(self) -> "RunLog":
         return self
 
     def __exit__(self, *_: object) -> None:
         self._stream.close()
+
+    def _opened(self, folder: Folder) -> BinaryIO:
+        """The log; for a store, locked against runs that put the logs of killed ones."""
+        path = self._path.relative_to(self._root)
+        while self._url:
+            with suppress(FileNotFoundError):
+                if stream := claimed(folder.append(path), self._path, waits=True):
+                    return stream
+        return folder.append(path)
 
     def write(self, line: bytes) -> None:
         """Write one line."""
@@ -152,15 +159,16 @@ class RunLog:
         if not self._url:
             return ""
         until = time.monotonic() + SAVE_S
-        # Last, the logs of killed runs too.
-        paths = [self._path, *(_unlocked(self._path.parent) if is_last else [])]
-        names = [str(path.relative_to(self._root)) for path in paths]
-        try:
-            attempt(self._url, lambda: stores.put(self._url, names, self._root), lambda: time.monotonic() > until)
-        except (OutageError, FormatError) as error:
-            return f"{error}; the log is {self._path}"
-        for name in names if is_last else []:
-            Folder(self._root).remove(name)
+        with ExitStack() as locks:
+            # Last, the logs of killed runs too.
+            paths = [self._path, *(_left(self._path.parent, locks) if is_last else [])]
+            names = [str(path.relative_to(self._root)) for path in paths]
+            try:
+                attempt(self._url, lambda: stores.put(self._url, names, self._root), lambda: time.monotonic() > until)
+            except (OutageError, FormatError) as error:
+                return f"{error}; the log is {self._path}"
+            for name in names if is_last else []:
+                Folder(self._root).remove(name)
         return ""
 
 
@@ -173,13 +181,15 @@ def _announced(url: str, recipe: dict[str, Any], split: str, n: int) -> Iterator
         stores.announce(url, recipe, split, n)
 
 
-def _unlocked(folder: Path) -> list[Path]:
-    """The files of a folder that no process has locked."""
+def _left(folder: Path, locks: ExitStack) -> list[Path]:
+    """The files of a folder that no process has locked. They are locked until `locks` is closed."""
     found = []
-    for path in sorted(folder.glob("*")):
-        with path.open("rb") as file, suppress(BlockingIOError):
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            found.append(path)
+    for path in (folder / name for name in Folder(folder).names()):
+        # Another run may put it meanwhile, and remove it.
+        with suppress(FileNotFoundError):
+            if file := claimed(Folder(folder).update(path.name), path):
+                locks.enter_context(file)
+                found.append(path)
     return found
 
 

@@ -1,15 +1,18 @@
-"""Locks on the shards of a split, against other processes and against other threads of this one.
+"""Locks on the shards of a split, on a whole folder, and on single files, against other processes and against other
+threads of this one.
 
-They are POSIX locks, which work on network file systems too. A process holds each lock once, and loses all its locks on
-a file when it closes any descriptor of that file. So a process opens the file of a split once, and records which locks
-are held.
+Those of a split are POSIX locks, which work on network file systems too. A process holds each lock once, and loses all
+its locks on a file when it closes any descriptor of that file. So a process opens the file of a split once, and records
+which locks are held.
 """
 
+import errno
 import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from threading import Lock, RLock
 from typing import BinaryIO
 
@@ -88,3 +91,19 @@ def locked(data_set: Folder) -> Iterator[None]:
     with _ENTERING, data_set.append(LOCK_FILE) as stream:
         fcntl.lockf(stream, fcntl.LOCK_EX)
         yield
+
+
+def claimed(file: BinaryIO, path: Path, waits: bool = False) -> BinaryIO | None:
+    """An open file, locked until it is closed; None, and the file is closed, where another holder has it and this one
+    does not wait. Raises FileNotFoundError where the holder before has removed it from `path`."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | (0 if waits else fcntl.LOCK_NB))
+        if os.path.samestat(os.stat(path), os.fstat(file.fileno())):
+            return file
+    except BlockingIOError:
+        file.close()
+        return None
+    except FileNotFoundError:
+        pass
+    file.close()
+    raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))

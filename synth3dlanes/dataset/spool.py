@@ -17,6 +17,7 @@ from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
+from synth3dlanes.dataset.locks import claimed
 from synth3dlanes.dataset.stores import unjoin
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.system.errors import InputError
@@ -78,12 +79,13 @@ def spool(url: str, shard: Shard) -> Iterator[Path]:
             yield store.root / name
         finally:
             if is_empty(store.root / name):
-                store.remove_tree(name)
+                _remove(store, name)
 
 
 def is_empty(root: Path) -> bool:
-    """Whether the folder of a shard holds nothing that the store lacks. Files that the store has are removed first."""
-    return not any(path.is_file() and path.name != LOCK for path in root.rglob("*"))
+    """Whether the folder of a shard holds nothing that the store lacks, or is gone: another run may be removing it.
+    Files that the store has are removed first."""
+    return all(name == LOCK for _, _, names in os.walk(root) for name in names)
 
 
 def _is_held(path: Path) -> bool:
@@ -108,24 +110,22 @@ def _take_over(store: Folder, name: str, shard: Shard) -> None:
             for path in theirs.parts().values():
                 here.open()
                 store.take((here.path("parts") / path.name).relative_to(store.root), path)
-            store.remove_tree(other.name)
+            _remove(store, other.name)
+
+
+def _remove(store: Folder, name: str) -> None:
+    """Remove a shard's folder, on which the caller has the lock. The lock goes last: from then on another run may use
+    the folder, which then stays."""
+    for inside in (f"{name}/{inside}" for inside in store.names(name) if inside != LOCK):
+        (store.remove_tree if store.is_folder(inside) else store.remove)(inside)
+    store.remove(f"{name}/{LOCK}")
+    store.remove_empty(name)
 
 
 def _locked(store: Folder, name: str) -> BinaryIO | None:
     """The lock on a shard's folder, which is made if it is missing; None where another run holds it. Locks go with
     their processes, however these end."""
     while True:
-        store.make(name)
-        try:
-            lock = store.append(f"{name}/{LOCK}")
-        except FileNotFoundError:
-            continue  # whoever held it has just removed the folder
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            return None
-        here = store.root / name / LOCK
-        if here.exists() and os.path.samestat(here.stat(), os.fstat(lock.fileno())):
-            return lock
-        lock.close()
+        with suppress(FileNotFoundError):  # the run that held the folder is removing it
+            store.make(name)
+            return claimed(store.append(f"{name}/{LOCK}"), store.root / name / LOCK)

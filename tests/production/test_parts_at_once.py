@@ -11,6 +11,9 @@ import pytest
 
 from synth3dlanes.dataset import stores
 from synth3dlanes.dataset.description import parse_description
+from synth3dlanes.dataset.destination import Destination
+from synth3dlanes.dataset.spool import SPOOL, spool, spooled
+from synth3dlanes.dataset.write import Shard
 from tests import fake_samples, soak, store_server
 
 s3fs = pytest.importorskip("s3fs")
@@ -116,3 +119,47 @@ def test_no_split_is_lost_where_runs_announce_theirs_together(
         assert f'"@id": "{split}/00000.tar"' in files.cat_file(f"{root}/croissant.json").decode()
     there = sorted(path.rpartition("/")[2] for path in files.find(root))
     assert there == ["README.md", "croissant.json", "dataset.json"]
+
+
+def test_folders_of_the_spool_that_runs_use_remove_and_take_over_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of four runs leaves some of its samples, as if it were killed, and puts the others."""
+    monkeypatch.setenv(SPOOL, str(tmp_path))
+    shard = Shard(Path("train"), 0, 1000, ("txt",), "recipe")
+    put: list[dict[str, bytes]] = [{} for _ in range(4)]
+
+    def run(number: int) -> None:
+        for turn in range(8):
+            with spool("s3://lanes/v1", shard) as root:
+                here = shard.within(root)
+                here.open()
+                here.write_part(turn * 4 + number, {"txt": str(number).encode()})
+                if turn % 3:
+                    for path in here.parts().values():
+                        put[number][path.name] = path.read_bytes()
+                        path.unlink()
+            spooled("s3://lanes/v1", "train", "recipe")
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(run, range(4)))
+    with spool("s3://lanes/v1", shard) as root:
+        left = {path.name: path.read_bytes() for path in shard.within(root).parts().values()}
+    assert len({name for found in [*put, left] for name in found}) == 32
+
+
+def test_logs_of_killed_runs_that_several_runs_put_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SPOOL, str(tmp_path / "spool"))
+    url = (tmp_path / "store").as_uri()
+
+    def run(number: int) -> None:
+        for turn in range(10):
+            with Destination(url).log(f"{number}-{turn}.jsonl") as log:
+                log.write(f"{number} {turn}\n".encode())
+                if turn % 2:
+                    assert log.save(is_last=True) == ""
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(run, range(4)))
+    lines = {path.name: path.read_text() for path in (tmp_path / "store" / "logs").iterdir()}
+    assert lines == {f"{number}-{turn}.jsonl": f"{number} {turn}\n" for number in range(4) for turn in range(10)}
