@@ -47,8 +47,8 @@ class Strip:
 # Beyond these limits paint may be invisible: rubbed off, as gray as the road, under water or in fog; so it may be under
 # snow and behind drops on the glass.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
-# A wetter road mirrors the sky, in puddles more than its paint.
-MAX_DRY = 0.3
+# A wetter road mirrors the sky, in puddles more than its paint; a damp one as brightly as paint that is more worn.
+MAX_DRY, MAX_WORN_DAMP = 0.3, 0.4
 # Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
 MIN_LEFT, BRIGHTER = 0.22, 1.6
 # The mean of the channels of paint, of 1 for white.
@@ -80,7 +80,8 @@ class WorldPaint:
             and scene.weather.snow_on_road == 0
             and scene.sensor.drops <= MAX_DROPS
         )
-        self.is_dry = scene.surface.wetness <= MAX_DRY
+        wetness, wear = scene.surface.wetness, scene.markings.wear
+        self.is_dry = wetness == 0 or (wetness <= MAX_DRY and wear <= MAX_WORN_DAMP)
         self._curves = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():

@@ -25,7 +25,10 @@ NOTHING = shapely.MultiPolygon()
 
 def valid(area: BaseGeometry) -> BaseGeometry:
     """The polygons of what may cross itself."""
-    return _polygons_alone(area) if shapely.is_valid(area) else _on_grids(shapely.set_precision, [area], NOTHING)
+    if shapely.is_valid(area):
+        return _polygons_alone(area)
+    # Rounded to a grid as it is, a quad whose sides cross near a corner would vanish.
+    return _on_grids(shapely.set_precision, [shapely.make_valid(area)], NOTHING)
 
 
 def ring_area(ring: Points2) -> BaseGeometry:

@@ -51,7 +51,7 @@ class MapSurfaces(Surfaces):
         for road in ground.outside:
             for stretch in road.stretches:
                 if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
-                    found += _strips(ground, stretch)
+                    found += _strips(ground, stretch, (stretch is road.stretches[0], stretch is road.stretches[-1]))
         found += _area_meshes(ground)
         near = (_near(ground, mesh) for mesh in found)
         return [mesh for mesh in near if len(mesh.faces)]
@@ -114,8 +114,9 @@ def _near(ground: MapGround, mesh: Mesh) -> Mesh:
     return mesh if kept.all() else replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _strips(ground: MapGround, stretch: Road) -> list[Mesh]:
-    """The lanes of a stretch of a road, raised ones with kerbs on both sides."""
+def _strips(ground: MapGround, stretch: Road, is_end: tuple[bool, bool]) -> list[Mesh]:
+    """The lanes of a stretch of a road, raised ones with kerbs on all sides. Others have upright faces on the sides of
+    the road and at its ends, where what follows may be narrower."""
     s, (section,) = ground.stretch_rows(stretch), stretch.sections
     edges, first, last = section.edges(s), *section.paved
     found, i = [], first
@@ -133,22 +134,22 @@ def _strips(ground: MapGround, stretch: Road) -> list[Mesh]:
         t = np.stack(columns, axis=1)
         vertices = stretch.base_points(np.broadcast_to(s[:, None], t.shape), t)
         uv = np.stack(np.broadcast_arrays(np.array(across)[None], s[:, None]), -1)
-        # Raised lanes have kerbs, which the texture goes on over; others have upright faces.
+        # The texture goes on over kerbs.
         up_m, down_m, over_m = (KERB_M, KERB_M + FOOT_M, 0.2) if run else (0.0, SKIRT_M, 0.0)
         vertices[..., 2] += up_m
         feet = vertices[:, [0, -1]] - [0, 0, down_m]
         vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
         uv = np.concatenate([uv[:, :1] - [over_m, 0], uv, uv[:, -1:] + [over_m, 0]], axis=1)
         surfaces = [surfaces[0], *surfaces, surfaces[-1]]
-        if run:
-            ends = vertices[[0, -1]]
-            ends[:, 1:-1, 2] -= down_m
-            vertices = np.concatenate([ends[:1], vertices, ends[1:]])
-            uv = np.concatenate([uv[:1], uv, uv[-1:]])
+        ends = [int(run is not None or at) for at in is_end]
+        vertices, uv = (np.pad(values, (ends, (0, 0), (0, 0)), mode="edge") for values in (vertices, uv))
+        is_foot = np.zeros(len(vertices), dtype=bool)
+        is_foot[: ends[0]] = is_foot[len(is_foot) - ends[1] :] = True
+        vertices[is_foot, 1:-1, 2] -= down_m
         mesh = grid(vertices, uv, np.array(surfaces))
         if not run:
             # Shading of a level edge does not bend down to its skirt.
-            is_skirt = np.zeros((len(s) - 1, len(surfaces)), bool)
+            is_skirt = np.tile((is_foot[1:] | is_foot[:-1])[:, None], len(surfaces))
             is_skirt[:, [0, -1]] = True
             mesh = with_crease(mesh, is_skirt.ravel())
         found.append(mesh)

@@ -52,6 +52,15 @@ def test_no_overlay_fails(one: np.ndarray, other: np.ndarray, third: np.ndarray,
     assert left.area <= a.area + slack_m2
 
 
+def test_a_road_that_folds_covers_all_between_its_rows() -> None:
+    """Its inner edge is a hair beyond the middle of the bend, where rows cross each other."""
+    rad = np.linspace(0.0, np.pi / 2, 30)
+    for beyond_m in (0.005, 0.05, 0.3):
+        x, y = (of(rad)[:, None] * [16.0, -beyond_m] + at for of, at in ((np.cos, 50.3), (np.sin, 20.7)))
+        strip = polygon_between(*np.stack([x, y], axis=-1).swapaxes(0, 1))
+        assert strip.area == pytest.approx(np.pi / 4 * 16.0**2, rel=0.01)
+
+
 def test_what_has_no_area_is_nothing() -> None:
     line, point = shapely.LineString([(0, 0), (1, 1)]), shapely.Point(0, 0)
     square = shapely.box(0, 0, 1, 1)

@@ -56,6 +56,19 @@ def test_the_terrain_goes_on_below_the_pavement_and_meets_its_edges(world):
     assert (np.abs(gap_m - 0.12) < 0.06).all(), "a kerb above the terrain that goes on under it"
 
 
+def test_pavement_is_closed_at_the_ends_of_its_road_too(world):
+    """What follows may be narrower: nobody looks below the pavement there."""
+    for name, end_m in (("south", 0.0), ("east", world.network.road("east").end_m)):
+        road = world.network.road(name)
+        at = np.full(9, end_m)
+        across = np.linspace(0.4, 0.6, 9) * (road.right(at) - road.left(at)) + road.left(at)
+        xy = road.xy(at, across)
+        vertices = np.concatenate([mesh.vertices_world for mesh in world.site.surfaces.pavement])
+        near = np.abs(vertices[:, None, :2] - xy).sum(axis=2).min(axis=1) < 0.5
+        feet = vertices[near, 2] - height_at(HILLS, vertices[near, :2])
+        assert feet.min() < -0.1
+
+
 def test_walkways_and_islands_are_raised(world):
     arm, s = world.network.road("north"), np.linspace(2, 40, 20)
     middle = arm.xy(s, arm.right(s) - 1.0)
