@@ -5,9 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.draw.sample import Scenes, sample_scene
@@ -178,31 +175,8 @@ def test_all_mistakes_are_reported(problems: Callable[[str], list[str]]) -> None
     assert len(problems(f"{OWN}fx: 500\nheight_m: 30\npitch_deg: x\nfocal: 3")) == 3
 
 
-VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4) | st.integers(), inner, max_size=3),
-    max_leaves=8,
-)
 KEYS = [*CameraSpec.model_fields, "fx", "K", "calibration", "camera_matrix", "distortion_coefficients", "cam0"]
 KEYS += ["intrinsics", "resolution", "distortion_model", "fisheye_model", "image_width", "image_height"]
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
-@given(st.dictionaries(st.sampled_from(KEYS) | st.text(max_size=4), VALUES, max_size=8), st.booleans())
-def test_no_document_breaks_the_reader(tmp_path: Path, document: dict[object, object], complete: bool) -> None:
-    if complete:
-        document = {"width_px": 640, "height_px": 480, "fx": 300} | document
-    try:
-        text = yaml.safe_dump(document)
-    except yaml.YAMLError:
-        return
-    found: list[str] = []
-    try:
-        found.append(repr(read(text, tmp_path)))
-    except InputError as error:
-        found += error.problems
-    assert found
-    assert not any("\n" in line for line in found)
 
 
 @pytest.mark.parametrize("name", preset_names("cameras"))

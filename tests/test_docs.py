@@ -53,15 +53,6 @@ def test_every_command_and_option_is_explained() -> None:
         assert not [option.opts for option in options if not option.help], f"{name}: these have no help"
 
 
-def test_every_group_is_explained() -> None:
-    """`commands` lists no groups, whose help is a page of its own."""
-    from synth3dlanes_cli.main import main
-
-    groups = [main, *(command for command in main.commands.values() if isinstance(command, click.Group))]
-    assert len(groups) > 1
-    assert all(group.help for group in groups)
-
-
 def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
     from scripts.docs import preset_comments
     from synth3dlanes.params.params import forms, load_params

@@ -26,13 +26,3 @@ def test_no_two_classes_or_types_share_a_name():
             for name, meaning in _types(path):
                 meanings[name].add(meaning)
     assert {name: found for name, found in meanings.items() if len(found) > 1} == {}
-
-
-def test_the_table_of_nouns_has_each_noun_once_and_names_files_that_are_there():
-    section = (ROOT / "docs/words.md").read_text()
-    rows = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| ")][1:]
-    nouns = [noun.strip() for row in rows for noun in row[0].split(",")]
-    assert len(nouns) > 40
-    assert len(set(nouns)) == len(nouns)
-    for path in re.findall(r"`([\w/.]+)`", " ".join(row[2] for row in rows)):
-        assert any((ROOT / base / path).exists() for base in ("synth3dlanes", ".")), path

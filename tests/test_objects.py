@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.geometry.frames import quaternion, road_from_cam, rotation, transform
 from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.labels import labels as label_file
@@ -18,12 +18,11 @@ from synth3dlanes.scene.assets.catalogue import CARS, Assets, vehicle_class
 from synth3dlanes.scene.assets.folder import CarNotes
 from synth3dlanes.scene.scene import Car
 from synth3dlanes.system.errors import FormatError
-from synth3dlanes.truth.ground_truth import ground_truth, label
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.truth.object_truth import rectangles, truncation
 from tests.golden.frozen import FILE as FROZEN
 from tests.golden.frozen import KEPT
 from tests.scenes import FLAT, changed
-from tests.thorough import first
 
 FISHEYE = Lens(model="fisheye", coefficients=(0.02, 0, 0, 0))
 
@@ -240,25 +239,6 @@ def test_classes_of_a_users_models_follow_from_names_or_sizes():
     own = replace(CARS[0], name="mine", sha256="0" * 64, category="van")
     scene = with_cars(car("main_2", -20, 1)).model_copy(update={"assets": Assets(cars=(own,))})
     assert [item.category for item in ground_truth(scene).objects] == ["van"]
-
-
-@pytest.mark.parametrize("preset", first(1, ["appendix_i", "streets"]))
-def test_labels_grow_by_less_than_15_percent(preset):
-    """With every object in the image that is in it at all seen, and a velocity: the most that is written."""
-    scenes, before, after = Scenes(load_params(preset), 0, "train", shots=Shots(frames=2)), 0, 0
-    for index in range(0, 40, 2):
-        world = sample_world(scenes, index)
-        labels = label(world, world.view)
-        lanes = (replace(lane, object_visible=np.ones(len(lane.xyz_cam), bool)) for lane in labels.lanes)
-        items = (
-            replace(item, seen_box_px=None if item.box_px is None else item.box_px.astype(int), visible_fraction=0.123)
-            for item in labels.objects
-        )
-        full = label_file.to_json(replace(labels, lanes=tuple(lanes), objects=tuple(items)))
-        document = json.loads(full)
-        del document["objects"]
-        before, after = before + len(json.dumps(document, separators=(",", ":"))), after + len(full)
-    assert after < 1.15 * before
 
 
 def test_notes_of_a_users_model_have_its_class_its_wheels_or_both():

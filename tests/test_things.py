@@ -198,19 +198,6 @@ def test_modules_that_name_a_kind_of_thing_are_its_makers():
     assert {*allowed} == used, "no longer needed in NAMING"
 
 
-@pytest.mark.parametrize(
-    ("code", "named"),
-    [
-        ("item.category == 'van'", {"van"}),
-        ("np.isin(ids, [SEMANTIC_IDS['bridge'], SEMANTIC_IDS['signal']])", {"bridge", "signal"}),
-        ("crossing.kind == 'bridge'", set()),
-        ("add(element, 'tree')", {"tree"}),
-    ],
-)
-def test_names_are_found_in_code(code, named):
-    assert {*names_in(ast.parse(code), {"van", "bridge", "signal", "tree"}, {"bridge"})} == named
-
-
 def test_a_speed_that_follows_from_a_track_is_not_changed_alone():
     scene = Scene.model_validate(with_things(walker(track=TRACK)).model_dump())
     with pytest.raises(InputError, match=r"things\.0\.speed_m_s: follows from things\.0\.track"):

@@ -249,17 +249,3 @@ def test_the_host_of_a_clip_drives_its_track() -> None:
     # The way is no shorter than the chord, and no car is faster than a town allows.
     driven_m = host_driven(shot, shot.duration_s)
     assert float(np.linalg.norm(ways[1] - ways[0])) <= driven_m + 0.05 <= 15 * shot.duration_s
-
-
-@pytest.mark.slow
-def test_2000_towns() -> None:
-    """All are made, and nothing is wrong in any."""
-    problems = []
-    for index in range(2000):
-        world = town(index)
-        assert world.scene.map is not None
-        problems += [
-            f"{index}: {line}"
-            for line in (*map_problems(world.scene.map), *order_problems(world.scene), *standing_problems(world))
-        ]
-    assert problems == []

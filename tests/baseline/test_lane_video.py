@@ -12,7 +12,6 @@ from synth3dlanes_baseline import sources
 from synth3dlanes_baseline.checkpoint import SHIPPED, detector
 from synth3dlanes_baseline.data import intrinsics_of
 from synth3dlanes_baseline.lanes import read_predictions
-from synth3dlanes_baseline.pictures import open_pictures
 from synth3dlanes_baseline.predict import PredictConfig, predict
 
 from synth3dlanes.figures.colors import KINDS
@@ -78,21 +77,6 @@ def test_a_video_gives_the_lanes_of_its_frames_and_a_video_with_them(network, dr
                 is_drawn.append(with_lane < 0.75 * without)
     assert len(is_drawn) > 10
     assert np.mean(is_drawn) > 0.8, "but for lanes under those of the other kind"
-
-
-def test_frames_are_read_as_they_are_needed(network, video, monkeypatch):
-    n_read = 0
-
-    def frames():
-        nonlocal n_read
-        for image in [*open_pictures(video, None).images] * 20:
-            n_read += 1
-            yield image
-
-    found = network.in_images(frames(), batch=4)
-    for _ in range(9):
-        next(found)
-    assert n_read <= 12 + 3
 
 
 @pytest.fixture

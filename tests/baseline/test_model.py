@@ -10,7 +10,7 @@ import pytest
 import torch
 from synth3dlanes_baseline.anchors import Targets, anchor_positions_m, encode
 from synth3dlanes_baseline.augment import augment, flip, generator_for, rotate, saturate, sharpen
-from synth3dlanes_baseline.config import OUR_AUGMENTATION, PAPER, TINY, Augmentation, LossConfig, improved, train_config
+from synth3dlanes_baseline.config import OUR_AUGMENTATION, PAPER, TINY, Augmentation, LossConfig, train_config
 from synth3dlanes_baseline.curves import Y_REF_M
 from synth3dlanes_baseline.data import annotation_of, pack
 from synth3dlanes_baseline.loading import Example, collate
@@ -145,13 +145,6 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
         model(batch.image, batch.intrinsics).x_m.sum().backward()
         gradient = model.pose.residual.bias.grad
         assert (gradient is not None and bool(gradient.abs().sum() > 0)) == has_gradient
-
-
-def test_improved_has_a_visibility_per_knot(roads):
-    batch = _batch(roads)
-    with torch.no_grad():
-        output = LaneNet(improved(TINY))(batch.image, batch.intrinsics)
-    assert output.visible_logit.shape == output.x_m.shape == (2, 3, 16, 10)
 
 
 def test_loss_of_perfect_output_is_only_the_confidence(roads):

@@ -20,24 +20,6 @@ def test_a_log_file_gets_a_line_now_and_then_with_what_is_left(capsys, monkeypat
     assert told[0] == "step 16/100  8.0 samples/s  0:02:48 left"
 
 
-def test_the_end_is_told_once_by_the_line_of_its_epoch(capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr(progress, "LINE_EVERY_S", -1.0)
-    with progress.TrainingLog(tmp_path, 2, 2, 0, 4, is_shown=True) as log:
-        for step in (1, 2):
-            log.step(step, 1e-3, {"total": torch.tensor(1.0)})
-        log.epoch(2, None)
-    told = [line.split(":")[0].split("  ")[0] for line in capsys.readouterr().err.splitlines()]
-    assert told[-1] == "epoch 1/1"
-    assert "step 2/2" not in told
-
-
-def test_other_processes_than_the_first_say_nothing(capsys, monkeypatch):
-    monkeypatch.setattr(progress, "LINE_EVERY_S", -1.0)
-    with progress.ProgressLine("step", 10, is_shown=False) as line:
-        line.update(5, 10)
-    assert capsys.readouterr().err == ""
-
-
 def test_an_epoch_is_one_line_with_loss_validation_speed_and_time_left(capsys, monkeypatch, tmp_path):
     """As trainers print it: the mean loss since the line before, also where a validation comes within an epoch."""
     from synth3dlanes_baseline.metrics import Evaluation, MetricConfig

@@ -11,8 +11,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 from synth3dlanes_baseline import checkpoint
-from synth3dlanes_baseline.backbone import ImagePathway
-from synth3dlanes_baseline.config import MODELS, PAPER, train_config
+from synth3dlanes_baseline.config import PAPER, train_config
 from synth3dlanes_baseline.layers import PIXELS, lattice_after
 from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.pretrained import load_pretrained
@@ -47,26 +46,6 @@ def timm():
 def _config(backbone, **changes):
     size = {"model.image_height_px": 120, "model.image_width_px": 160}
     return train_config("nano", {"model.backbone": backbone, **size, **changes}).model
-
-
-class _Stages(nn.Module):
-    """The stages of our own pathway, for images of any number of channels."""
-
-    def __init__(self, pathway):
-        super().__init__()
-        self.stages = pathway.stages
-
-    def forward(self, image):
-        maps = [image[:, :1].expand(-1, 5 if self.stages[0][0][0].in_channels == 5 else 3, -1, -1)]
-        for stage in self.stages:
-            maps.append(stage(maps[-1]))
-        return maps[1:]
-
-
-@pytest.mark.parametrize("name", ["paper", "compact", "nano"])
-def test_measured_lattices_of_our_own_trunks_are_those_that_the_layers_tell(name):
-    pathway = ImagePathway(MODELS[name].model_copy(update={"image_channels": (8, 8, 8, 8)}))
-    assert measured_lattices(_Stages(pathway), 360, 480) == pathway.lattices
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """What the commands of the networks say: progress without a terminal, names of weights, the order of arguments."""
 
-import ast
 import re
 import time
 from pathlib import Path
@@ -12,8 +11,6 @@ from synth3dlanes_baseline import evaluate, onnx_export, sources
 from synth3dlanes_cli import options
 from synth3dlanes_cli.main import main
 from synth3dlanes_cli.networks import WEIGHTS
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -88,18 +85,3 @@ def test_the_shell_completes_names_of_weights(in_tmp_path):
         told = CliRunner().invoke(main, [], prog_name="synth3dlanes", env=environment)
         names = [line.partition(",")[2] for line in told.output.splitlines()]
         assert names[:3] == WEIGHTS.split("|"), (words, told.output)
-
-
-@pytest.mark.thorough
-def test_hints_how_to_install_work_before_a_wheel_is_published():
-    """No text names the project as a package of an index, and one function makes the hints."""
-    for path in (*ROOT.glob("docs/**/*.md"), ROOT / "README.md"):
-        assert not re.search(r"pip install (-\S+ )*'?synth3dlanes", path.read_text()), path
-    makers = []
-    for folder in ("synth3dlanes", "cli", "baseline_model"):
-        for path in (ROOT / folder).rglob("*.py"):
-            texts = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
-            found = [text.value for text in texts if isinstance(text.value, str) and "pip install" in text.value]
-            assert not [text for text in found if re.search(r"install '?synth3dlanes", text)], path
-            makers += [path.name for text in found if "'.[" in text]
-    assert makers == ["errors.py"]

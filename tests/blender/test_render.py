@@ -316,20 +316,6 @@ def test_seen_share_of_cars():
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("model", [10, 11])
-def test_seen_share_of_long_vehicles_is_that_of_their_pixels(model):
-    """From behind, a semitrailer fills a small part of its bounding sphere."""
-    car = {"scale": 1.0, "color": (1, 0, 0), "gloss": 0.5}
-    long, near = Car(**car, model=model, lane="main_2", s_m=0), Car(**car, model=5, lane="main_1", s_m=-33)
-    scene = changed(camera={"lane": 1})
-    alone, behind = (rendered(scene.model_copy(update={"cars": cars}), ONE_SAMPLE) for cars in ((long,), (long, near)))
-    pixels = [(picture.passes["instance"] == instance_id("car", 0)).sum() for picture in (alone, behind)]
-    assert alone.labels.car_visible_fraction == (1.0,)
-    assert 0.2 < pixels[1] / pixels[0] < 0.9
-    assert behind.labels.car_visible_fraction[0] == pytest.approx(pixels[1] / pixels[0], abs=0.06)
-
-
-@pytest.mark.thorough
 def test_grass_is_terrain_beside_the_road_and_changes_no_label():
     """Its pixels lie on the verge and are nearer than the ground behind them; nothing else moves."""
     bare = changed()

@@ -128,14 +128,6 @@ def test_info_and_validate_take_one_split(run: Run, folder: Path, in_tmp_path: P
     assert "val/00001.tar" in of_all.stdout
 
 
-def test_the_help_shows_whole_summaries(run: Run) -> None:
-    commands = " ".join(run("--help").stdout.partition("Commands:")[2].split())
-    assert "..." not in commands
-    assert (
-        "merge Merge data sets that were made from the same recipe, such as parts made on several machines" in commands
-    )
-
-
 def test_a_dry_run_says_what_would_be_made_and_makes_nothing(run: Run, in_tmp_path: Path) -> None:
     command = (
         "generate",
@@ -159,16 +151,6 @@ def test_a_dry_run_says_what_would_be_made_and_makes_nothing(run: Run, in_tmp_pa
         assert words in asked
     assert expected.startswith("1,500 samples to make with 2 workers: about ")
     assert not list(in_tmp_path.iterdir())
-
-
-def test_every_problem_has_a_line(run: Run) -> None:
-    result = run("sample", "--set", "road.n_lanes=9", "--set", "light.exposure=0", "--set", "typo")
-    assert result.exit_code == 2
-    assert [line.split(":")[0] for line in sorted(result.stderr.splitlines())] == [
-        "--set light.exposure",
-        "--set road.n_lanes",
-        "--set typo",
-    ]
 
 
 def test_a_scene_with_two_mistakes_names_both(run: Run, in_tmp_path: Path) -> None:

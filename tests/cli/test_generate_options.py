@@ -1,9 +1,5 @@
 """What `generate` makes of its options, and what it prints while it works."""
 
-import io
-import re
-import sys
-
 import pytest
 from synth3dlanes_cli.generate import generate, progress
 from synth3dlanes_cli.main import main
@@ -47,19 +43,3 @@ def test_the_log_level_decides_what_is_printed(level, expected, capsys):
 
 def test_durations_are_read_as_clocks():
     assert [duration(seconds) for seconds in (0.4, 65, 3725.6)] == ["0:00:00", "0:01:05", "1:02:06"]
-
-
-@pytest.mark.parametrize(("width", "rate"), [(40, "2,730/h, 1:05:00 left"), (120, "2,730 images/h, 1:05:00 left")])
-def test_the_bar_shows_rate_and_rest_on_any_terminal(width: int, rate: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    screen = Terminal()
-    monkeypatch.setattr(sys, "stderr", screen)
-    monkeypatch.setenv("COLUMNS", str(width))
-    monkeypatch.setenv("TERM", "xterm")
-    with progress() as notify:
-        notify(Event("sample", "00000007", 12_345, 300_000, 0, 60.0, 2730 / 3600, 3900.0, {}))
-    shown = re.sub(r"\x1b\[[^A-Za-z]*[A-Za-z]", "", screen.getvalue())
-    assert f"12345/300000 {'' if width == 40 else '0:00:00 '}{rate}" in shown

@@ -124,12 +124,3 @@ def test_a_pose_that_no_network_predicts_is_not_nan() -> None:
     assert "pose: not predicted" in to_text(report)
     assert "pose" not in summary_line(report)
     assert not re.search(r"\bnan (deg|cm)", to_text(report) + summary_line(report))
-
-
-def test_one_is_singular(run: Run, folder: Path) -> None:
-    told = run(
-        "generate", "--n", 1, "--out", "d", "--samples", 1, "--workers", 1, "--device", "cpu", "--dry-run"
-    ).stdout
-    assert "1 sample, seed 0" in told
-    assert "1 sample per pixel" in told
-    assert "1 sample to make with 1 worker: about" in told

@@ -87,36 +87,6 @@ def test_a_shard_that_is_not_made_yet_is_left_out(folder: Path, tmp_path: Path) 
         assert [sample.key for sample in Reader(f"{url}/train")] == [f"{i:08d}" for i in (0, 1, 2, 3, 4, 10, 11)]
 
 
-@pytest.mark.thorough
-def test_every_command_that_reads_reads_a_server(run: Run, folder: Path) -> None:
-    with serving(folder) as url:
-        for command in (("info", "PLACE", "--json"), ("info", "PLACE/train", "--json"), ("stats", "PLACE", "--n", 4)):
-            told = []
-            for place in (str(folder), url):
-                result = run(*(str(word).replace("PLACE", place) for word in command))
-                assert result.exit_code == 0, result.output
-                told.append(result.stdout.replace(place, "PLACE"))
-            assert told[0] == told[1], command
-        for command in (
-            ("gallery", url, "--where", "n_lanes = 3", "--columns", 2, "--out", "gallery.png"),
-            ("inspect", f"{url}/train:00000003", "--html", "page.html"),
-            ("evaluate", f"{url}/train"),
-            ("merge", url, "--out", "copy"),
-        ):
-            result = run(*command)
-            assert result.exit_code == 0, (command, result.output)
-    assert (Path("copy/train/00002.tar").read_bytes()) == (folder / "train/00002.tar").read_bytes()
-
-
-@pytest.mark.thorough
-def test_train_reads_a_server(run: Run, folder: Path) -> None:
-    pytest.importorskip("torch")
-    with serving(folder) as url:
-        result = run("train", url, "--model", "tiny", "--epochs", 1, "--batch", 4, "--device", "cpu", "--out", "model")
-    assert result.exit_code == 0, result.output
-    assert Path("model/best.pt").exists()
-
-
 def test_a_server_that_sends_whole_files_alone_is_named(run: Run, folder: Path) -> None:
     with serving(folder, Whole) as url:
         result = run("stats", url)

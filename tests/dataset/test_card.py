@@ -17,9 +17,6 @@ from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.params.lidar_files import load_lidar
-from synth3dlanes.params.rig_files import load_rig
-from synth3dlanes.params.shots import Shots
 from tests import fake_samples
 
 RECIPE = fake_samples.recipe()
@@ -72,22 +69,6 @@ def test_the_parameters_of_the_card_are_those_of_the_data_set(tmp_path):
     params = yaml.safe_load(text.split("```yaml\n")[1].split("```")[0])
     assert params == json.loads((tmp_path / "dataset.json").read_text())["params"]
     assert all(f"| `.{name}` |" in text for name in RECIPE.names)
-
-
-@pytest.mark.parametrize(
-    ("shots", "words"),
-    [
-        (Shots(frames=30), "Scenes are clips of 30 frames"),
-        (Shots(cameras=load_rig("nuscenes")), "Each moment is seen by 6 cameras"),
-        (Shots(cameras=load_rig("nuscenes")[:1]), "The camera is that of `shots`"),
-        (Shots(lidar=load_lidar("hdl_32e")), "A lidar measures each moment"),
-    ],
-)
-def test_clips_rigs_and_lidars_are_named(shots, words):
-    shot = {**fake_samples.recipe(shots=shots).description(), "shard_size": 2, "splits": {"train": {"n": 60}}}
-    single = {**DESCRIPTION, "splits": {"train": {"n": 60}}}
-    assert words in card(shot).decode()
-    assert words not in card(single).decode()
 
 
 def test_it_grows_with_the_data_set_until_a_user_writes_their_own(tmp_path):

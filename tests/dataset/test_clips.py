@@ -13,7 +13,6 @@ from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.splits import evenly_spaced
-from synth3dlanes.labels import labels as labels_format
 from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
@@ -107,11 +106,6 @@ def test_parts_of_clips_are_merged_to_what_one_run_makes(data, tmp_path):
 def test_info_and_the_start_line_count_clips(data):
     assert dataset_info(str(data)).recipe["shots"] == {"frames": FRAMES, "fps": 10.0, "cameras": []}
     assert "33 samples, 6 clips of 6 frames, 10 a second, the last of 3 frames" in plan(data, 33).text()
-
-
-def test_labels_go_through_json_with_their_time(data):
-    labels = Reader(f"{data}/train").labels(8)
-    assert labels_format.from_json(labels_format.to_json(labels), "test").time_s == labels.time_s == 0.2
 
 
 def test_shards_of_single_pictures_made_before_are_continued(tmp_path):

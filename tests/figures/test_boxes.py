@@ -6,7 +6,6 @@ import numpy as np
 
 from synth3dlanes.figures.boxes import lines_img, objects_in_image
 from synth3dlanes.figures.colors import ELEMENT, OBJECT
-from synth3dlanes.figures.describe import ELEMENT_COLUMNS, OBJECT_COLUMNS, element_row, object_row
 from synth3dlanes.figures.overlay import draw_overlay
 from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.truth.ground_truth import ground_truth
@@ -51,14 +50,6 @@ def test_the_overlay_shows_seen_objects_and_no_hidden_ones(flat_scene, gray_imag
     assert (hidden == empty).all()
 
 
-def test_rows_of_the_table(flat_scene):
-    labels = ground_truth(flat_scene).with_seen_shares((1.0, 0.5))
-    row = object_row(labels.objects[1])
-    assert len(row) == len(OBJECT_COLUMNS)
-    assert row[:2] == ("2", "truck")
-    assert row[4:] == ("-", "50 %", "0 %", "-")
-
-
 def test_faces_of_traffic_elements_are_drawn_where_their_corners_are_but_for_hidden_ones():
     labels = replace(ground_truth(signals_scene()), lanes=())
     drawn = [found for found in objects_in_image(labels) if found[0].is_element]
@@ -73,11 +64,3 @@ def test_faces_of_traffic_elements_are_drawn_where_their_corners_are_but_for_hid
     assert (np.abs(overlay.astype(int) - ELEMENT).max(axis=2) < 60).sum() > 20
     hidden = tuple(replace(item, visible_fraction=0.0) for item in labels.traffic_elements)
     assert (draw_overlay(gray, replace(labels, traffic_elements=hidden)) == gray).all()
-
-
-def test_rows_of_traffic_elements():
-    items = ground_truth(signals_scene()).traffic_elements
-    rows = [element_row(item) for item in items]
-    assert {len(row) for row in rows} == {len(ELEMENT_COLUMNS)}
-    assert ("lane signal", "lane: red cross", "main_1") in [row[1:4] for row in rows]
-    assert ("road sign", "stop", "main_3") in [row[1:4] for row in rows]

@@ -249,22 +249,3 @@ def test_axe_finds_no_fault(open_page, exit_scene, gray_image, report, kind, sch
     found = Axe().run(page).response
     assert len(found["passes"]) > 15, "rules that apply and hold"
     assert [(rule["id"], rule["impact"], len(rule["nodes"])) for rule in found["violations"]] == []
-
-
-def test_a_sample_of_a_report_is_a_link_that_enlarges_it(open_page, report):
-    page = open_page(report, 1400)
-    sample = page.locator("figure[id='train:00000001']")
-    before = sample.bounding_box()["width"]
-    sample.get_by_role("link").first.click()
-    assert page.url.endswith("#train:00000001")
-    assert sample.bounding_box()["width"] > 2 * before
-    sample.get_by_role("link", name="all samples").click()
-    assert sample.bounding_box()["width"] == before
-
-
-@pytest.mark.thorough
-def test_the_page_of_a_data_set(open_page, report):
-    page = open_page(report)
-    masks = [f"points {name}" for name in ("seen", "hidden by the ground", "hidden by objects")]
-    check_switches(page, page.locator(".cards"), ["centre lines", "delimiters", "hidden parts", "objects", *masks])
-    assert page.locator(".plot").count() > 40

@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 from synth3dlanes.figures.clip import draw_clip
-from synth3dlanes.figures.describe import describe
 from synth3dlanes.figures.page import MAX_FRAMES, scene_page
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.scene.host import Shot
@@ -64,10 +63,3 @@ def test_a_page_of_a_long_clip_has_some_of_its_frames(flat_scene, gray_image):
     words = [int(number) for number in re.findall(r'data-words="frame (\d+),', page)]
     assert words == list(range(0, n_frames, 3))
     assert re.search(r'value="33"', page)
-
-
-def test_inspect_says_frame_and_time(flat_scene):
-    scene = shown_in(flat_scene, 2)
-    camera = describe(ShownScene(scene, labelled(scene)))["camera"]
-    assert camera["frame"] == "2 of 0 to 2, 0.50 s and 10.0 m from the clip's start, at 72 km/h"
-    assert "frame" not in describe(ShownScene(flat_scene, labelled(flat_scene)))["camera"]

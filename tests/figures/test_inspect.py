@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from synth3dlanes.figures.describe import describe
 from synth3dlanes.figures.inspect import draw_inspect, summary
 from synth3dlanes.figures.passes import pass_picture
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth
-from tests.scenes import changed
 
 
 def text_of(renderable: object) -> str:
@@ -69,51 +67,6 @@ def test_roads_reach_from_shoulder_to_shoulder(flat_scene):
     half_m = 1.5 * 3.5 + 0.4 * 3.5
     assert np.allclose(left[:, 0], -half_m)
     assert np.allclose(right[:, 0], half_m)
-
-
-def test_the_numbers_of_the_vertical_axis_do_not_overlap_on_flat_ground(flat_scene):
-    """Neighbouring numbers of the 3D view's z axis are farther apart than they are high."""
-    figure = draw_inspect(ShownScene(flat_scene, ground_truth(flat_scene), None))
-    figure.savefig(io.BytesIO(), dpi=100)
-    (space,) = [axes for axes in figure.axes if axes.name == "3d"]
-    boxes = [label.get_window_extent() for label in space.get_zticklabels() if label.get_text()]
-    middles = np.array([(box.y0 + box.y1) / 2 for box in boxes])
-    assert len(middles) >= 3
-    assert np.abs(np.diff(middles)).min() > boxes[0].height
-
-
-def test_no_number_of_the_3d_view_overprints_another_or_the_name_of_an_axis(exit_scene):
-    """In the view of a rig, which shows the road behind the host as well."""
-    scene = exit_scene.model_copy(update={"shot": exit_scene.shot.model_copy(update={"behind_m": 110.0})})
-    figure = draw_inspect(ShownScene(scene, ground_truth(scene), None))
-    figure.savefig(io.BytesIO(), dpi=100)
-    (space,) = [axes for axes in figure.axes if axes.name == "3d"]
-    for axis in (space.xaxis, space.yaxis):
-        # As drawn: `get_ticklabels` would move them to where a flat plot has them.
-        numbers = [tick.label1.get_window_extent() for tick in axis.majorTicks if tick.label1.get_text()]
-        assert len(numbers) >= 3
-        # The name of an axis is turned: its line, sampled, and not the box around it.
-        box, slope = axis.label.get_window_extent(), np.tan(np.deg2rad(axis.label.get_rotation()))
-        along = np.linspace(0, 1, 50)
-        left_to_right = box.p0 + along[:, None] * (box.p1 - box.p0)
-        name = left_to_right if slope > 0 else np.stack([left_to_right[:, 0], left_to_right[::-1, 1]], -1)
-        for k, number in enumerate(numbers):
-            assert not number.padded(2).count_contains(name)
-            assert not any(number.padded(2).overlaps(other) for other in numbers[k + 1 :])
-
-
-@pytest.mark.parametrize(
-    ("camera", "words"),
-    [
-        ({"pitch_rad": 0.05, "roll_rad": 0.0}, "2.86° down, no roll"),
-        ({"pitch_rad": -0.02, "roll_rad": -0.0162}, "1.15° up, 0.93° counter-clockwise"),
-        ({"pitch_rad": 0.0, "roll_rad": 0.01, "yaw_rad": -0.1}, "no pitch, 0.57° clockwise, turned 5.73° to the right"),
-        ({"pitch_rad": 0.0, "roll_rad": -1e-6, "yaw_rad": 0.1}, "no pitch, no roll, turned 5.73° to the left"),
-    ],
-)
-def test_angles_are_told_without_signs(flat_scene, camera, words):
-    scene = changed(flat_scene, camera=camera)
-    assert describe(ShownScene(scene, ground_truth(scene)))["camera"]["height, pitch, roll"].endswith(words)
 
 
 def test_the_legend_explains_every_kind_of_line_and_shape(exit_scene):

@@ -10,9 +10,9 @@ from rich.console import Console
 from synth3dlanes.draw.draws import draws_of
 from synth3dlanes.draw.paper import draw_road
 from synth3dlanes.draw.sample import Scenes, sample_scene
-from synth3dlanes.figures.histograms import _of_labels, declared_shares, histograms
+from synth3dlanes.figures.histograms import declared_shares
 from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
-from synth3dlanes.figures.stats_views import draw_statistics, statistics_table
+from synth3dlanes.figures.stats_views import statistics_table
 from synth3dlanes.params.distributions import Choice, Integers, Uniform
 from synth3dlanes.params.groups import DAYTIMES, KINDS
 from synth3dlanes.params.params import forms, load_params
@@ -122,19 +122,6 @@ def test_text_json_and_plots(scenes):
     assert all(f"{row.name} " in table for row in labels.summaries)
 
 
-def test_plots_name_their_axes_with_units_and_show_what_was_declared(scenes):
-    statistics = scene_statistics(scenes[1], scenes[0])
-    labels = label_statistics(ground_truth(scene) for scene in scenes[1][:5])
-    drawn = {axes.get_title(): axes for axes in draw_statistics(statistics, labels).axes if axes.get_visible()}
-    named = {title: axes.get_xlabel() for title, axes in drawn.items()}
-    assert named["grade"] == "grade [%]"
-    assert named["road.lane_width_m"] == "lane width [m]"
-    assert named["light.sun_zenith_deg"] == "sun zenith [°]"
-    assert named["trees.x_m (kept off roads)"] == "x [m]"
-    assert all(axes.get_xlabel() and axes.get_ylabel() == "values" for axes in drawn.values())
-    assert [len(axes.patches) for axes in drawn.values()] == [1 if "." not in title else 2 for title in drawn]
-
-
 def test_colours_as_sold_are_not_held_against_color_and_saturation():
     params = load_params("appendix_i", ["cars.palette=sold", "cars.saturation=0.5"])
     drawn = scene_statistics([sample_scene(Scenes(params), index) for index in range(20)], params)
@@ -155,15 +142,3 @@ def test_colours_as_sold_are_not_held_against_color_and_saturation():
 )
 def test_the_declared_line_is_the_probability_of_each_bin(declared, edges, shares):
     assert declared_shares(declared, np.array(edges)) == pytest.approx(shares)
-
-
-def test_counts_and_the_declared_line_have_the_same_sum(scenes):
-    for histogram in histograms(scene_statistics(scenes[1], scenes[0]), None):
-        assert histogram.expected is not None
-        assert histogram.counts.sum() == pytest.approx(histogram.expected.sum()), histogram.title
-
-
-def test_few_values_are_in_their_histogram():
-    for values in ([70.0, 99.5], [3.0], [66.5, 80.0, 100.0]):
-        histogram = _of_labels("points [%]", np.array(values))
-        assert histogram.counts.sum() == len(values)

@@ -14,7 +14,6 @@ from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.formats import export
 from synth3dlanes.formats.argoverse2.format import RING_CAMERAS
 from synth3dlanes.formats.argoverse2.format import write as annotate
 from synth3dlanes.formats.argoverse2.maps import _runs_along, mark_type
@@ -158,15 +157,6 @@ def test_a_single_frame_of_a_clip_has_its_map_too(clips, tmp_path):
     job.write()
     assert [problem for result in verify(job) for problem in result.problems] == []
     assert sorted(path.parent.name for path in job.out.glob("test/*/sensors/cameras/*/*.jpg")) == sorted(TWO)
-
-
-@pytest.mark.thorough
-def test_shared_files_are_written_some_at_a_time(clips, exported, tmp_path, monkeypatch):
-    monkeypatch.setattr(export, "MOST_OPEN", 1)
-    job = Export(str(clips), tmp_path / "few", "argoverse2")
-    job.write()
-    for path in exported.out.glob("test/*/*.feather"):
-        assert (job.out / path.relative_to(exported.out)).read_bytes() == path.read_bytes()
 
 
 def rows(path, change):

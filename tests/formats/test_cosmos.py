@@ -128,13 +128,6 @@ def test_a_clip_is_as_its_labels_say(exported: Path, clips: Path) -> None:
         }
 
 
-@pytest.mark.thorough
-def test_equal_exports_have_equal_bytes(exported: Path, clips: Path, tmp_path: Path) -> None:
-    Export(str(clips), tmp_path / "again", "cosmos").write()
-    for path in (path for path in exported.rglob("*") if path.suffix in (".mp4", ".parquet", ".json")):
-        assert (tmp_path / "again" / path.relative_to(exported)).read_bytes() == path.read_bytes(), path.name
-
-
 def test_places_reach_pixels_by_the_readers_formulas(exported: Path, clips: Path) -> None:
     """World, rig, camera, f-theta: written down from docs of ClipGT, with SciPy's rotations."""
     reader = Reader(f"{clips}/test")

@@ -3,7 +3,6 @@
 import itertools
 import json
 import os
-import re
 import shutil
 from contextlib import suppress
 from dataclasses import replace
@@ -22,7 +21,6 @@ from synth3dlanes.formats.verify import verify
 from synth3dlanes.system import files
 from synth3dlanes.system.errors import ClaimedError, FormatError, InputError
 from tests.formats import closed_form as cf
-from tests.formats.problems import problems
 from tests.thorough import first
 
 N_TRAIN, N_TEST = 7, 4
@@ -105,22 +103,6 @@ def test_of_two_exports_the_second_says_so(dataset, tmp_path, monkeypatch):
     assert [str(name) for _, name in told] == ["export.json"]
 
 
-def test_files_of_lines_can_be_joined(dataset, tmp_path):
-    # As tools of tuSimple do: each file's lines, one after the other.
-    Export(str(dataset), tmp_path, "tusimple").write()
-    joined = "".join(path.read_text() for path in sorted(tmp_path.glob("*label*.json")))
-    frames = [json.loads(line)["raw_file"] for line in joined.splitlines()]
-    assert len(frames) == len(set(frames)) == sum(1 for path in tmp_path.rglob("20.jpg")) > N_TRAIN
-
-
-def test_every_line_of_every_list_is_that_of_the_labels(exported, dataset):
-    format_name, out, summary = exported
-    results = verify(Export(str(dataset), out, format_name), most_frames=100)
-    assert sum(result.n for result in results) >= summary.n_lines > 20
-    assert [result.problems for result in results] == [()] * len(results)
-    assert all(result.n_matched == result.n for result in results)
-
-
 def test_counts_add_up_and_the_readme_names_every_reason(exported):
     _, out, summary = exported
     assert sum((summary.n_frames + summary.left_out).values()) == N_TRAIN + N_TEST
@@ -138,25 +120,6 @@ def test_images_have_the_formats_size_and_every_line_of_text_ends(exported):
         with Image.open(path) as image:
             assert image.size == size_px
     assert_every_line_ends(out)
-
-
-def test_a_problem_is_found_when_there_is_one(exported, dataset, tmp_path):
-    format_name, out, _ = exported
-    if format_name != "apollo":
-        image = next(path for path in out.rglob("*.jpg"))
-        image.rename(tmp_path / "moved.jpg")
-        assert problems(dataset, out, format_name)
-        (tmp_path / "moved.jpg").rename(image)
-    else:
-        path = out / "data_splits/standard/test.json"
-        good = path.read_text()
-        document = json.loads(good.splitlines()[0])
-        # Another line beyond the band that the evaluator looks at.
-        document["laneLines"].append([[15.0, y, 0.0] for y in range(1, 100)])
-        document["laneLines_visibility"].append([1.0] * 99)
-        path.write_text(json.dumps(document))
-        assert problems(dataset, out, format_name)
-        path.write_text(good)
 
 
 def test_running_again_and_running_in_parallel_give_the_same_bytes(exported, dataset, tmp_path):
@@ -240,35 +203,6 @@ def test_the_command_exports_and_verifies(dataset, tmp_path):
     assert "worst 0.0000 m, median 0.0000 m (at most 0.001 m)" in result.output
 
 
-@pytest.mark.thorough
-def test_a_rolled_camera_exports_the_labels_of_one_without_roll(write_split, tmp_path):
-    shift = "camera.principal_offset_px=[-8, 8]"
-    write_split(tmp_path / "level", "train", 2, [shift])
-    write_split(tmp_path / "rolled", "train", 2, [shift, "camera.roll_deg={-2: 1, 2: 1}"])
-    files = {}
-    for name in ("level", "rolled"):
-        for format_name in PINHOLE:
-            out = tmp_path / f"{name}-{format_name}"
-            Export(str(tmp_path / name), out, format_name).write()
-            assert [
-                result.problems
-                for result in verify(Export(str(tmp_path / name), out, format_name), 10)
-                if result.problems
-            ] == []
-            texts = {path.relative_to(out): path.read_text() for path in sorted(out.rglob("*.json"))}
-            # A rolled image covers a narrower upright one.
-            texts = {path: re.sub(r'"calibration": .*?]], ', "", text) for path, text in texts.items()}
-            files[name, format_name] = {path: text for path, text in texts.items() if path.name != "export.json"}
-    # OpenLane's lines begin at the image's border, where the labels' rounding decides on a point; CurveLanes has pixels
-    # of the narrower view, without its intrinsics.
-    for format_name in set(PINHOLE) - {"openlane", "curvelanes"}:
-        level, rolled = files["level", format_name], files["rolled", format_name]
-        assert level.keys() == rolled.keys()
-        for path in level:
-            a, b = (np.array(re.findall(r"-?\d+\.\d+", text), dtype=float) for text in (level[path], rolled[path]))
-            np.testing.assert_allclose(a, b, atol=2e-3, err_msg=str(path))
-
-
 def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(write_split, tmp_path):
     root = tmp_path / "data"
     write_split(root, "train", 3, ["camera.horizontal_fov_deg={30: 1, 60: 1}"])
@@ -346,20 +280,6 @@ def test_formats_of_one_size_refuse_another(dataset, tmp_path, format_name):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.thorough
-def test_the_command_takes_a_size_and_an_export_keeps_its_own(dataset, tmp_path):
-    from cli.export import export as command
-
-    def run(size):
-        options = ["--format", "openlane", "--out", str(tmp_path / "out"), "--size", size]
-        return CliRunner().invoke(command, [str(dataset), *options])
-
-    assert run("480x320").exit_code == 0
-    assert "480x320" in (tmp_path / "out/README.md").read_text()
-    assert "expected an empty folder or the export" in str(run("960x640").exception)
-    assert "expected WIDTHxHEIGHT such as 960x640, got '960'" in run("960").output
-
-
 def test_categories_are_those_of_the_scenes_paint(write_split, tmp_path):
     # The leftmost line of the road, and no other, is yellow and double.
     changes = ["markings.left_yellow=true", "markings.left_double=true", "road.topology=1", "camera.roll_deg=0"]
@@ -395,20 +315,6 @@ def test_splits_keep_the_part_that_their_name_says(names, parts, dealt):
     assert {split.part_of(3) for split in splits} == set(parts)
     assert parts_of(splits, has_test=True) == set(parts) | ({"test"} if dealt else set())
     assert parts_of(splits, has_test=False) == set(parts)
-
-
-def test_the_readme_says_how_scenes_were_dealt(write_split, tmp_path):
-    write_split(tmp_path / "few", "train", 3)
-    write_split(tmp_path / "more", "train", 5)
-    for name, said in (
-        ("few", "with more scenes, those of every fifth scene (numbers that end in 4 and 9) become test frames."),
-        ("more", "those of every fifth scene (numbers that end in 4 and 9) were made test frames."),
-    ):
-        summary = Export(str(tmp_path / name), tmp_path / f"{name}-out", "once").write()
-        assert bool(summary.n_frames["test"]) == (name == "more")
-        readme = (tmp_path / f"{name}-out/README.md").read_text()
-        assert f"The data set has neither val nor test frames: {said}" in readme
-        assert ("tools that open val find the test frames" in readme) == (name == "more")
 
 
 def test_an_unfinished_data_set_says_to_go_on(write_split, tmp_path):

@@ -26,6 +26,7 @@ from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.scene import scene as scene_file
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import RenderSettings
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 
@@ -118,12 +119,17 @@ def sample(name: str) -> dict[str, Any]:
     depth_m = picture.passes["depth"]
     rows, columns = (np.linspace(0, n - 1, k).round().astype(int) for n, k in zip(depth_m.shape, GRID, strict=True))
     return {
-        "scene": hashlib.sha256(scene_file.to_json(world.scene).encode()).hexdigest()[:16],
+        "scene": digest(world.scene),
         "labels": thinned(json.loads(label_file.to_json(picture.labels))),
         "instance": counts(picture.passes["instance"]),
         "semantic": counts(picture.passes["semantic"]),
         "depth_m": np.where(np.isfinite(depth_m), depth_m, -1.0)[np.ix_(rows, columns)].round(3).tolist(),
     }
+
+
+def digest(scene: Scene) -> str:
+    """The first digits of that of its text."""
+    return hashlib.sha256(scene_file.to_json(scene).encode()).hexdigest()[:16]
 
 
 def counts(ids: np.ndarray) -> dict[str, int]:

@@ -195,11 +195,3 @@ def test_the_command_lifts_a_drive_of_ones_own_files(tmp_path: Path) -> None:
     nearest = np.abs(np.array(asides)[:, None] + np.array([-1.75, 1.75, 5.25])).min(axis=1)
     assert len(asides) >= 8
     assert nearest.max() < 0.1
-
-
-def test_a_wrong_precision_is_refused(tmp_path: Path) -> None:
-    result = CliRunner().invoke(
-        main, ["lift", "nothing", "--out", str(tmp_path / "out"), "--precision", "lanes_px=two"]
-    )
-    assert result.exit_code == 2
-    assert "expected NAME=NUMBER, got 'lanes_px=two'" in result.output

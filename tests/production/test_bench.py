@@ -120,28 +120,6 @@ def test_of_stored_rows_the_one_of_the_same_recipe_is_compared(tmp_path):
         bench.read_bench(path, "tiny", 1, 1)
 
 
-@pytest.mark.thorough
-@pytest.mark.render
-def test_more_samples_come_closer_to_the_reference(monkeypatch):
-    monkeypatch.setattr(bench, "REFERENCE_SCENES", 1)
-    recipes = [Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(samples), "jpg") for samples in (1, 8)]
-    rough, fine = (bench.measure_quality(recipe, lambda _: None, samples=64) for recipe in recipes)
-    assert all(a < b for a, b in zip(rough.psnr_db + rough.ssim, fine.psnr_db + fine.ssim, strict=True))
-    assert min(fine.psnr_db) > 28
-
-
-@pytest.mark.thorough
-@pytest.mark.render
-def test_the_naive_way_is_timed_at_both_numbers_of_samples(monkeypatch):
-    """The number of samples stands in for the seconds; one scene is rendered in earnest."""
-    from synth3dlanes.blender.benchmark_renders import naive_seconds
-
-    recipe = Recipe(Scenes(load_params("tiny"), 0, "bench"), RenderSettings(2), "jpg")
-    assert naive_seconds(recipe.scene(0), recipe.library, 1) > 0
-    monkeypatch.setattr(bench, "_one", lambda pool, function, recipe, index, samples: float(samples))
-    assert bench.measure_naive(recipe, lambda _: None) == DefaultTiming(2.0, 128, 128.0)
-
-
 @pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.timeout(3600)

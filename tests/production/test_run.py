@@ -260,18 +260,6 @@ def test_a_machine_at_fault_stops_the_run(tmp_path, monkeypatch):
 
 @pytest.mark.thorough
 @pytest.mark.fresh
-def test_scenes_whose_workers_others_kill_are_made_anew(tmp_path, whole, monkeypatch):
-    (tmp_path / "marks").mkdir()
-    monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(tmp_path / "marks"))
-    report, events = go(plan(tmp_path / "out", n=2, workers=2, maker=fake_samples.be_killed_once))
-    assert report.exit_code == 0
-    assert sum(event.kind == "restart" for event in events) == 2
-    go(plan(tmp_path / "out"))
-    assert contents(tmp_path / "out") == whole
-
-
-@pytest.mark.thorough
-@pytest.mark.fresh
 def test_workers_are_recycled_and_pinned(tmp_path, whole):
     pids = set()
 
