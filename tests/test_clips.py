@@ -211,10 +211,6 @@ def read_back(labels, lane_id):
     return next(lane.xyz_cam for lane in again.lanes if lane.id == lane_id)
 
 
-def test_labels_of_single_pictures_have_no_time():
-    assert '"time_s":null' in labels_format.to_json(ground_truth(sample_scene(Scenes(params()), 0)))
-
-
 def test_cars_keep_their_numbers_speeds_and_direction():
     worlds = frames(3, TWO_SECONDS, params(*SMOOTH, "cars.parked=0.5", "road.n_oncoming=2", "road.shoulder_factor=0.8"))
     cars = worlds[0].scene.cars
@@ -229,15 +225,6 @@ def test_cars_keep_their_numbers_speeds_and_direction():
         assert (ahead * steps[:, 1] >= 0).all()
     assert {car.lane.startswith("oncoming") for car in cars} == {True, False}
     assert {car.offset_m != 0 for car in cars} == {True, False}
-
-
-@pytest.mark.parametrize("topology", [1, 2, 3, 4])
-def test_the_host_stays_on_the_main_road(topology):
-    drawn_from = params(f"road.topology={topology}", "cars.n=0", "trees.n=0")
-    for index in range(30):
-        world = sample_world(Scenes(drawn_from, shots=clips(31, 10)), 31 * (index + 1) - 1)
-        lane = world.view.camera.lane
-        assert lane <= world.scene.road.lanes_present(world.view.camera.y_m)
 
 
 @pytest.mark.parametrize("preset", ["appendix_i", "streets"])
@@ -296,9 +283,3 @@ def test_clips_beyond_the_road_are_refused():
         sample_scene(Scenes(params(), shots=clips(150, 10)), 0)
     with pytest.raises(InputError, match="frames: expected at most 1000, got 1001"):
         clips(1001, 10)
-
-
-def test_a_run_says_what_its_samples_show():
-    assert clips(20, 10).text(100) == "5 clips of 20 frames, 10 a second"
-    assert clips(20, 12.5).text(41) == "3 clips of 20 frames, 12.5 a second, the last of 1 frame"
-    assert clips(1, 10).text(7) == ""

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from synth3dlanes.draw.on_map import MapPlace
-from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
+from synth3dlanes.draw.sample import Scenes, draw_world, world_in_shot
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.maps.given_map import read_opendrive
@@ -91,17 +91,6 @@ def test_nobody_is_in_a_body_at_any_instant_of_a_clip(index: int, own: tuple[str
     step = 8 if index == 0 else 1
     for frame in range(0, CLIP.frames, step):
         assert overlaps(world_in_shot(SEEN, world, CLIP.place(frame))) == []
-
-
-def test_planted_people_in_bodies_are_found() -> None:
-    """Somebody in the host, one in another, one in a building."""
-    world = town(0)
-    scene, (x_m, y_m) = world.scene, world.view.world_from_host[:2, 3]
-    building, somebody = scene.roadside.buildings[0], scene.things[-1]
-    for place in ((x_m, y_m), (somebody.x_m + 0.2, somebody.y_m), (building.x_m, building.y_m)):
-        planted = scene.things[0].model_copy(update=dict(zip(("x_m", "y_m"), map(float, place), strict=True)))
-        changed = scene.model_copy(update={"things": (planted, *scene.things[1:])})
-        assert overlaps(World(changed, world.site)) != []
 
 
 def mesh_height(world: World, xy_world: np.ndarray) -> float:
@@ -232,11 +221,6 @@ def test_people_change_nothing_else_and_are_the_same_each_time() -> None:
     assert full.model_copy(update={"things": ()}) == empty
     assert "things" not in to_json(empty)
     assert to_json(full) == to_json(town(3).scene)
-
-
-@pytest.mark.parametrize("preset", ["appendix_i", "diverse"])
-def test_presets_without_people_draw_none(preset: str) -> None:
-    assert sample_scene(Scenes(load_params(preset), 3), 0).things == ()
 
 
 def test_umbrellas_are_for_rain() -> None:

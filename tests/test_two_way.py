@@ -135,24 +135,6 @@ def test_cars_drive_as_their_lanes_do_and_park_on_shoulders(index):
                 assert not near or cKDTree(line).query(pose[:2, 3])[0] > width_m / 2 + half_m, "in no lane"
 
 
-def test_some_cars_of_each_kind_are_drawn():
-    scenes = [drawn(i, "cars.n=12", "cars.parked=0.3", "road.shoulder_factor=[0.6, 0.9]") for i in range(15)]
-    cars = [car for scene in scenes for car in scene.cars]
-    assert {car.lane.split("_")[0] for car in cars} >= {"main", "oncoming"}
-    assert any(car.offset_m for car in cars)
-    assert {scene.road.n_lanes for scene in scenes} == {1, 2, 3}
-    assert all(scene.road.n_lanes > 1 for scene in scenes if scene.road.topology > 2)
-
-
-def test_labels_and_scene_survive_their_files():
-    scene = drawn(3)
-    assert scene_file.from_json(scene_file.to_json(scene), "") == scene
-    labels = ground_truth(scene)
-    again = label_file.from_json(label_file.to_json(labels), "")
-    assert [lane.direction for lane in again.lanes] == [lane.direction for lane in labels.lanes]
-    assert "oncoming" in {lane.direction for lane in again.lanes}
-
-
 @pytest.mark.parametrize(
     ("changes", "told"),
     [({"n_lanes": 1, "topology": 3}, "at least 2 with topology 3"), ({"median_m": 0.4}, "expected 0 or at least 1")],

@@ -206,13 +206,6 @@ def test_nothing_drives_or_parks_in_the_closed_area_or_into_a_cone(index: int) -
         assert not any(body.intersects(device) for body in moving for device in devices)
 
 
-def test_planted_car_in_the_closed_area_is_found() -> None:
-    scene = flat(CLOSED)
-    area = closed_area(scene)
-    assert area.contains(shapely.Point(3.5, 5.0))
-    assert not area.intersects(shapely.box(-1, -20, 1, 40))
-
-
 @pytest.mark.parametrize("index", first(1, range(12)))
 def test_devices_are_as_far_apart_as_drawn_at_the_edge_of_the_closed_area(index: int) -> None:
     spacing_m, kind = (6.0, "barrel") if index % 2 else (4.0, "cone")
@@ -288,11 +281,6 @@ def test_works_change_nothing_but_the_lanes_and_what_is_on_them() -> None:
     assert scene.paper_road.model_copy(update={"works": None}) == without.paper_road
     for name in ("terrain", "markings", "surface", "light", "air", "sensor", "weather", "host", "roadside"):
         assert getattr(scene, name) == getattr(without, name)
-
-
-@pytest.mark.parametrize("preset", ["appendix_i", "diverse", "town", "mountain"])
-def test_presets_without_works(preset: str) -> None:
-    assert load_params(preset).works.present.values == (False,)
 
 
 def test_streets_rarely_have_works() -> None:

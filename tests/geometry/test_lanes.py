@@ -40,15 +40,6 @@ def test_who_leads_where(topology, expected):
     assert set(network_of(topology).links) == expected
 
 
-def test_a_left_exit_takes_the_left_lanes_and_numbers_still_count_from_the_left():
-    network = network_of(4, flip_longitudinal=True)
-    assert set(network.links) == {
-        ("stem_3", "main_2"), ("stem_2", "main_1"), ("stem_2", "exit_2"), ("stem_1", "exit_1")
-    }  # fmt: skip
-    places = [x_at(by_id(network)[name], 90.0) for name in ("exit_1", "exit_2", "main_1", "main_2")]
-    assert places == sorted(places), "from left to right: the exit's lanes, then the main road's"
-
-
 @pytest.mark.parametrize(("topology", "n_lines"), [(1, 4), (2, 6), (3, 7), (4, 6)])
 def test_every_painted_line_once(topology, n_lines):
     lines = [curve for curve in network_of(topology).curves if curve.kind == "delimiter"]
@@ -58,19 +49,6 @@ def test_every_painted_line_once(topology, n_lines):
     main_after = 2 if topology == 4 else 3
     exit_lanes = 2 if topology == 4 else 1
     assert solid == (outer or {"main_line_0", f"main_line_{main_after}", "exit_line_0", f"exit_line_{exit_lanes}"})
-
-
-@pytest.mark.parametrize("topology", [2, 3, 4])
-@pytest.mark.parametrize("n", [2, 3, 4])
-def test_lines_that_begin_at_the_nose_begin_together(topology, n):
-    network = network_of(topology, n)
-    lines = by_id(network)
-    main_right = lines[f"main_line_{n - (topology == 4)}"]
-    exit_left = lines["exit_line_0"]
-    assert main_right.start_m == exit_left.start_m == nose_m(network)
-    ends = [line.xy_world(np.array([nose_m(network)]))[0] for line in (main_right, exit_left)]
-    # The exit's edge is offset along its own normal, which leans by the angle between the two roads.
-    assert np.linalg.norm(ends[1] - ends[0]) < 1.2
 
 
 @pytest.mark.parametrize("topology", [2, 3, 4])
@@ -84,19 +62,6 @@ def test_curves_run_on_without_a_break_through_the_split(topology):
         assert steps.max() < 0.45, curve.id
         across = [network.main.line.project(curve.xy_world(s))[1]]
         assert np.abs(np.diff(across)).max() < 0.03, f"{curve.id} jumps sideways"
-
-
-def test_lane_centres_are_where_the_specification_puts_them():
-    network = network_of(3, n=4)
-    w = width_m(network)
-    lines = by_id(network)
-    for lane in (1, 2, 3):
-        assert x_at(lines[f"main_{lane}"], -30.0) == pytest.approx((lane - 2.5) * w)
-    assert x_at(lines["main_4"], -30.0) == pytest.approx(0.5 * w), "before the split it is lane 3"
-    assert x_at(lines["main_4"], 90.0) == pytest.approx(1.5 * w), "after it, lane 4"
-    q = float(network.road("exit").parting.gap_m(np.array([20.0]))[0]) + w
-    assert x_at(lines["main_4"], 20.0) == pytest.approx(0.5 * w + min(q, w), abs=0.02)
-    assert x_at(lines["exit_1"], 20.0) == pytest.approx(1.5 * w + q)
 
 
 def test_the_rounded_minimum_stays_within_two_centimetres_and_has_no_corner():

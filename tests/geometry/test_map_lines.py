@@ -12,27 +12,6 @@ CHAIN = Chain.of([Spiral(30.0, (0.0, 0.0), 0.2), Spiral(40.0, (30 * np.cos(0.2),
 LINES = [Spiral(50.0, (0.0, 1.0), 1.1), ARC, SPIRAL, CUBIC, CHAIN]
 
 
-def test_a_straight_line_and_an_arc_are_where_compasses_put_them():
-    s = np.linspace(-10, 60, 36)
-    straight = LINES[0].frames(s)
-    np.testing.assert_allclose(straight.points_world, [0, 1] + s[:, None] * [np.cos(1.1), np.sin(1.1)], atol=1e-9)
-    middle = np.array([3.0, -2.0]) + 50 * np.array([-np.sin(0.7), np.cos(0.7)])
-    points = ARC.frames(s).points_world
-    np.testing.assert_allclose(np.linalg.norm(points - middle, axis=1), 50, atol=1e-9)
-    turned = np.unwrap(np.arctan2(*(points - middle).T[::-1]))
-    np.testing.assert_allclose(np.diff(turned), np.diff(s) / 50, atol=1e-9)
-
-
-def test_a_spiral_is_the_sum_of_small_steps():
-    s = np.linspace(0, 80, 800_001)
-    middle = (s[1:] + s[:-1]) / 2
-    heading = -0.4 + 0.01 * middle - 0.0003 * middle**2
-    steps = np.diff(s)[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
-    np.testing.assert_allclose(
-        SPIRAL.frames(s[-1:]).points_world[0], np.array([1.0, 5.0]) + steps.sum(axis=0), atol=1e-7
-    )
-
-
 @pytest.mark.parametrize("line", LINES)
 def test_normals_speed_and_turn_are_those_of_the_points(line):
     s, h = np.linspace(1, 49, 97), 1e-4

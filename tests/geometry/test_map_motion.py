@@ -74,17 +74,6 @@ def test_a_car_stands_on_the_surface_and_heads_as_its_lane_does(lane):
     assert np.linalg.norm(pose[:3, 3] - foot) < 0.02
 
 
-def test_lines_and_neighbours_are_named_alike_in_every_frame_of_a_clip():
-    from synth3dlanes.truth.ground_truth import label
-
-    seen: dict[str, tuple] = {}
-    for time_s in (0.0, 4.0, 6.0, 9.0):
-        world = frame(time_s)
-        for lane in label(world, world.view).lanes:
-            now = (lane.direction, lane.left, lane.right, lane.marking, lane.connector)
-            assert seen.setdefault(lane.id, now) == now, lane.id
-
-
 def test_the_labelled_velocity_of_a_car_on_a_track_is_that_of_the_frame():
     """A car that brakes, waits and starts anew: its places a tenth of a second before and behind tell its speed."""
     labels = {

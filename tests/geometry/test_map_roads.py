@@ -5,9 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels import labels as label_file
-from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.road_map import MapRoad, RoadMap
 from synth3dlanes.truth.ground_truth import ground_truth
@@ -55,52 +53,6 @@ def edge(road: MapRoad, section: int, number: int, s):
     for n in range(side, number + side, side) if number else ():
         t = t + side * value(lanes[n].widths, s - road.sections[section].s_m)
     return xy + t[:, None] * np.stack([-np.sin(heading), np.cos(heading)], -1)
-
-
-def lane_middle(roads: RoadMap, name: str):
-    """A lane's middle as its traffic drives."""
-    road_id, section, number = name.rsplit(".", 2)
-    road, i, n = next(at for at in roads.roads if at.id == road_id), int(section), int(number)
-    ends = [at.s_m for at in road.sections] + [road.length_m]
-    s = np.linspace(ends[i], ends[i + 1], 2 + int((ends[i + 1] - ends[i]) / 0.2))
-    inner = edge(road, i, n - (1 if n > 0 else -1), s)
-    middle = (inner + edge(road, i, n, s)) / 2
-    return middle if n < 0 else middle[::-1]
-
-
-def distance(points, line):
-    """Of points from a polyline."""
-    a, along = line[:-1], np.diff(line, axis=0)
-    to = points[:, None] - a
-    share = np.clip((to * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-12), 0, 1)
-    return np.linalg.norm(to - share[..., None] * along, axis=-1).min(axis=1)
-
-
-@pytest.mark.parametrize("name", MAPS)
-def test_labels_lie_where_an_independent_reading_of_the_map_puts_them(name):
-    roads = MAPS[name]
-    scene = map_scene(roads, 40.0, terrain=HILLS.model_dump())
-    labels, network = ground_truth(scene), resolve(scene).network
-    assert len(labels.lanes) > 6
-    for lane in labels.lanes:
-        points = transform(labels.camera.world_from_cam, lane.xyz_cam)
-        np.testing.assert_allclose(points[:, 2], height_at(HILLS, points[:, :2]), atol=1e-4)
-        if lane.kind == "centerline":
-            along = next(path for path in network.paths if path.id == lane.id).lanes
-            line = np.concatenate(
-                [lane_middle(roads, at.id)[:: -1 if lane.direction == "oncoming" else 1] for at in along]
-            )
-            forward = points[-1, :2] - points[0, :2]
-            assert distance(points[:, :2], line).max() < 0.002, lane.id
-            near = [np.linalg.norm(line - end, axis=1).argmin() for end in points[[0, -1], :2]]
-            assert near[0] < near[1], f"{lane.id} goes as its direction says, {forward}"
-        else:
-            road_id, section, number, _ = lane.id.rsplit(".", 3)
-            road = next(at for at in roads.roads if at.id == road_id)
-            begin = road.sections[int(section)].s_m
-            line = edge(road, int(section), int(number), np.linspace(begin, road.length_m, 3000))
-            on = distance(points[:, :2], line) < 0.002
-            assert on.any(), lane.id
 
 
 @pytest.mark.parametrize("name", MAPS)

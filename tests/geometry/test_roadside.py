@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.params import load_params
 from synth3dlanes.scene.roadside import Building, Crossing, Post, Rail, Roadside
 from synth3dlanes.scene.scene import Scene
@@ -14,7 +13,6 @@ from synth3dlanes.validate.bodies import inside, structures
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world.beside import beside
 from synth3dlanes.world.roadside import bodies
-from synth3dlanes.world.sign_faces import FACES
 from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed, hill
 from tests.validate.examining import findings
@@ -244,80 +242,6 @@ def test_without_the_group_nothing_stands():
     assert len(world.site.street_lamps) == 0
 
 
-# Ranges that no default one meets.
-ELSEWHERE = {
-    "lamp_aside_m": (4, 5),
-    "delineator_aside_m": (1.1, 1.2),
-    "sign_aside_m": (6, 7),
-    "sign_height_m": (3, 3.5),
-    "sign_ahead_m": (170, 175),
-    "signs_apart_m": (1, 1),
-    "exit_sign_before_m": (2, 8),
-    "exit_sign_height_m": (3, 3.4),
-    "pole_aside_m": (20, 30),
-    "pole_height_m": (14, 15),
-    "crossing_ahead_m": (60, 130),
-    "crossings_apart_m": (12, 12),
-    "bridge_width_m": (5, 6),
-    "gantry_width_m": (1.5, 2),
-    "building_ahead_m": (245, 290),
-    **{f"{kind}_{of}_m": (low, low + 0.5) for kind in ("house", "hall", "block") for of, low in (("width", 5.0),)},
-    **{f"{kind}_length_m": (6.5, 7) for kind in ("house", "hall", "block")},
-    **{f"{kind}_height_m": (2.2, 2.8) for kind in ("house", "hall", "block")},
-}
-STANDING = [
-    *DENSE,
-    "roadside.outer=none",
-    "roadside.rail_aside_m=1",
-    "roadside.n_bridges={0: 1, 2: 2}",
-    "terrain.magnitude_m=[-2, 2]",
-    "roadside.exit_signs=true",
-    "roadside.delineators=true",
-    "road.topology=2",
-    "road.flip_lateral=false",
-]
-
-
-def placed(scene):
-    """The places and sizes in a scene, by parameter; stations ahead of the host, who looks along the road."""
-    found = {key: [] for key in ELSEWHERE}
-    ahead = 1 if not scene.road.flip_lateral else -1
-    for post in scene.roadside.posts:
-        if post.kind == "sign":
-            found["sign_height_m"].append(post.height_m)
-            found["sign_aside_m"].append(post.aside_m - np.ptp(FACES[post.face - 1][0].outline[:, 0]) / 2)
-            found["sign_ahead_m"].append(ahead * (post.s_m - scene.camera.y_m))
-        else:
-            found[f"{post.kind}_aside_m"].append(post.aside_m)
-    for crossing in scene.roadside.crossings:
-        found[f"{crossing.kind}_width_m"].append(crossing.width_m)
-        found["crossing_ahead_m"].append(ahead * (crossing.s_m - scene.camera.y_m))
-    for building in scene.roadside.buildings:
-        for of in ("width", "length", "height"):
-            found[f"{building.kind}_{of}_m"].append(getattr(building, f"{of}_m"))
-    lines = [rail for rail in scene.roadside.rails if rail.kind == "power_line"]
-    found["pole_height_m"] += [line.height_m for line in lines]
-    found["pole_aside_m"] += [line.aside_m - 1 for line in lines]
-    found["exit_sign_height_m"] += [sign.height_m for sign in scene.roadside.signs]
-    return found
-
-
-@pytest.mark.thorough
-def test_places_and_sizes_are_those_of_the_parameters():
-    """Every one of them, in the new range and nowhere else; with the usual ranges in the usual one, from the file."""
-    changes = [f"structures.{key}=[{low}, {high}]" for key, (low, high) in ELSEWHERE.items()]
-    for params in (load_params("streets", [*STANDING, *changes]), load_params("streets", STANDING)):
-        group, values = params.structures, {key: [] for key in ELSEWHERE}
-        for index in range(5):
-            for key, found in placed(sample_world(Scenes(params, 0, "sizes"), index).scene).items():
-                values[key] += found
-        for key, found in values.items():
-            low, high = extent(getattr(group, key))
-            assert not found or (low - 2e-3 <= min(found) and max(found) <= high + 2e-3), key
-        unseen = {key for key, found in values.items() if not found}
-        assert unseen == {"signs_apart_m", "crossings_apart_m", "exit_sign_before_m", "building_ahead_m"}
-
-
 @pytest.mark.parametrize(("kind", "n"), [("sign", "n_signs=20"), ("gantry", "n_gantries=3")])
 def test_things_keep_the_distance_that_they_are_told(kind, n):
     key = "signs_apart_m" if kind == "sign" else "crossings_apart_m"
@@ -331,13 +255,3 @@ def test_things_keep_the_distance_that_they_are_told(kind, n):
             gaps += np.diff(sorted(thing.s_m for thing in things)).tolist()
         nearest[apart_m] = min(gaps)
     assert 12 <= nearest[12] < 60 <= nearest[60]
-
-
-def test_draws_do_not_touch_those_of_other_groups():
-    """With everything beside the road, roads, cameras and cars are those of the same parameters without it."""
-    with_it = sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene
-    bare = load_params("streets", [*DENSE, "roadside.outer=none", "roadside.n_signs=0", "roadside.n_houses=0"])
-    without = sample_world(Scenes(bare, 3, "test"), 5).scene
-    for part in ("terrain", "road", "markings", "surface", "camera", "light", "air", "sensor", "cars"):
-        assert getattr(with_it, part) == getattr(without, part)
-    assert with_it == sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.draw.sample import Scenes, sample_scene
-from synth3dlanes.geometry.frames import invert, project, transform
-from synth3dlanes.labels import labels as labels_module
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.params.params import load_params
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.scene import Symbol
@@ -158,20 +157,6 @@ def test_arrows_point_where_their_lane_leads():
                 kinds[side].add((outer, symbol.kind))
                 assert not outer or symbol.kind == f"arrow_{side}"
     assert all(kinds.values())
-
-
-def test_labels_of_symbols_survive_json():
-    labels = ground_truth(with_symbols(FLAT, ("crosswalk", None, -30), ("arrow_left", "main_1", -20)))
-    read = labels_module.from_json(labels_module.to_json(labels), "labels.json")
-    assert [symbol.kind for symbol in read.symbols] == ["crosswalk", "arrow_left"]
-    for symbol, true in zip(read.symbols, labels.symbols, strict=True):
-        np.testing.assert_allclose(symbol.xyz_cam, true.xyz_cam, atol=1e-4)
-        assert symbol.object_visible is None
-        np.testing.assert_array_equal(symbol.visible, true.visible)
-    uv = project(labels.camera.img_from_cam, labels.symbols[1].xyz_cam)
-    world = resolve(FLAT)
-    seen = transform(invert(world.view.world_from_cam), np.array([[-3.5, -20.0, 0.0]]))
-    assert np.abs(uv.mean(axis=0) - project(labels.camera.img_from_cam, seen)[0]).max() < 12
 
 
 def test_a_symbol_needs_its_lane():

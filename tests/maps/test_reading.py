@@ -1,16 +1,13 @@
 """Given maps: what the reader makes of a file is what the file's own numbers say, evaluated by small steps."""
 
-from xml.etree import ElementTree
-
 import numpy as np
 import pytest
 
 from synth3dlanes.roads.maps.cubics import value
-from synth3dlanes.roads.maps.furniture import edges_at
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.roads.maps.plan import places, plan_points
+from synth3dlanes.roads.maps.plan import plan_points
 from synth3dlanes.scene.road_map import MapMark
-from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section, walked
+from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 
 PIECES = {
     "line": "<line/>",
@@ -27,83 +24,11 @@ def read(*parts: str) -> GivenMap:
     return read_opendrive(opendrive(*parts), "test.xodr", "map test.xodr")
 
 
-@pytest.mark.parametrize("form", PIECES)
-def test_each_kind_of_geometry_is_where_small_steps_along_it_lead(form: str) -> None:
-    start = np.array([12.0, -7.0, 0.8])
-    found = read(road(plan((PIECES[form], 40.0), start=tuple(start)))).roads["1"]
-    s = np.linspace(0, 40, 33)
-    wanted = walked(ElementTree.fromstring(PIECES[form]), start, 40.0, s)
-    assert np.abs(plan_points(found.plan, s) - wanted).max() < 1e-3
-    left = np.column_stack([-np.sin(wanted[:, 2]), np.cos(wanted[:, 2])])
-    assert np.abs(places(found.plan, s, np.full(len(s), 5.0)) - wanted[:, :2] - 5 * left).max() < 5e-3
-
-
-def test_pieces_follow_each_other() -> None:
-    pieces = [(PIECES["line"], 30.0), (PIECES["spiral"], 40.0), (PIECES["arc"], 20.0), (PIECES["share"], 40.0)]
-    found = read(road(plan(*pieces))).roads["1"]
-    assert found.length_m == pytest.approx(130)
-    s = np.array([30.0, 70.0, 90.0])
-    before, behind = plan_points(found.plan, s - 1e-6), plan_points(found.plan, s + 1e-6)
-    assert np.abs(before - behind)[:, :2].max() < 1e-3
-
-
 def test_a_map_far_from_its_origin_is_read_relative_to_a_round_place() -> None:
     found = read(road(plan((PIECES["line"], 30.0), start=(4_512_345.5, 5_400_678.25, 0.0))))
     x, y, _ = plan_points(found.roads["1"].plan, np.zeros(1))[0]
     assert found.origin == (4_512_000.0, 5_401_000.0)
     assert (x + found.origin[0], y + found.origin[1]) == (4_512_345.5, 5_400_678.25)
-
-
-def edges(found: GivenMap, s: float) -> dict[int, tuple[float, float]]:
-    """The inner and outer t of every lane of the only road at a station."""
-    only = found.roads["1"]
-    at = max(i for i, part in enumerate(only.sections) if part.s_m <= s)
-    return {here.number: (inner, outer) for here, inner, outer in edges_at(only, at, s)}
-
-
-def test_widths_add_up_from_the_offset_of_lane_0() -> None:
-    wide = '<width sOffset="0" a="3" b="0" c="0" d="0"/><width sOffset="20" a="3" b="0.1" c="0.01" d="-0.001"/>'
-    offset = '<laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="10" a="0.5" b="-0.02" c="0" d="0"/>'
-    lanes = offset + section(lane(1, wide), lane(2), lane(-1, wide), lane(-2))
-    at = edges(read(road(plan((PIECES["line"], 60.0)), lanes)), 30.0)
-    middle = 0.5 - 0.02 * 20
-    width = 3 + 0.1 * 10 + 0.01 * 100 - 0.001 * 1000
-    wanted = {
-        1: (middle, middle + width),
-        2: (middle + width, middle + width + 3.5),
-        -1: (middle, middle - width),
-        -2: (middle - width, middle - width - 3.5),
-    }
-    assert at == {number: pytest.approx(both) for number, both in wanted.items()}
-
-
-def test_borders_are_edges_measured_from_the_reference_line() -> None:
-    def border(*rows: tuple[float, float, float]) -> str:
-        return "".join(f'<border sOffset="{s}" a="{a}" b="{b}" c="0" d="0"/>' for s, a, b in rows)
-
-    lanes = section(
-        lane(1, border((0, 3, 0))),
-        lane(2, border((0, 6, 0.1), (15, 7.5, 0))),
-        lane(-1, border((0, -3, -0.01))),
-        lane(-2),
-        lane(-3, border((0, -9, 0))),
-    )
-    at = edges(read(road(plan((PIECES["line"], 60.0)), lanes)), 10.0)
-    wanted = {1: (0, 3), 2: (3, 7), -1: (0, -3.1), -2: (-3.1, -6.6), -3: (-6.6, -9)}
-    assert at == {number: pytest.approx(both) for number, both in wanted.items()}
-    at = edges(read(road(plan((PIECES["line"], 60.0)), lanes)), 20.0)
-    assert at[2] == pytest.approx((3, 7.5))
-
-
-def test_a_section_for_one_side_keeps_the_other() -> None:
-    wide = '<width sOffset="0" a="3" b="0.05" c="0" d="0"/>'
-    two = section(lane(1, wide, link='<successor id="1"/>'), lane(-1, link='<successor id="-1"/>'))
-    lanes = two + section(lane(-1), lane(-2), s=20.0, more='singleSide="true"')
-    found = read(road(plan((PIECES["line"], 60.0)), lanes))
-    at = edges(found, 30.0)
-    assert sorted(at) == [-2, -1, 1]
-    assert at[1] == pytest.approx((0, 3 + 0.05 * 30))
-    assert set(found.links) == {("1.0.-1", "1.1.-1"), ("1.1.1", "1.0.1")}
 
 
 def marks_of(inside: str, number: int = -1) -> tuple[MapMark, ...]:
