@@ -58,13 +58,14 @@ class Spiral(FiniteLine):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Place, heading, curvature and its change, as `spiral_frames` takes them."""
-        return (*self.start_world, self.heading_rad, self.curvature, self.bends)
+        """Place, heading, curvature and its change, and the first normal, as `spiral_frames` takes them."""
+        normal = float(np.sin(self.heading_rad)), float(-np.cos(self.heading_rad))
+        return (*self.start_world, self.heading_rad, self.curvature, self.bends, *normal)
 
     def frames(self, s: AnyScalars) -> LineFrames:
         """The line at stations, as `spiral_frames` says it: of one line it need not look which are bent."""
         if self.bends:
-            return spiral_frames(np.broadcast_to(self.numbers, (*s.shape, 5)), s)
+            return spiral_frames(np.broadcast_to(self.numbers, (*s.shape, 7)), s)
         heading, k = self.heading_rad + s * self.curvature, self.curvature
         normals, first = (
             paired(np.sin(heading), -np.cos(heading)),
@@ -84,27 +85,26 @@ def _nodes(n: int) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     return nodes / 2 + 0.5, weights / 2
 
 
-def spiral_frames(numbers: Float[np.ndarray, "*n 5"], s: AnyScalars) -> LineFrames:
+def spiral_frames(numbers: Float[np.ndarray, "*n 7"], s: AnyScalars) -> LineFrames:
     """Spirals, each by its `numbers`, at one station each."""
-    x, y, first_rad, curvature, bends = (numbers[..., i] for i in range(5))
+    x, y, first_rad, curvature, bends, first_x, first_y = (numbers[..., i] for i in range(7))
     heading = first_rad + s * (curvature + bends * s / 2)
-    normals = paired(np.sin(heading), -np.cos(heading))
-    first = paired(np.sin(first_rad), -np.cos(first_rad))
+    normal_x, normal_y = np.sin(heading), -np.cos(heading)
+    # A straight line to the second order, below which an arc so wide does not differ.
     bent, straight = bends != 0, np.abs(curvature) <= STRAIGHT
-    way = (normals - first) / np.where(straight, 1.0, curvature)[..., None]
-    at = straight & ~bent
-    if at.any():
-        # To the second order, below which an arc so wide does not differ.
-        along = paired(-first[at][:, 1], first[at][:, 0])
-        way[at] = s[at][:, None] * along - (curvature[at] * s[at] ** 2 / 2)[:, None] * first[at]
+    radius_of, fall = np.where(straight, 1.0, curvature), curvature * s**2 / 2
+    way_x = np.where(straight, s * -first_y - fall * first_x, (normal_x - first_x) / radius_of)
+    way_y = np.where(straight, s * first_x - fall * first_y, (normal_y - first_y) / radius_of)
     if bent.any():
         turn_rad = np.abs(s) * (np.abs(curvature) + np.abs(bends * s))
         for n, at in ((FEW_NODES, bent & (turn_rad <= FEW_RAD)), (MANY_NODES, bent & (turn_rad > FEW_RAD))):
             nodes, weights = _nodes(n)
             along = s[at][:, None] * nodes
             u = first_rad[at][:, None] + along * (curvature[at][:, None] + bends[at][:, None] * along / 2)
-            way[at] = s[at][:, None] * paired(np.cos(u) @ weights, np.sin(u) @ weights)
-    return LineFrames(paired(x, y) + way, normals, np.ones(s.shape), -(curvature + bends * s))
+            way_x[at], way_y[at] = s[at] * (np.cos(u) @ weights), s[at] * (np.sin(u) @ weights)
+    return LineFrames(
+        paired(x + way_x, y + way_y), paired(normal_x, normal_y), np.ones(s.shape), -(curvature + bends * s)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ class Chain(FiniteLine):
         return np.cumsum([self.start_m, *(line.length_m for line in self.lines[:-1])])
 
     @cached_property
-    def _numbers(self) -> Float[np.ndarray, "k 5"] | None:
+    def _numbers(self) -> Float[np.ndarray, "k 7"] | None:
         """Those of all lines, if each is a spiral."""
         lines = [line for line in self.lines if isinstance(line, Spiral)]
         return np.array([line.numbers for line in lines]) if len(lines) == len(self.lines) else None

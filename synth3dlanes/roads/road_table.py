@@ -85,12 +85,22 @@ class _Cubics:
         tables = [profile.table for profile in profiles]
         self._rows = Ragged.of(starts for starts, _ in tables)
         self._numbers = np.concatenate([np.zeros((4, 0)), *(numbers for _, numbers in tables)], axis=1)
+        first, counts = self._rows.first[:-1], np.diff(self._rows.first)
+        self._varies = (counts > 1) | self._numbers[1:, first].any(axis=0)
 
     def __call__(self, profile: Indices, s: Scalars) -> Scalars:
         """The value of a profile at each station."""
-        row = self._rows.at(profile, s)
-        x, (a, b, c, d) = s - self._rows.starts[row], self._numbers[:, row]
-        return np.asarray(a + x * (b + x * (c + x * d)))
+        # Most are constant.
+        found, varying = (
+            self._numbers[0].take(self._rows.first.take(profile)),
+            np.flatnonzero(self._varies.take(profile)),
+        )
+        if varying.size:
+            profile, s = profile.take(varying), s.take(varying)
+            row = self._rows.at(profile, s)
+            x, (a, b, c, d) = s - self._rows.starts.take(row), self._numbers.take(row, axis=1)
+            found[varying] = a + x * (b + x * (c + x * d))
+        return found
 
 
 class _ManyShapes:
@@ -130,9 +140,9 @@ class RoadTable:
         lines = [line for road in roads for line in road.line.parts]
         self._lines = lines
         self._pieces = Ragged.of(road.line.starts for road in roads)
-        self._spirals = np.array([line.numbers if isinstance(line, Spiral) else (0.0,) * 5 for line in lines])
+        self._spirals = np.array([line.numbers if isinstance(line, Spiral) else (0.0,) * 7 for line in lines])
         self._is_other = np.array([not isinstance(line, Spiral) for line in lines])
-        self._is_straight = ~self._is_other & (self._spirals[:, 3:] == 0).all(axis=1)
+        self._is_straight = ~self._is_other & (self._spirals[:, 3:5] == 0).all(axis=1)
         self.start_m, self.end_m = (np.array([getattr(road, end) for road in roads]) for end in ("start_m", "end_m"))
         self._sections = [section for road in roads for section in road.sections]
         self._by_road = Ragged.of([section.start_m for section in road.sections] for road in roads)
@@ -161,7 +171,7 @@ class RoadTable:
 
     def _frames(self, piece: Indices, s: Scalars) -> LineFrames:
         x = s - self._pieces.starts[piece]
-        found, other = spiral_frames(self._spirals[piece], x), self._is_other[piece]
+        found, other = spiral_frames(self._spirals.take(piece, axis=0), x), self._is_other.take(piece)
         for i in np.unique(piece[other]):
             at = piece == i
             for whole, part in zip(found, self._lines[i].frames(x[at]), strict=True):

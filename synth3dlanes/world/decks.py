@@ -21,6 +21,8 @@ ROW_M, SIDE_M, PARAPET_M = 2.0, 0.35, 0.95
 BESIDE_M, LEVEL_M = 0.5, 1.5
 # Distance of piers, half of their section, how far from pavement they stand, and the least room below a deck for any.
 PIERS_M, PIER_M, CLEAR_M, LEAST_PIER_M = 22.0, 0.45, 1.0, 2.0
+# Where piers are tried, from the place at which they should be.
+TRIED_M = np.array([0, 2, -2, 4, -4, 6, -6, 8, -8.0])
 # Most depth of the ground behind an abutment below the road, and the length of its wings.
 BANK_M, WING_M = 2.0, 3.0
 # The wall around a portal: how far it reaches beside that and over the ground, and its fall towards its ends.
@@ -95,38 +97,38 @@ def _abutment(quads: Quads, ground: MapGround, span: Span, end_m: float, outward
     line = road.xy(at, t)
     along = road.xy(at[:1], np.zeros(1)) - road.xy(at[:1] - 0.5 * outward, np.zeros(1))
     along = along[0] / np.linalg.norm(along)
-    behind = ground.graded(line + along)
+    face, ways = line - 0.05 * along, line[[0, -1]][:, None] + np.array([-0.05, WING_M])[:, None] * along
+    graded_m = ground.graded(np.concatenate([line + along, line - along, face, *ways]))
+    behind, before, at_face, *feet = np.split(graded_m, np.cumsum([n, n, n, 2]))
     top = _points(span, at, t, 0.0)[:, 2]
     if (top - behind).min() > BANK_M:
         return
-    face = line - 0.05 * along
-    low = np.minimum(ground.graded(line - along), ground.graded(face)) - 1.0
+    low = np.minimum(before, at_face) - 1.0
     wall = np.stack([np.column_stack([face, np.minimum(low, top - 1.0)]), np.column_stack([face, top - 0.08])], axis=1)
     quads.sweep(wall, CONCRETE)
-    for corner, z in ((line[0], top[0]), (line[-1], top[-1])):
-        way = corner + np.array([-0.05, WING_M])[:, None] * along
-        low = ground.graded(way).min() - 1.0
-        quads.sweep(np.stack([np.column_stack([way, np.full(2, at_z)]) for at_z in (low, z - 0.08)], axis=1), CONCRETE)
+    for way, foot, z in zip(ways, feet, top[[0, -1]], strict=True):
+        ends = foot.min() - 1.0, z - 0.08
+        quads.sweep(np.stack([np.column_stack([way, np.full(2, at_z)]) for at_z in ends], axis=1), CONCRETE)
 
 
 def _piers(quads: Quads, ground: MapGround, span: Span) -> None:
     """Pairs of columns below a deck, clear of pavement."""
     road = span.road
     n = int((span.to_m - span.from_m) / PIERS_M)
-    for middle_m in np.linspace(span.from_m, span.to_m, n + 2)[1:-1].tolist():
-        for s_m in middle_m + np.array([0, 2, -2, 4, -4, 6, -6, 8, -8.0]):
-            s = np.full(2, np.clip(s_m, span.from_m + 1, span.to_m - 1))
-            left, right = road.left(s), road.right(s)
-            t = left + (right - left) * [0.22, 0.78]
-            top = _points(span, s, t, -DECK_M)
-            xy, low = top[:, :2], ground.graded(top[:, :2])
-            if (top[:, 2] - low < LEAST_PIER_M).any() or not ground.is_off_ground_pavement(xy, CLEAR_M).all():
-                continue
-            along = np.diff(road.xy(s + np.array([-0.5, 0.5]), np.zeros(2)), axis=0)[0]
-            for place, z, rise_m in zip(xy, low, top[:, 2] - low, strict=True):
-                frame = GroundFrame(np.array([*place, z]), along / np.linalg.norm(along))
-                quads.box(frame, (-PIER_M, -PIER_M, -SINK_M), (PIER_M, PIER_M, float(rise_m) + 0.05), CONCRETE)
-            break
+    middles_m = np.linspace(span.from_m, span.to_m, n + 2)[1:-1]
+    s = np.repeat(np.clip(middles_m[:, None] + TRIED_M, span.from_m + 1, span.to_m - 1).ravel(), 2)
+    left, right = road.left(s), road.right(s)
+    top = _points(span, s, left + (right - left) * np.tile([0.22, 0.78], len(s) // 2), -DECK_M)
+    low = ground.graded(top[:, :2])
+    rise_m = top[:, 2] - low
+    has_room = (rise_m >= LEAST_PIER_M) & ground.is_off_ground_pavement(top[:, :2], CLEAR_M)
+    pairs = has_room.reshape(n, len(TRIED_M), 2).all(axis=2)
+    for i in np.flatnonzero(pairs.any(axis=1)).tolist():
+        first = 2 * (i * len(TRIED_M) + int(pairs[i].argmax()))
+        along = np.diff(road.xy(s[first] + np.array([-0.5, 0.5]), np.zeros(2)), axis=0)[0]
+        for at in (first, first + 1):
+            frame = GroundFrame(np.array([*top[at, :2], low[at]]), along / np.linalg.norm(along))
+            quads.box(frame, (-PIER_M, -PIER_M, -SINK_M), (PIER_M, PIER_M, float(rise_m[at]) + 0.05), CONCRETE)
 
 
 def _tunnel(ground: MapGround, span: Span) -> Body:

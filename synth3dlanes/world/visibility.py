@@ -5,7 +5,9 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.world.ground import Ground
 
-SIGHT_STEP_M = 2.0
+# Of points along lines of sight, and how many steps are between those that are asked first: most lines that the ground
+# hides are in it at one of these.
+SIGHT_STEP_M, FIRST_STEPS = 2.0, 6
 # Ground above the line of sight by less than this does not count: points lie on the ground themselves.
 TOLERANCE_M = 0.01
 # Tolerance around the direction of a crest's end within which lines of sight are tested, too.
@@ -17,24 +19,26 @@ def seen_over_ground(
 ) -> Bool[np.ndarray, " n"]:
     """True where the straight line from the eye to the point stays above terrain, embankments and roads."""
     to = points_world - eye_world
-    ray, sight = along_sights(eye_world, to, SIGHT_STEP_M)
-    hidden = ground.is_in(sight + np.array([0.0, 0.0, TOLERANCE_M]))
-    seen = np.ones(len(to), dtype=bool)
-    seen[ray[hidden]] = False
+    ray, step, sight = along_sights(eye_world, to, SIGHT_STEP_M)
+    is_first, seen = step % FIRST_STEPS == 0, np.ones(len(to), dtype=bool)
+    for some in (is_first, ~is_first):
+        asked = np.flatnonzero(some & seen[ray])
+        hidden = ground.is_in(sight[asked] + np.array([0.0, 0.0, TOLERANCE_M]))
+        seen[ray[asked[hidden]]] = False
     for crest in ground.crests():
-        seen &= ~_behind_crest(eye_world, to, crest)
+        seen[seen] = ~_behind_crest(eye_world, to[seen], crest)
     return seen
 
 
 def along_sights(
     eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], step_m: float
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, "k 3"]]:
     """Points inside lines of sight (vectors from the eye to their ends), at most a step apart from above: the number of
-    the line of each, and their places."""
+    the line of each, its own number on that, from 1 on, and their places."""
     n_steps = np.maximum(np.ceil(np.linalg.norm(to[:, :2], axis=1) / step_m).astype(int), 2)
     ray = np.repeat(np.arange(len(to)), n_steps - 1)
     step = np.arange(len(ray)) - np.repeat(np.cumsum(n_steps - 1) - (n_steps - 1), n_steps - 1) + 1
-    return ray, eye_world + to[ray] * (step / n_steps[ray])[:, None]
+    return ray, step, eye_world + to[ray] * (step / n_steps[ray])[:, None]
 
 
 def _behind_crest(

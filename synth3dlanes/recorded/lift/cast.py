@@ -80,7 +80,7 @@ def cast(ground: GroundMap, eye_world: Float[np.ndarray, "3"], rays_world: Point
 
 def seen_over(ground: GroundMap, eye_world: Float[np.ndarray, "3"], points_world: Points3) -> Bool[np.ndarray, " n"]:
     """Which points on the ground an eye sees over it. Ground without support hides nothing."""
-    ray, sight = along_sights(eye_world, points_world - eye_world, FINE_M)
+    ray, _, sight = along_sights(eye_world, points_world - eye_world, FINE_M)
     height, std = ground.at(sight[:, :2])
     with np.errstate(invalid="ignore"):
         hidden = height > sight[:, 2] + TOLERANCE_M + 2 * std
