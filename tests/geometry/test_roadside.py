@@ -255,3 +255,13 @@ def test_things_keep_the_distance_that_they_are_told(kind, n):
             gaps += np.diff(sorted(thing.s_m for thing in things)).tolist()
         nearest[apart_m] = min(gaps)
     assert 12 <= nearest[12] < 60 <= nearest[60]
+
+
+def test_draws_do_not_touch_those_of_other_groups():
+    """With everything beside the road, roads, cameras and cars are those of the same parameters without it."""
+    with_it = sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene
+    bare = load_params("streets", [*DENSE, "roadside.outer=none", "roadside.n_signs=0", "roadside.n_houses=0"])
+    without = sample_world(Scenes(bare, 3, "test"), 5).scene
+    for part in ("terrain", "road", "markings", "surface", "camera", "light", "air", "sensor", "cars"):
+        assert getattr(with_it, part) == getattr(without, part)
+    assert with_it == sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene
