@@ -22,7 +22,6 @@ class Shares(click.ParamType):
     name = "shares"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
-        """Read them."""
         shares: dict[str, float] = {}
         for part in str(value).split(","):
             found = re.fullmatch(rf"({SPLIT_NAME})=([0-9]*\.?[0-9]+)", part.strip())

@@ -32,7 +32,6 @@ class FrameRange(click.ParamType):
     name = "first:end"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> slice:
-        """Read it."""
         first, colon, end = str(value).partition(":")
         if not colon or not all(part.isdecimal() and len(part) < 10 for part in (first or "0", end or "0")):
             self.fail(f"expected FIRST:END, as in 0:200, got {value!r}", param, ctx)

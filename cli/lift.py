@@ -17,7 +17,6 @@ class Precisions(click.ParamType):
     name = "name=number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, float]:
-        """Read them."""
         found: dict[str, float] = {}
         for part in filter(None, map(str.strip, str(value).split(","))):
             name, _, number = part.partition("=")

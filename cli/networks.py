@@ -35,7 +35,6 @@ class CheckpointPath(click.ParamType):
     name = "checkpoint"
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """Names of weights, and files."""
         names = [CompletionItem(name) for name in SHIPPED if name.startswith(incomplete)]
         return [*names, CompletionItem(incomplete, type="file")]
 

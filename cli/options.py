@@ -40,7 +40,6 @@ class FileName(click.ParamType):
     name = "name"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Check it."""
         if re.fullmatch(SPLIT_NAME, value) is None:
             self.fail(f"expected letters, digits, _ or -, got {value!r}", param, ctx)
         return str(value)
@@ -50,7 +49,6 @@ class CountRange(click.IntRange):
     """A whole number, also as 1e3 or 300_000."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Read it."""
         found = re.fullmatch(r"(\d{1,9})(?:\.0*)?e\+?(\d)", str(value), re.IGNORECASE)
         return int(super().convert(int(found[1]) * 10 ** int(found[2]) if found else value, param, ctx))
 
@@ -61,7 +59,6 @@ class Workers(click.ParamType):
     name = "workers"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Read it."""
         if value == "auto":
             return 0
         if re.fullmatch("0*[1-9][0-9]{0,8}", str(value)):
@@ -73,7 +70,6 @@ class FiniteRange(click.FloatRange):
     """A finite number in a range; click's own takes NaN."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Check it."""
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"expected a finite number, got {value!r}", param, ctx)
@@ -89,7 +85,6 @@ class OutputFile(click.ParamType):
         self.suffixes = suffixes
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Check it, before any work."""
         path = Path(value)
         if path.suffix.lower() not in self.suffixes:
             self.fail(f"{value}: expected a name that ends in {' or '.join(self.suffixes)}", param, ctx)
@@ -222,7 +217,6 @@ def workers_option(auto: str) -> Callable[[Command], Command]:
 
 
 def output_console(*, stderr: bool = False, soft_wrap: bool = False) -> "OutputConsole":
-    """Where tables are printed."""
     from .console import OutputConsole
 
     return OutputConsole(stderr=stderr, soft_wrap=soft_wrap)

@@ -25,7 +25,6 @@ class ModelName(click.ParamType):
     name = "model"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Check it."""
         if value not in MODEL_NAMES and not re.fullmatch(r"[\w.]+:\w+", value):
             self.fail(f"expected {', '.join(MODEL_NAMES)} or MODULE:FUNCTION, got {value!r}", param, ctx)
         return str(value)

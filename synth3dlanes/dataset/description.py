@@ -71,7 +71,6 @@ class Description(DocumentPart):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The members of every sample."""
         return names_of(self.model_dump())
 
 

@@ -115,7 +115,6 @@ class Destination:
 
     @contextmanager
     def log(self, name: str) -> Iterator["RunLog"]:
-        """A new log with this name."""
         if not self.is_store:
             with RunLog(self.folder, name) as log:
                 yield log
@@ -151,7 +150,6 @@ class RunLog:
         return folder.append(path)
 
     def write(self, line: bytes) -> None:
-        """Write one line."""
         self._stream.write(line)
 
     def save(self, is_last: bool = False) -> str:

@@ -54,7 +54,6 @@ class Locks:
             return True
 
     def release(self) -> None:
-        """Release all locks of this holder."""
         with _GUARD:
             for byte in self._mine:
                 fcntl.lockf(self._file.stream, fcntl.LOCK_UN, 1, byte)

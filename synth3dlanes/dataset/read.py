@@ -110,7 +110,6 @@ class Reader:
 
     @checked
     def image(self, i: int) -> UInt8[np.ndarray, "h w 3"]:
-        """The image of sample i."""
         name = self._names[0]
         return decode_image(self.member(i, name), f"{self._where(i)}.{name}", self._size_px(i))
 

@@ -34,7 +34,6 @@ class Plot(NamedTuple):
 
 
 def plot(histogram: Histogram) -> Plot:
-    """Draw a histogram."""
     edges, counts, expected = histogram.edges, histogram.counts, histogram.expected
     highest = max(counts.max(), 0.0 if expected is None else expected.max(), 1.0) * 1.05
     bottom, right = _HEIGHT - _BOTTOM, _WIDTH - _RIGHT

@@ -190,7 +190,6 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
 
 
 def _town_values(town: Town, params: Params) -> dict[str, list[float]]:
-    """The values of a town."""
     values: dict[str, list[float]] = {}
     for field, value in town:
         if isinstance(value, str):

@@ -173,8 +173,6 @@ def _sidecar(
 
 
 class ApolloFrame(Excerpt):
-    """One line of a label file."""
-
     raw_file: PathBelow
     cam_height_m: Metres = Field(alias="cam_height")
     cam_pitch_rad: float = Field(alias="cam_pitch", gt=-math.pi / 2, lt=math.pi / 2)
@@ -237,7 +235,6 @@ class ApolloSplit(LabelLines):
         return ForeignSample(frame.raw_file, read_image(roots[0] / frame.raw_file), frame.labels())
 
     def frame(self, index: int) -> ApolloFrame:
-        """One line of the file."""
         return parse(self.lines[index], f"{self.path}:{index + 1}")
 
     def key(self, index: int) -> str:
@@ -256,7 +253,6 @@ class _Sidecar(Excerpt):
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """Every list."""
     ids = Sidecars(out, _Sidecar, "raw_file")
     for path in sorted((out / "data_splits").glob("*/*.json")):
         yield FrameList(str(path.relative_to(out)), _frames(path, most_frames, ids))

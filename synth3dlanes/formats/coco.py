@@ -86,7 +86,6 @@ README = """COCO layout.
 
 
 def write(frame: SampleFrame) -> FrameAnnotation:
-    """The frame's segments."""
     name, image = file_name(frame), image_path(frame)
     height_px, width_px = frame.passes["semantic"].shape
     segments = segment_id(frame.passes["semantic"], frame.passes["instance"])
@@ -227,7 +226,6 @@ Document = TypeVar("Document", _Panoptic, _Instances)
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The frames of every part."""
     for path in sorted((out / "annotations").glob("panoptic_*.json")):
         yield FrameList(path.stem.removeprefix("panoptic_"), _frames(out, path, most_frames))
 

@@ -52,7 +52,6 @@ class SourceSample:
 
     @cached_property
     def labels(self) -> Labels:
-        """Its labels as they are."""
         return self.reader.labels(self.place)
 
     @property
@@ -64,7 +63,6 @@ class SourceSample:
 
     @cached_property
     def scene(self) -> "synth3dlanes.scene.scene.Scene":
-        """Its scene."""
         from synth3dlanes.scene import scene as scene_format
 
         where = f"{self.reader.url}:{self.reader.key(self.place)}"
@@ -79,12 +77,10 @@ class SourceSample:
 
     @cached_property
     def image(self) -> RgbImage:
-        """Its image."""
         return self.reader.image(self.place)
 
     @cached_property
     def passes(self) -> dict[str, Shaped[np.ndarray, "..."]]:
-        """Its passes by name."""
         return self.reader.passes(self.place)
 
     @cached_property
@@ -142,7 +138,6 @@ class UprightLane:
         return sure
 
     def in_metres(self, view: "ExportView") -> "OurLine":
-        """The line in space."""
         return OurLine(self.id, self.points_up, self.points_up[self.sure(view)])
 
     def at_rows(self, view: "ExportView", rows_px: Sequence[int] | Int[np.ndarray, " _"]) -> "OurLine":
@@ -237,7 +232,6 @@ class Comparison:
         return cls(tuple(gaps), tuple(problems))
 
     def because(self, problems: Iterable[str]) -> "Comparison":
-        """With more problems."""
         return self + Comparison(problems=tuple(problems))
 
 

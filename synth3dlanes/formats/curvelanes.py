@@ -99,7 +99,6 @@ def labels_path(image: str) -> str:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """Every list."""
     sidecars = Sidecars(out, Sidecar)
     for path in sorted(out.glob("*/*.txt")):
         yield FrameList(path.parent.name, _frames(out, path, most_frames, sidecars))
@@ -114,7 +113,6 @@ def _frames(out: Path, path: Path, most_frames: int, sidecars: Sidecars[Sidecar]
 
 
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
-    """Lines in pixels."""
     lines, about = frame.content
     width_px = round(2 * about.img_from_cv[0, 2])
     height_px = round(width_px * CAMERA.height_px / CAMERA.width_px)

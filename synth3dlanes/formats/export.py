@@ -94,7 +94,6 @@ class Export:
 
     @property
     def options(self) -> dict[str, Any]:
-        """What `export.json` says of it."""
         camera = self.format.camera if isinstance(self.format, PinholeFormat) else None
         return {
             "format": self.format_name,

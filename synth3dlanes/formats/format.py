@@ -67,12 +67,10 @@ class Rates:
     rates: Mapping[str, float]
 
     def text(self) -> str:
-        """In lines."""
         rates = "  ".join(f"{name} {rate:.4f}" for name, rate in self.rates.items())
         return f"{self.name}: {counted(self.n_frames, 'frame')}\n  {rates}"
 
     def document(self) -> dict[str, Any]:
-        """For JSON."""
         return {"name": self.name, "frames": self.n_frames, "rates": dict(self.rates)}
 
 

@@ -93,7 +93,6 @@ class KittiObject:
     rotation_y_rad: float
 
     def line(self) -> str:
-        """Its text."""
         pixels = " ".join(f"{value:.2f}" for value in self.box_px)
         box = " ".join(
             f"{value:.4f}" for value in (*self.height_width_length_m, *self.location_cv, self.rotation_y_rad)
@@ -127,7 +126,6 @@ def occlusion(visible_fraction: float) -> int:
 
 
 def write(frame: SampleFrame) -> FrameAnnotation:
-    """The frame's files."""
     where, labels = f"{frame.split}:{frame.key}", frame.labels
     if labels.objects is None:
         raise InputError(f"{where}: expected labels with objects, got older ones; generate the data set again")
@@ -222,7 +220,6 @@ def parse_line(text: str, where: str) -> KittiObject:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """Every list."""
     for path in sorted((out / LISTS).glob("*.txt")):
         yield FrameList(path.stem, (_frame(out, name) for name in first_lines(path, most_frames)))
 
@@ -335,7 +332,6 @@ def _gaps(found: KittiObject, item: ObjectLabel, calib: dict[str, np.ndarray], t
 def _corners_cv(
     location_cv: Float[np.ndarray, "3"], height_width_length_m: Float[np.ndarray, "3"], rotation_y_rad: float
 ) -> Float[np.ndarray, "8 3"]:
-    """The corners of an upright box."""
     height_m, width_m, length_m = height_width_length_m
     right, ahead, up = (CORNERS / 2).T
     own = np.column_stack([ahead * length_m, -(up + 0.5) * height_m, -right * width_m])

@@ -111,13 +111,11 @@ class _Document:
         return self.n
 
     def node(self, xyz: Float[np.ndarray, "3"], tags: Tags | None = None) -> int:
-        """A new node at a place."""
         self.nodes.append((self._id(), tags or {}))
         self.places.append(xyz)
         return self.n
 
     def way(self, nodes: Iterable[int], tags: Tags) -> int:
-        """A new way through nodes."""
         self.ways.append((self._id(), list(nodes), tags))
         return self.n
 
@@ -131,7 +129,6 @@ class _Document:
         return self.n
 
     def text(self) -> str:
-        """The file."""
         zone, places = zone_of(ORIGIN_DEG[1]), np.round(np.array(self.places), PLACE_DECIMALS) + 0.0
         degrees = degrees_from_utm(places[:, :2] + utm_from_degrees(np.array([ORIGIN_DEG]), zone), zone)
         root = ElementTree.Element("osm", version="0.6", generator="synth3dlanes")
@@ -169,7 +166,6 @@ def _add(
 
 
 def annotate(frame: SampleFrame) -> FrameAnnotation:
-    """The map of the frame's scene."""
     text, lost = lanelet2(resolve(frame.scene))
     dropped = Counter({"links of lanes that do not meet": lost} if lost else {})
     return FrameAnnotation(None, text.count(f'k="{SEGMENT}"'), dropped, {f"{frame.split}/{frame.key}.osm": text})
@@ -265,7 +261,6 @@ def _is_one(line: Polyline3, other: Polyline3) -> bool:
 
 
 def _turn(middle: Polyline3) -> str:
-    """Where a lane leads."""
     (x0, y0), (x1, y1) = ((middle[i + 1] - middle[i])[:2] for i in (0, -2))
     turn_rad = math.atan2(x0 * y1 - y0 * x1, x0 * x1 + y0 * y1)
     return "straight" if abs(turn_rad) < STRAIGHT_RAD else "left" if turn_rad > 0 else "right"
@@ -397,7 +392,6 @@ first ahead of the camera, the second from it."""
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The maps of every split."""
     for folder in sorted({path.parent for path in out.glob("*/*.osm")}):
         paths = sorted(folder.glob("*.osm"))[:most_frames]
         osms = ((path, read_osm(read_text(path).encode(), str(path))) for path in paths)

@@ -90,7 +90,6 @@ class Lanelets:
     same_as: list[int] = field(default_factory=list)
 
     def joint(self, place: Float[np.ndarray, "3"]) -> int:
-        """A new joint."""
         self.places.append(place)
         self.same_as.append(len(self.same_as))
         return len(self.same_as) - 1
@@ -191,7 +190,6 @@ def painted_along(points: Polyline3, painted: Sequence[tuple[Polyline3, Tags, Ta
 
 
 def _paint_along(world: World, road: Road) -> Iterator[Paint]:
-    """The painted lines of a road."""
     for line in world.network.delimiters:
         tags, other = _look(line, world.scene.markings)
         for piece in line.pieces:

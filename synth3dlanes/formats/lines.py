@@ -30,7 +30,6 @@ class LaneAhead:
 
     @property
     def id(self) -> str:
-        """The lane's id."""
         return self.lane.id
 
     def part(self, keep: Bool[np.ndarray, " n"] | slice) -> "LaneAhead":

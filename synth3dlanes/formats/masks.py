@@ -57,7 +57,6 @@ README = """Masks as PNG files without palette, of the images' size.
 
 
 def write(frame: SampleFrame) -> FrameAnnotation:
-    """The frame's masks and lines."""
     name, texts, about = file_name(frame), [], []
     delimiters = [lane for lane in frame.labels.lanes if lane.kind == "delimiter"]
     for index, lane in enumerate(delimiters):
@@ -105,7 +104,6 @@ class _Lines(RootModel[list[_Line]]):
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The frames of every part."""
     for path in sorted((out / "lists").glob("*.txt")):
         yield FrameList(path.stem, _frames(out, path, most_frames))
 

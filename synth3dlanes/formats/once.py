@@ -67,7 +67,6 @@ README = f"""ONCE-3DLanes layout.
 
 
 def write(frame: PinholeFrame) -> FrameAnnotation:
-    """The frame's label file."""
     camera, dropped = frame.labels.camera, Counter[str]()
     parts = [part for part in PARTS if frame.serves_as(part)]
     name = f"{frame.number // FRAMES_PER_SEQUENCE:06d}/cam01/{frame.number:08d}"
@@ -117,7 +116,6 @@ def parse(text: str, where: str) -> OnceFrame:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """Every list of an export."""
     for path in sorted((out / ROOT / "list").glob("*.txt")):
         yield FrameList(path.stem, _frames(out, path, most_frames))
 

@@ -61,7 +61,6 @@ def write_resampled(reader: Reader, index: int, chunk: Chunk, out: Path, foreign
 
 
 def write_as_it_is(reader: Reader, index: int, chunk: Chunk, out: Path, foreign: SampleFormat) -> Record:
-    """Write a frame as it is."""
     scene_json, key, image_format = reader.member(index, SCENE), reader.key(index), reader.description["image_format"]
     where, labels = f"{chunk.url}:{key}", reader.labels(index)
     frame = SampleFrame(

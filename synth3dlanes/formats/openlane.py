@@ -232,7 +232,6 @@ class OpenLaneLine(Excerpt):
 
     @property
     def visible(self) -> Bool[np.ndarray, " _"]:
-        """Which of its points are visible."""
         return np.array(self.visibility) > 0
 
     @property
@@ -242,8 +241,6 @@ class OpenLaneLine(Excerpt):
 
 
 class OpenLaneFrame(Excerpt):
-    """One label file."""
-
     file_path: PathBelow
     img_from_cv: JsonMatrix3 = Field(alias="intrinsic")
     vehicle_from_cam_waymo: JsonMatrix4 = Field(alias="extrinsic")
@@ -290,7 +287,6 @@ class OpenLaneSplit:
 
     @cached_property
     def files(self) -> Sequence[Path]:
-        """One JSON file a frame."""
         return sorted(self.path.glob("seg*/*.json"))
 
     def __len__(self) -> int:
@@ -302,7 +298,6 @@ class OpenLaneSplit:
         return ForeignSample(frame.file_path, image, frame.labels((image.shape[1], image.shape[0])))
 
     def frame(self, index: int) -> OpenLaneFrame:
-        """One label file."""
         return parse(read_file(self.files[index]), str(self.files[index]))
 
     def key(self, index: int) -> str:
@@ -324,7 +319,6 @@ def is_openlane(path: Path) -> bool:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """Every list."""
     for path in sorted([*(out / "lists").glob("*.txt"), *(out / "lane3d_1000/test").glob("*.txt")]):
         yield FrameList(str(path.relative_to(out)), _frames(out, path, most_frames))
 

@@ -156,7 +156,13 @@ def write(frame: SampleFrame) -> FrameAnnotation | None:
     lanes = _lanes(frame, world, world_from_ego, behind_m, dropped)
     if not lanes:
         return None
-    topology = _topology(lanes, frame.labels.graph.successors)
+    topology = [
+        [
+            int(b.segment.id in frame.labels.graph.successors.get(a.segment.id, ()) and a.has_end and b.has_start)
+            for b in lanes
+        ]
+        for a in lanes
+    ]
     common = {
         "version": "2.1",
         "segment_id": segment,
@@ -168,7 +174,7 @@ def write(frame: SampleFrame) -> FrameAnnotation | None:
             )
             for camera in frame.cameras.values()
         },
-        "pose": _pose(world_from_ego),
+        "pose": {"rotation": world_from_ego[:3, :3].tolist(), "translation": world_from_ego[:3, 3].tolist()},
     }
     elements = [item for item in frame.labels.traffic_elements or () if _is_seen(item)]
     governed = [[int(lane.segment.id in item.lanes) for item in elements] for lane in lanes]
@@ -234,10 +240,6 @@ def _sensor(camera: CameraLabel, world_from_ego: Matrix4, image: str) -> dict[st
     }
 
 
-def _pose(world_from_ego: Matrix4) -> dict[str, Any]:
-    return {"rotation": world_from_ego[:3, :3].tolist(), "translation": world_from_ego[:3, 3].tolist()}
-
-
 def _lanes(
     frame: SampleFrame, world: World, world_from_ego: Matrix4, behind_m: float, dropped: Counter[str]
 ) -> list[_Lane]:
@@ -261,13 +263,6 @@ def _lanes(
 def _in_area(points_ego: Float[np.ndarray, "n 3"], behind_m: float) -> Bool[np.ndarray, " n"]:
     x_m, y_m, _ = points_ego.T
     return np.asarray((x_m >= -behind_m) & (x_m <= AHEAD_M) & (np.abs(y_m) <= ASIDE_M))
-
-
-def _topology(lanes: Sequence[_Lane], successors: dict[str, tuple[str, ...]]) -> list[list[int]]:
-    return [
-        [int(b.segment.id in successors.get(a.segment.id, ()) and a.has_end and b.has_start) for b in lanes]
-        for a in lanes
-    ]
 
 
 def _is_seen(item: ObjectLabel) -> bool:

@@ -56,7 +56,6 @@ class Chunk:
 
     @property
     def url(self) -> str:
-        """The split's address."""
         return f"{self.source}/{self.split.name}"
 
 
@@ -93,7 +92,7 @@ def plan(source: str, cameras: Sequence[str] = (), is_per_scene: bool = False, t
 
 def assign(names: Sequence[str]) -> tuple[ExportSplit, ...]:
     """Splits called val... and test... keep their part; all others are training frames."""
-    found: list[Part] = [_part(name) for name in names]
+    found: list[Part] = [next((part for part in PARTS if name.startswith(part)), "train") for name in names]
     is_dealt = set(found) == {"train"}
     return tuple(
         ExportSplit(name, number, part, is_dealt) for number, (name, part) in enumerate(zip(names, found, strict=True))
@@ -110,10 +109,6 @@ def parts_of(splits: Sequence[ExportSplit], has_test: bool) -> frozenset[Part]:
 def open_reader(url: str) -> Reader:
     """The reader of a split, kept open until the next plan."""
     return Reader(url)
-
-
-def _part(name: str) -> Part:
-    return next((part for part in PARTS if name.startswith(part)), "train")
 
 
 def _starts(reader: Reader, taken: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:

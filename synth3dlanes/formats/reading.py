@@ -63,7 +63,6 @@ class LabelLines:
 
     @cached_property
     def lines(self) -> Sequence[bytes]:
-        """One document per line."""
         return json_lines(self.path)
 
     def __len__(self) -> int:

@@ -36,7 +36,6 @@ class ExportSummary:
         return "\n".join([f"{frames} frames, {self.n_lines} {counted}", *left_out])
 
     def document(self) -> dict[str, Any]:
-        """The summary as JSON values."""
         frames = {part: self.n_frames[part] for part in PARTS}
         return {"frames": frames, "lines": self.n_lines, "left_out": dict(self.left_out), "dropped": dict(self.dropped)}
 

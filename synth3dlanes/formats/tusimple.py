@@ -125,11 +125,9 @@ class TusimpleSplit(LabelLines):
     """A `label_data_*.json`; the clips lie beside it."""
 
     def frame(self, index: int) -> TusimpleFrame:
-        """One line of the file."""
         return parse(self.lines[index], f"{self.path}:{index + 1}")
 
     def image(self, index: int) -> UInt8[np.ndarray, "h w 3"]:
-        """The frame's picture."""
         return read_image(self.path.parent / self.frame(index).raw_file)
 
 

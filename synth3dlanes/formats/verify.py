@@ -52,7 +52,6 @@ class Verification:
 
     @property
     def n(self) -> int:
-        """How many things were compared."""
         return sum(of.n for of in self.compared.values())
 
     @property
@@ -61,7 +60,6 @@ class Verification:
         return sum(of.n_matched for of in self.compared.values())
 
     def text(self) -> str:
-        """The result as lines of text."""
         things = ", ".join(
             f"{of.n_matched:,} of {counted(of.n, *_noun(word))}" for word, of in self.compared.items() if of.n
         )
@@ -79,7 +77,6 @@ class Verification:
         return "\n".join(lines)
 
     def document(self) -> dict[str, Any]:
-        """The result as JSON values."""
         measures = {measure.unit: {k: v for k, v in vars(measure).items() if k != "unit"} for measure in self.measures}
         compared = {_noun(word)[1]: vars(of) for word, of in self.compared.items()}
         return {

@@ -39,7 +39,6 @@ class Pinhole:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of the image."""
         return self.width_px, self.height_px
 
     def resized(self, width_px: int, height_px: int) -> "Pinhole":

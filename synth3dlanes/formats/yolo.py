@@ -55,7 +55,6 @@ README = f"""YOLO segmentation layout.
 
 
 def write(frame: SampleFrame) -> FrameAnnotation:
-    """The frame's outlines."""
     semantic, instance = frame.passes["semantic"], frame.passes["instance"]
     height_px, width_px = semantic.shape
     lines, dropped = [], Counter[str]()
@@ -118,7 +117,6 @@ def document(path: str, lines: Path) -> Iterator[str]:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The frames of every part."""
     for part in PARTS:
         if (out / f"{part}.txt").exists():
             yield FrameList(part, _frames(out, out / f"{part}.txt", most_frames))

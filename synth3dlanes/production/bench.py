@@ -84,7 +84,6 @@ class Bench:
     map: str = ""
 
     def document(self) -> dict[str, Any]:
-        """The result as JSON values."""
         return asdict(self)
 
 

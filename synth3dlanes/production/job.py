@@ -404,7 +404,6 @@ class Job(DocumentPart):
 
     @property
     def settings(self) -> RenderSettings:
-        """How pictures are rendered."""
         passes = (*self.passes, *(["lidar"] if self.lidar is not None else []))
         return RenderSettings(self.samples or QUALITY_SAMPLES[self.quality], passes, self.device)
 

@@ -172,7 +172,7 @@ class _Run:
         recipe = self.plan.recipe
         self.begun[kind, index] = self.n_pauses
         if kind == "make":
-            shard = self._shard(index)
+            shard = self.shards[index // self.plan.shard_size]
             try:
                 shard.open()
             except OSError as error:
@@ -275,9 +275,6 @@ class _Run:
     def _shard_bytes(self, shard: Shard) -> int:
         """The bytes that a shard takes beside its parts while it is joined."""
         return sum(path.stat().st_size for path in (*shard.parts().values(), shard.path("tar")) if path.exists())
-
-    def _shard(self, index: int) -> Shard:
-        return self.shards[index // self.plan.shard_size]
 
     def _failed(self, index: int) -> PurePath:
         """The folder of the data set for what is known about a failed sample."""

@@ -55,7 +55,6 @@ class Plan:
 
     @property
     def destination(self) -> Destination:
-        """The destination of the samples."""
         return Destination(self.out)
 
     def shards(self) -> dict[int, Shard]:
@@ -122,7 +121,6 @@ class Plan:
         return sum(len(shard.indices(self.n)) for shard in self.shards().values())
 
     def only(self, number: int) -> "Plan":
-        """The plan for one shard."""
         return replace(self, part=(number + 1, math.ceil(self.n / self.shard_size)))
 
     def description(self) -> dict[str, Any]:

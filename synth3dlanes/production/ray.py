@@ -52,11 +52,9 @@ class Board:
         self.posts: list[BoardMessage] = []
 
     def post(self, kind: str, message: str, details: dict[str, Any]) -> None:
-        """Add an event."""
         self.posts.append((kind, message, details))
 
     def take(self) -> list[BoardMessage]:
-        """All events since the last time."""
         posts, self.posts = self.posts, []
         return posts
 

@@ -42,14 +42,12 @@ class Recipe:
     where: Condition | None = field(default=None, kw_only=True)
 
     def world(self, index: int) -> World:
-        """The world of sample `index`."""
         if self.where is None:
             return sample_world(self.scenes, index)
         place = self.scenes.shots.place(index)
         return world_in_shot(self.scenes, fitting_world(self.scenes, self.where, place.scene), place)
 
     def scene(self, index: int) -> Scene:
-        """The scene of sample `index`."""
         return self.world(index).scene
 
     def description(self) -> dict[str, Any]:
@@ -86,7 +84,6 @@ class Recipe:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The members of every sample."""
         return member_names(self.image_format, self.settings.passes)
 
 

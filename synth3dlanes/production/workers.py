@@ -114,7 +114,6 @@ class Worker:
         return self.moved[1]
 
     def begin(self, task: Any) -> None:
-        """Record the worker's task."""
         self.task, self.started = task, self.cpu_s
         self.moved = time.monotonic(), self.started
 
@@ -161,7 +160,6 @@ class Pool:
 
     @property
     def busy(self) -> int:
-        """How many tasks are under way."""
         return len(self._busy())
 
     @property

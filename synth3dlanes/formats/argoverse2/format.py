@@ -119,7 +119,6 @@ class LogFiles:
 
     @property
     def annotations(self) -> str:
-        """Boxes at all instants."""
         return f"{self}/annotations.feather"
 
     @property
@@ -134,7 +133,6 @@ class LogFiles:
 
     @property
     def intrinsics(self) -> str:
-        """Lenses of the cameras."""
         return f"{self}/calibration/intrinsics.feather"
 
     @property
@@ -147,7 +145,6 @@ class LogFiles:
         )
 
     def image(self, camera: str, timestamp_ns: int) -> str:
-        """A picture."""
         return f"{self}/sensors/cameras/{camera}/{timestamp_ns}.jpg"
 
     def sweep(self, timestamp_ns: int) -> str:
@@ -316,7 +313,6 @@ class Log:
 
     @cached_property
     def map(self) -> LogMap:
-        """Its map."""
         return read_map(*(self.out / path for path in self.files.map))
 
     def _table(self, path: str, wanted: pa.Schema) -> Columns:
@@ -340,7 +336,6 @@ def matrices(table: Columns) -> Float[np.ndarray, "n 4 4"]:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The pictures of each part."""
     for part in PARTS:
         if (out / part).is_dir() and not (out / part).is_symlink():
             yield FrameList(part, _frames(out, part, most_frames), "picture")

@@ -130,17 +130,14 @@ class _Piece:
 
     @property
     def id(self) -> int:
-        """Its id in the map."""
         return piece_id(self.lane.index, self.number)
 
     @property
     def left_world(self) -> Points3:
-        """The points of its left line."""
         return self.lane.left.points_world[self.first : self.last + 1]
 
     @property
     def middle(self) -> Float[np.ndarray, "3"]:
-        """The middle of it."""
         return np.asarray(self.lane.points_world[(self.first + self.last) // 2])
 
 
@@ -263,12 +260,10 @@ class LogLane(Excerpt):
 
     @property
     def left(self) -> Float[np.ndarray, "n 3"]:
-        """Its left boundary."""
         return _array(self.left_lane_boundary)
 
     @property
     def right(self) -> Float[np.ndarray, "n 3"]:
-        """Its right boundary."""
         return _array(self.right_lane_boundary)
 
 

@@ -89,12 +89,10 @@ class ClipFiles:
     clip: str
 
     def table(self, name: str) -> str:
-        """A table of the world scenario."""
         return f"{self.part}/clipgt/{self.clip}/{self.clip}.{name}.parquet"
 
     @property
     def times(self) -> str:
-        """The times of the frames."""
         return f"{self.part}/clipgt/{self.clip}/{self.clip}.{FRONT_VIEW}.json"
 
     @property
@@ -103,7 +101,6 @@ class ClipFiles:
         return f"{self.part}/clipgt/{self.clip}/{self.clip}.depth.json"
 
     def video(self, kind: str, view: str) -> str:
-        """A video of a view."""
         return f"{self.part}/{FOLDERS[kind]}/ftheta_{view}/{self.clip}.mp4"
 
 
@@ -163,7 +160,6 @@ class CosmosClip:
 
     @cached_property
     def views(self) -> dict[str, CosmosView]:
-        """The cameras by their names."""
         (row,), where = self.rows("calibration_estimate"), str(self.out / self.files.table("calibration_estimate"))
         document = json_object(row["rig_json"], where)
         try:
@@ -188,7 +184,6 @@ class CosmosClip:
         return [_box(row, row["trackline_id"], "size") for row in rows]
 
     def elements(self, name: str) -> list[Box]:
-        """The traffic lights or signs."""
         return [_box(row, row["map_id"], "dimensions") for row in self.rows(name)]
 
     def lines(self, name: str, field: str) -> list[tuple[dict[str, Any], Points3]]:

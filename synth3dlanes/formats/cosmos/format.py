@@ -162,7 +162,6 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
 
 
 def _view_name(camera: CameraLabel, n_cameras: int, where: str) -> str:
-    """The name of a camera's videos."""
     if n_cameras == 1:
         return FRONT_VIEW
     name = camera.name.replace(":", "_")
@@ -239,8 +238,6 @@ def _moving(frame: SampleFrame, clip_from_world: Matrix4) -> dict[str, list[dict
 
 
 def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[str, Any]]]:
-    """Rows of what stands still."""
-
     def points(points_world: Points3) -> list[dict[str, float]]:
         return [_xyz(point) for point in transform(clip_from_world, points_world)]
 
@@ -359,7 +356,6 @@ def fitted(camera: CameraLabel, where: str) -> FTheta:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The clips of each part."""
     for part in PARTS:
         if (out / part).is_dir() and not (out / part).is_symlink():
             yield FrameList(part, _clips(out, part, most_frames), "clip")
@@ -457,7 +453,6 @@ def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
 
 
 def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
-    """Corners of objects by their tracks."""
     items = objects_of(picture.labels, CATEGORIES)
     ours = {str(item.id): (item.corners_cam, CATEGORIES[item.category]) for item in items}
     return _compared("object", boxes, ours, cam_from_clip)

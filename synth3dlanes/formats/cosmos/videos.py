@@ -154,7 +154,6 @@ def _ridges(dx: np.ndarray, dy: np.ndarray, size: np.ndarray) -> Bool[np.ndarray
 
 
 def lane_map_picture(picture: SourceSample, around: Scenario) -> RgbImage:
-    """The lane map of a picture."""
     camera = picture.labels.camera
     canvas = _Canvas(camera, picture.passes)
     for edge in around.edges:
@@ -233,7 +232,6 @@ class _Canvas:
                 self._draw.line(_flat(uv[[i, j]]), fill=_darker(color, share), width=width)
 
     def area(self, points_world: Points3, color: Rgb) -> None:
-        """A filled area on the ground."""
         points = transform(self.cam_from_world, points_world)
         middle = points.mean(axis=0)
         uv = self.camera.project(middle[None])
@@ -251,7 +249,6 @@ class _Canvas:
             self._polygon(face, (red, green, blue), BOX_EDGE if colors[0] != colors[1] else None)
 
     def image(self) -> RgbImage:
-        """The picture."""
         return np.asarray(self._image.reduce(FINER))
 
     def _polygon(self, points_cam: Points3, color: Rgb, edge: Rgb | None) -> None:

@@ -137,7 +137,6 @@ def pose_record(pose: Matrix4) -> dict[str, list[float]]:
 
 
 def matrix(record: Mapping[str, Sequence[float]]) -> Matrix4:
-    """The pose of a record."""
     x, y, z = rotation(np.array(record["rotation"])).T
     return from_axes(x, y, z, np.array(record["translation"]))
 

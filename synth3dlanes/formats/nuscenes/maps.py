@@ -99,7 +99,6 @@ class _Layers:
         return token(self.log, *names)
 
     def add(self, layer: str, name: str, **fields: Any) -> None:
-        """A record."""
         self.layers[layer].append({"token": name, **fields})
 
     def nodes(self, xy: Points2) -> list[str]:
@@ -114,7 +113,6 @@ class _Layers:
         return found
 
     def line(self, xy: Points2) -> str:
-        """A line of places."""
         name = self.token("line", len(self.layers["line"]))
         self.add("line", name, node_tokens=self.nodes(xy))
         return name
@@ -154,7 +152,6 @@ class _Layers:
         return area
 
     def links(self, lanes: Sequence[LaneSegment]) -> None:
-        """Which lanes follow which."""
         known = {lane.id for lane in lanes}
         links = [(a, b) for a in known for b in self.graph.successors.get(a, ()) if b in known]
         for lane in lanes:
@@ -215,7 +212,6 @@ class _Layers:
             self.add("walkway", self.token("walkway", of), polygon_token=of)
 
     def crossings(self) -> dict[str, BaseGeometry]:
-        """Crosswalks; return their areas."""
         found = dict[str, BaseGeometry]()
         for area in self._symbols("crosswalk"):
             of = self.polygon(area)

@@ -48,22 +48,17 @@ class _Splits(RootModel[dict[str, list[str]]]):
 
 
 class PosedRow(TableRow):
-    """A row with a pose."""
-
     translation: Row3
     rotation: Row4
 
     @property
     def matrix(self) -> Matrix4:
-        """The pose."""
         wxyz = np.array(self.rotation)
         x, y, z = rotation(wxyz).T if wxyz.any() else np.full((3, 3), np.nan)
         return from_axes(x, y, z, np.array(self.translation))
 
 
 class SceneRow(TableRow):
-    """A scene."""
-
     log_token: str
     first_sample_token: str
 
@@ -76,8 +71,6 @@ class LogRow(TableRow):
 
 
 class SampleRow(TableRow):
-    """A sample."""
-
     scene_token: str
     timestamp: int
 
@@ -118,14 +111,10 @@ class BoxRow(PosedRow):
 
 
 class InstanceRow(TableRow):
-    """An object through a scene."""
-
     category_token: str
 
 
 class NamedRow(TableRow):
-    """A category or an attribute."""
-
     name: str
 
 
@@ -221,7 +210,6 @@ class PlaceMap(Excerpt):
     connectivity: dict[str, _Links]
 
     def places(self, tokens: list[str]) -> Points2:
-        """The places of nodes."""
         return np.array([self._nodes[name] for name in tokens]).reshape(-1, 2)
 
     @cached_property
@@ -230,7 +218,6 @@ class PlaceMap(Excerpt):
 
     @cached_property
     def lines(self) -> dict[str, Points2]:
-        """Lines by their tokens."""
         return {line.token: self.places(line.node_tokens) for line in self.line}
 
     @cached_property
@@ -278,7 +265,6 @@ class Version:
         return rows[name]
 
     def map(self, location: str) -> PlaceMap:
-        """The map of a place."""
         if location not in self._read:
             self._read[location] = _validated(PlaceMap, self.out / map_file(location))
         found: PlaceMap = self._read[location]
@@ -286,7 +272,6 @@ class Version:
 
     @cached_property
     def boxes(self) -> dict[str, list[BoxRow]]:
-        """The boxes of each sample."""
         found = defaultdict[str, list[BoxRow]](list)
         for row in self.rows("sample_annotation", BoxRow).values():
             found[row.sample_token].append(row)
@@ -320,21 +305,17 @@ class CameraPicture:
 
     @property
     def sample(self) -> SampleRow:
-        """Its sample."""
         return self.version.row("sample", SampleRow, self.data.sample_token)
 
     @property
     def scene(self) -> SceneRow:
-        """Its scene."""
         return self.version.row("scene", SceneRow, self.sample.scene_token)
 
     @property
     def log(self) -> LogRow:
-        """Its log."""
         return self.version.row("log", LogRow, self.scene.log_token)
 
     def calibrated(self, data: DataRow) -> CalibratedRow:
-        """The calibration of a sensor."""
         return self.version.row("calibrated_sensor", CalibratedRow, data.calibrated_sensor_token)
 
     def pose(self, data: DataRow) -> Matrix4:
@@ -343,7 +324,6 @@ class CameraPicture:
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The pictures of each version."""
     for name in dict.fromkeys(VERSIONS.values()):
         if (out / name).is_dir():
             yield FrameList(name, _frames(Version(out, name), most_frames), "picture")

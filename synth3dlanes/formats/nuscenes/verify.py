@@ -180,7 +180,6 @@ class _FromAbove(SourceSample):
 
     @cached_property
     def labels(self) -> Labels:
-        """Its labels."""
         own = SourceSample(self.reader, self.place).labels
         lanes = tuple(replace(lane, xyz_cam=self._flat(lane.xyz_cam)) for lane in own.lanes)
         symbols = tuple(replace(symbol, xyz_cam=self._flat(symbol.xyz_cam)) for symbol in own.symbols)

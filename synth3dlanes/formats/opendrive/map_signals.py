@@ -91,7 +91,6 @@ def add_signals(elements: Mapping[str, Element], world: World, network: Network)
 
 
 def line_of(road: Road) -> Points2:
-    """Places along a road's reference line."""
     s = np.linspace(0.0, road.end_m, 2 + int(road.end_m / COARSE_STEP_M))
     return road.xy(s, 0.0 * s)
 

@@ -114,7 +114,6 @@ class OdrRoad:
 
     @property
     def driving(self) -> tuple[OdrLane, ...]:
-        """The lanes of traffic."""
         return tuple(lane for lane in self.lanes if lane.kind == "driving")
 
 

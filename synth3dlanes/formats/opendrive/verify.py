@@ -26,7 +26,6 @@ STATION_STEP_M = 1.0
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    """The maps of every split."""
     for folder in sorted({path.parent for path in out.glob("*/*.xodr")}):
         yield FrameList(folder.name, _frames(out, sorted(folder.glob("*.xodr"))[:most_frames]), "map")
 

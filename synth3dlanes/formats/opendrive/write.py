@@ -66,7 +66,6 @@ class FileIds(NamedTuple):
 
 
 def annotate(frame: SampleFrame) -> FrameAnnotation:
-    """The map of the frame's scene."""
     text = opendrive(resolve(frame.scene), frame.key)
     return FrameAnnotation(None, text.count('type="driving"'), files={f"{frame.split}/{frame.key}.xodr": text})
 

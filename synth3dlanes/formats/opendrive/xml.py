@@ -19,7 +19,6 @@ NUMBER = re.compile(r"0|[1-9]\d{0,8}")
 
 
 def add(parent: Element, tag: str, **attributes: str | float) -> Element:
-    """A new child."""
     texts = {key: value if isinstance(value, str) else text(value) for key, value in attributes.items()}
     return ElementTree.SubElement(parent, tag, texts)
 

@@ -108,7 +108,6 @@ class _Course(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Whether it moves along its heading."""
         return abs(self.off_deg) <= MOST_OFF_DEG and self.strays_deg <= MOST_OFF_DEG
 
 

@@ -44,7 +44,7 @@ def read_clip(reader: Reader, scene: int, camera: str = "") -> Drive:
     def make(number: int) -> DriveFrame:
         at = positions[number]
         labels = reader.labels(at)
-        time_s, pose = labels.time_s or 0.0, _world_from_host(labels)
+        time_s, pose = labels.time_s or 0.0, labels.camera.world_from_cam @ invert(labels.camera.road_from_cam)
         return DriveFrame(
             reader.key(at),
             time_s,
@@ -70,10 +70,6 @@ def lanes_in_image(labels: Labels) -> tuple[Polyline2, ...]:
     parts = [part for lane in labels.lanes if lane.kind == "delimiter" for part in lane.visible_parts()]
     lines = (labels.camera.project(part) for part in parts if len(part) > 1)
     return tuple(line for line in lines if np.isfinite(line).all())
-
-
-def _world_from_host(labels: Labels) -> Matrix4:
-    return np.asarray(labels.camera.world_from_cam @ invert(labels.camera.road_from_cam))
 
 
 def _scan(reader: Reader, at: int, time_s: float, world_from_host: Matrix4) -> Scan:

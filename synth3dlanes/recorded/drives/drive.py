@@ -100,7 +100,6 @@ class Drive:
 
     @cached_property
     def start_s(self) -> float:
-        """The time of the first frame."""
         return self.frames[0].time_s
 
     def label_time(self, frame: DriveFrame) -> float:
@@ -108,7 +107,6 @@ class Drive:
         return round(frame.time_s - self.start_s, 9)
 
     def kept(self) -> Sequence[DriveFrame]:
-        """The frames that nobody rejected."""
         if not self.rejected_s:
             return self.frames
         numbers = self._kept_numbers

@@ -157,13 +157,9 @@ def _calibration_folder(folder: Path) -> Path:
     raise FormatError(f"{folder}: expected calib_cam_to_cam.txt in it or in the folder above, got none")
 
 
-def _files(folder: Path, endings: tuple[str, ...]) -> list[Path]:
-    return sorted(path for ending in endings for path in folder.glob(f"*.{ending}"))
-
-
 def _of_sequence(folder: Path, endings: tuple[str, ...], times_s: Scalars, what: str) -> TimedFiles:
     """Files whose names are numbers of lines of `times.txt`."""
-    paths = _files(folder, endings)
+    paths = sorted(path for ending in endings for path in folder.glob(f"*.{ending}"))
     unnumbered = [
         path for path in paths if not (path.stem.isdecimal() and len(path.stem) < 19 and int(path.stem) < len(times_s))
     ]

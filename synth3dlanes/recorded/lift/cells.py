@@ -35,7 +35,6 @@ class GroundGrid:
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
-        """The middle of the grid."""
         return np.asarray(self.corner + np.array(self.shape) * self.cell_m / 2)
 
     def cells(self, xy_world: Points2) -> Int[np.ndarray, "n 2"]:
@@ -48,11 +47,9 @@ class GroundGrid:
         return np.asarray(row * self.shape[1] + col)
 
     def holds(self, cells: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Which cells are in the grid."""
         return np.asarray(((cells >= 0) & (cells < self.shape)).all(axis=1))
 
     def middles(self) -> Float[np.ndarray, "rows cols 2"]:
-        """The middles of all cells."""
         x, y = (self.corner[i] + (np.arange(self.shape[i]) + 0.5) * self.cell_m for i in (0, 1))
         return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
 

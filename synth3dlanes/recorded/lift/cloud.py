@@ -28,7 +28,6 @@ class WorldPoints(NamedTuple):
     scan: Int[np.ndarray, " n"]
 
     def thinned(self, every: int) -> "WorldPoints":
-        """Every `every`-th point."""
         return WorldPoints(*(values[::every].copy() for values in self)) if every > 1 else self
 
 
@@ -46,7 +45,6 @@ def cloud_of(scan: Scan, host_from_lidar: Matrix4, path: Path, number: int) -> W
 
 
 def together(clouds: Sequence[WorldPoints]) -> WorldPoints:
-    """All points of several clouds."""
     return WorldPoints(*(np.concatenate(parts) for parts in zip(*clouds, strict=True)))
 
 

@@ -50,7 +50,6 @@ class SeenLine(NamedTuple):
     picture: int = 0
 
     def at(self, kept: Bool[np.ndarray, " n"]) -> "SeenLine":
-        """Some of the places."""
         s, d, sight_m, std, shifts = (values[kept] for values in self[:5])
         return SeenLine(s, d, sight_m, std, shifts, self.picture)
 

@@ -64,7 +64,7 @@ def lift_to(
         raise InputError(f"{drive.name}: expected frames, got none")
     precision = precision or Precision()
     shots = _shots(frames)
-    image_format = _format(frames[0])
+    image_format = "jpg" if frames[0].load_image is None else _kind(frames[0].load_image()) or "jpg"
     recipe = _recipe(drive, image_format, shots, precision, around)
     numbers = range(-(-n // SHARD_SIZE))
     any_shard = Shard(Path(split), 0, SHARD_SIZE, names_of(recipe), recipe_text(recipe), frames=shots.frames)
@@ -77,7 +77,13 @@ def lift_to(
                 missing = set(shard.missing(n))
                 for index, lifted in frames_of:
                     if index in missing:
-                        shard.write_part(index, _members(lifted, drive.camera, image_format))
+                        shard.write_part(
+                            index,
+                            {
+                                image_format: _image(lifted.frame, drive.camera, image_format),
+                                LABELS: labels_format.to_json(lifted.labels).encode(),
+                            },
+                        )
                     tally.add(lifted)
                     progress(index + 1, n)
                 _finish(shard, n)
@@ -94,14 +100,6 @@ def _finish(shard: Shard, n: int) -> None:
         raise FormatError(f"{shard.path('tar')}: expected samples that can be read, got {told}")
 
 
-def _members(lifted: LiftedFrame, camera: DriveCamera, image_format: str) -> dict[str, bytes]:
-    """The members of a sample: image and labels. Nobody drew its world, so it has no scene."""
-    return {
-        image_format: _image(lifted.frame, camera, image_format),
-        LABELS: labels_format.to_json(lifted.labels).encode(),
-    }
-
-
 def _image(frame: DriveFrame, camera: DriveCamera, image_format: str) -> bytes:
     """The frame's image as it is, if it is of the format and whole; without one, a gray picture."""
     size_px = camera.width_px, camera.height_px
@@ -110,11 +108,6 @@ def _image(frame: DriveFrame, camera: DriveCamera, image_format: str) -> bytes:
     data = frame.load_image()
     pixels = decode_image(data, str(frame.image or frame.name), size_px)
     return data if _kind(data) == image_format else encode_image(pixels, image_format)
-
-
-def _format(frame: DriveFrame) -> str:
-    """The image format of a data set whose first frame this is."""
-    return "jpg" if frame.load_image is None else _kind(frame.load_image()) or "jpg"
 
 
 def _kind(data: bytes) -> str:
@@ -177,7 +170,6 @@ class _Tally:
         self.std: list[np.ndarray] = []
 
     def add(self, lifted: LiftedFrame) -> None:
-        """Count a frame."""
         self.not_found -= lifted.rejected
         self.frames += 1
         self.without += not lifted.labels.lanes
@@ -189,6 +181,5 @@ class _Tally:
                     self.std.append(np.median(near, axis=0))
 
     def report(self) -> LiftReport:
-        """The result."""
         lateral, height = np.median(self.std, axis=0).tolist() if self.std else (None, None)
         return LiftReport(self.frames, self.without, len(self.ids), lateral, height, tuple(sorted(self.not_found)))
