@@ -102,7 +102,7 @@ def mark(source: str, out: Path, camera: str, marked: str, lifted: str, frames: 
     from dataclasses import replace
 
     from synth3dlanes.dataset.read import Reader
-    from synth3dlanes.recorded.drives.lifted import lifted_marks
+    from synth3dlanes.recorded.drives.marks import lifted_marks
     from synth3dlanes.recorded.drives.open import open_drive
     from synth3dlanes.recorded.drives.pages import marking_page
     from synth3dlanes.recorded.drives.top_view import top_view

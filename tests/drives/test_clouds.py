@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.recorded.drives.clouds import read_cloud
-from synth3dlanes.recorded.drives.pcd import lzf
+from synth3dlanes.recorded.drives.clouds import lzf, read_cloud
 from synth3dlanes.system.errors import FormatError
 from tests.drives.road import write_feather
 from tests.hostile import damaged, files, refused_or_read

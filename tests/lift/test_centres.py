@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.recorded.lift import centres
+from synth3dlanes.recorded.lift import tracks as lifted_tracks
 from synth3dlanes.recorded.lift.tracks import Track, unplaced
 
 S = np.arange(0.0, 120.0)
@@ -18,7 +18,7 @@ def test_a_centre_line_is_where_a_lane_is_not_where_lines_meet(narrow_m: float, 
     """The right line of a lane leaves after 60 m, and comes near again for some metres."""
     apart = np.where(S < 60, 3.5, 8.0)
     apart[(S >= 90) & (90 + narrow_m > S)] = 4.0
-    found = centres._between(track("line_0", np.zeros(len(S))), track("line_1", apart), ())
+    found = lifted_tracks._between(track("line_0", np.zeros(len(S))), track("line_1", apart), ())
     assert found is not None
     np.testing.assert_allclose(found.d, np.where(found.s < 60, 1.75, 2.0))
     assert found.s[0] == 0

@@ -14,7 +14,7 @@ from synth3dlanes.recorded.lift.ground import GroundMap, fit_ground
 from synth3dlanes.recorded.lift.path import path_of
 from synth3dlanes.recorded.lift.precision import NO_ERROR, Precision
 from synth3dlanes.recorded.lift.run import lifted_frames
-from synth3dlanes.recorded.lift.stretch import scans_along
+from synth3dlanes.recorded.lift.tracks import scans_along
 from synth3dlanes.system.errors import InputError
 from tests.lift import hill
 

@@ -12,7 +12,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, MarkedLane
 from synth3dlanes.recorded.drives.marks import marks_text
 from synth3dlanes.recorded.drives.open import open_drive
-from synth3dlanes.recorded.lift import stretch
+from synth3dlanes.recorded.lift import tracks
 from synth3dlanes.recorded.lift.path import path_of
 from synth3dlanes.recorded.lift.precision import NO_ERROR
 from synth3dlanes.recorded.lift.run import lifted_frames
@@ -122,10 +122,10 @@ def test_a_store_gets_the_bytes_of_a_folder(tmp_path: Path) -> None:
 def test_the_points_of_all_scans_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     drive = hill.drive(6)
     path = path_of([frame.world_from_host for frame in drive.frames])
-    whole = stretch.scans_along(drive, drive.frames, path)
+    whole = tracks.scans_along(drive, drive.frames, path)
     most = len(whole.scan) // 3
-    monkeypatch.setattr(stretch, "MOST_POINTS", most)
-    fewer = stretch.scans_along(drive, drive.frames, path)
+    monkeypatch.setattr(tracks, "MOST_POINTS", most)
+    fewer = tracks.scans_along(drive, drive.frames, path)
     assert most / 2 < len(fewer.scan) <= most
     assert np.bincount(fewer.scan).min() > most / len(drive.frames) / 3, "of all scans"
 

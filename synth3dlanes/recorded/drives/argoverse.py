@@ -13,10 +13,9 @@ from jaxtyping import Shaped
 
 from synth3dlanes.formats.reading import image_size
 from synth3dlanes.geometry.frames import invert
-from synth3dlanes.recorded.drives.axes import OURS_FROM, camera_matrix, in_ours
 from synth3dlanes.recorded.drives.drive import Drive, DriveCamera
 from synth3dlanes.recorded.drives.gather import Recording, TimedFiles, gather, timed
-from synth3dlanes.recorded.drives.poses import NANO, UNIT, read_pose_feather
+from synth3dlanes.recorded.drives.poses import NANO, OURS_FROM, UNIT, camera_matrix, in_ours, read_pose_feather
 from synth3dlanes.recorded.drives.tables import numeric, read_feather
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.errors import FormatError

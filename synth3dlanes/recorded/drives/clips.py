@@ -9,8 +9,7 @@ import numpy as np
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.geometry.frames import invert
 from synth3dlanes.labels.labels import Labels
-from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, Scan
-from synth3dlanes.recorded.drives.lazy import MadeFrames
+from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, MadeFrames, Scan
 from synth3dlanes.scene.things import KINDS
 from synth3dlanes.system.arrays import Matrix4, Polyline2
 from synth3dlanes.system.errors import FormatError

@@ -10,12 +10,22 @@ from pydantic import Field, ValidationError
 from synth3dlanes.formats.reading import image_size
 from synth3dlanes.geometry.frames import invert, road_from_cam, turned
 from synth3dlanes.params.camera_files import load_camera
-from synth3dlanes.recorded.drives.axes import OURS_FROM, AxesName, camera_matrix, in_ours, matrix34
 from synth3dlanes.recorded.drives.drive import Drive, DriveCamera
 from synth3dlanes.recorded.drives.gather import Recording, TimedFiles, gather, timed
 from synth3dlanes.recorded.drives.lines import ImageLines, read_lines_of
 from synth3dlanes.recorded.drives.marks import read_marks
-from synth3dlanes.recorded.drives.poses import PoseTrack, read_kitti_poses, read_pose_feather, read_pose_json, read_tum
+from synth3dlanes.recorded.drives.poses import (
+    OURS_FROM,
+    AxesName,
+    PoseTrack,
+    camera_matrix,
+    in_ours,
+    matrix34,
+    read_kitti_poses,
+    read_pose_feather,
+    read_pose_json,
+    read_tum,
+)
 from synth3dlanes.recorded.drives.tables import matching, read_lines, read_rows
 from synth3dlanes.system.arrays import Matrix4, Scalars
 from synth3dlanes.system.errors import FormatError, InputError

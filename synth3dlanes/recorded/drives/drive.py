@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.lens import PINHOLE, Lens
 from synth3dlanes.labels.labels import Direction, LaneKind, Marking, PaintColor
-from synth3dlanes.recorded.drives.lazy import MadeFrames
 from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, Scalars
 
 
@@ -115,3 +115,26 @@ class Drive:
     @cached_property
     def _kept_numbers(self) -> list[int]:
         return [i for i, frame in enumerate(self.frames) if self.label_time(frame) not in self.rejected_s]
+
+
+@dataclass(frozen=True)
+class MadeFrames(Sequence[DriveFrame]):
+    """`n` frames, of which `make` makes each from its number; none is kept."""
+
+    n: int
+    make: Callable[[int], DriveFrame]
+
+    def __len__(self) -> int:
+        return self.n
+
+    @overload
+    def __getitem__(self, index: int) -> DriveFrame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[DriveFrame]: ...
+    def __getitem__(self, index: int | slice) -> DriveFrame | Sequence[DriveFrame]:
+        if isinstance(index, slice):
+            numbers = range(self.n)[index]
+            return MadeFrames(len(numbers), lambda number: self.make(numbers[number]))
+        if not -self.n <= index < self.n:
+            raise IndexError(f"expected a frame in 0..{self.n - 1}, got {index}")
+        return self.make(index % self.n)

@@ -15,8 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.recorded.drives.clouds import MAX_CLOUD_BYTES, read_cloud
-from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, MarkedLane, Scan
-from synth3dlanes.recorded.drives.lazy import MadeFrames
+from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, MadeFrames, MarkedLane, Scan
 from synth3dlanes.recorded.drives.lines import ImageLines
 from synth3dlanes.recorded.drives.poses import PoseTrack
 from synth3dlanes.recorded.drives.tables import read_bytes

@@ -14,10 +14,18 @@ from jaxtyping import Float
 from synth3dlanes.formats.reading import image_size
 from synth3dlanes.geometry.frames import invert
 from synth3dlanes.geometry.lens import PINHOLE
-from synth3dlanes.recorded.drives.axes import OURS_FROM, camera_matrix, in_ours, matrix34, rigid
 from synth3dlanes.recorded.drives.drive import Drive, DriveCamera
 from synth3dlanes.recorded.drives.gather import Recording, TimedFiles, gather, timed
-from synth3dlanes.recorded.drives.poses import PoseTrack, read_kitti_poses, track
+from synth3dlanes.recorded.drives.poses import (
+    OURS_FROM,
+    PoseTrack,
+    camera_matrix,
+    in_ours,
+    matrix34,
+    read_kitti_poses,
+    rigid,
+    track,
+)
 from synth3dlanes.recorded.drives.tables import floats, read_lines, read_rows
 from synth3dlanes.system.arrays import Matrix4, Scalars
 from synth3dlanes.system.errors import FormatError

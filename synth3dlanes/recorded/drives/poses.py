@@ -1,4 +1,5 @@
-"""Poses along a drive: KITTI's and TUM's text, Argoverse 2's feather, our JSON; and the pose at any instant between."""
+"""Other people's axes as ours (x right, y forward, z up), and poses along a drive: KITTI's and TUM's text, feather of
+Argoverse 2, our JSON; and the pose at any instant between."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +11,53 @@ from jaxtyping import Float
 from pydantic import Field
 
 from synth3dlanes.geometry.frames import invert
-from synth3dlanes.recorded.drives.axes import OURS_FROM, AxesName, matrix34
 from synth3dlanes.recorded.drives.tables import MAX_TEXT_BYTES, numeric, read_bytes, read_feather, read_rows
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import DocumentPart, parse
+
+AxesName = Literal["rfu", "flu", "rdf"]
+# Ours; those of vehicles and lidars (x forward, y left, z up); those of cameras (x right, y down, z forward).
+OURS_FROM: dict[AxesName, Matrix4] = {
+    "rfu": np.eye(4),
+    "flu": np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
+    "rdf": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
+}
+# Files write matrices with 6 to 12 decimals.
+ORTHONORMAL = 2e-3
+
+
+def rigid(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"], where: str) -> Matrix4:
+    """The transform of a rotation and a translation. Raises FormatError, whose message begins with `where`, for a
+    matrix that is no rotation: one that mirrors an axis, or has a scale."""
+    product = rotation @ rotation.T
+    if not np.abs(product - np.eye(3)).max() <= ORTHONORMAL:
+        scale = float(np.cbrt(np.abs(np.linalg.det(rotation))))
+        raise FormatError(f"{where}: expected a rotation, got a matrix that is none (its scale is {scale:.4g})")
+    if np.linalg.det(rotation) < 0:
+        raise FormatError(f"{where}: expected a rotation, got a mirror: one axis points the other way")
+    found = np.eye(4)
+    # The nearest rotation: rounded numbers of a file would make lengths grow along a drive.
+    u, _, vt = np.linalg.svd(rotation)
+    found[:3, :3], found[:3, 3] = u @ vt, translation
+    return found
+
+
+def matrix34(values: Float[np.ndarray, "12"], where: str) -> Matrix4:
+    """The transform of three rows of a rotation and a translation."""
+    rows = values.reshape(3, 4)
+    return rigid(rows[:, :3], rows[:, 3], where)
+
+
+def in_ours(b_from_a: Matrix4, b_axes: AxesName, a_axes: AxesName) -> Matrix4:
+    """A transform between two frames in their own axes as one between the same frames in ours."""
+    return np.asarray(OURS_FROM[b_axes] @ b_from_a @ invert(OURS_FROM[a_axes]))
+
+
+def camera_matrix(fx: float, fy: float, cx: float, cy: float) -> Float[np.ndarray, "3 3"]:
+    """`img_from_cam` of a pinhole: pixels from camera coordinates in our axes."""
+    return np.array([[fx, cx, 0.0], [0.0, cy, -fy], [0.0, 1.0, 0.0]])
+
 
 POSES_FORMAT, POSES_VERSION = "synth3dlanes.poses", 1
 # Longest time between poses, and beyond the last one, in which a car's pose is known to a centimetre.

@@ -15,8 +15,8 @@ from PIL import Image
 from scipy import ndimage
 
 from synth3dlanes.geometry.frames import transform
+from synth3dlanes.recorded.drives.checks import ground_plane
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame
-from synth3dlanes.recorded.drives.scan_checks import ground_plane
 from synth3dlanes.system.arrays import Points3, Polyline2, Scalars
 from synth3dlanes.system.errors import InputError
 

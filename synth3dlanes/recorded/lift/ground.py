@@ -1,6 +1,8 @@
 """The ground of a stretch of road as a grid of robust local planes, with its uncertainty. World frame, metres.
 
-A cell has a plane only where points around it support one; nothing is invented between.
+A cell has a plane only where points around it support one; nothing is invented between. Points may be on the ground
+that are the lowest of their square metre, below a cone over its neighbours, near the path: what stands on the ground,
+and what moves over it, is above; bridges over and roads below the path are too far from its height.
 """
 
 from dataclasses import dataclass
@@ -9,13 +11,141 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.recorded.lift.cells import GroundGrid
 from synth3dlanes.recorded.lift.cloud import WorldPoints
 from synth3dlanes.recorded.lift.path import Path
 from synth3dlanes.recorded.lift.precision import Precision
-from synth3dlanes.recorded.lift.rough import above_ground
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.system.errors import InputError
+
+# Memory of a grid: 4000 cells of half a metre are 2 km.
+MAX_CELLS = 16_000_000
+# Radius of a window in standard deviations.
+TRUNCATE = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class GroundGrid:
+    """Square cells from `corner` on: the first index counts along x, the second along y."""
+
+    corner: Float[np.ndarray, "2"]
+    cell_m: float
+    shape: tuple[int, int]
+
+    @staticmethod
+    def around(xy_world: Points2, cell_m: float) -> "GroundGrid":
+        """The least grid that holds all points. Raises InputError where it is too large."""
+        low = np.floor(xy_world.min(axis=0) / cell_m)
+        size = np.floor(xy_world.max(axis=0) / cell_m) - low + 1
+        if size.prod() > MAX_CELLS:
+            extent = " x ".join(f"{n * cell_m:,.0f}" for n in size)
+            raise InputError(f"poses: expected a stretch of road of 2 x 2 km at most, got one of {extent} m")
+        return GroundGrid(low * cell_m, cell_m, (int(size[0]), int(size[1])))
+
+    @property
+    def centre(self) -> Float[np.ndarray, "2"]:
+        return np.asarray(self.corner + np.array(self.shape) * self.cell_m / 2)
+
+    def cells(self, xy_world: Points2) -> Int[np.ndarray, "n 2"]:
+        """The indices of the cells that hold places, in the grid or beyond it."""
+        return np.floor((xy_world - self.corner) / self.cell_m).astype(int)
+
+    def numbers(self, cells: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+        """Cells as single numbers; those beyond the grid as the nearest in it."""
+        row, col = np.clip(cells, 0, np.array(self.shape) - 1).T
+        return np.asarray(row * self.shape[1] + col)
+
+    def holds(self, cells: Int[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        return np.asarray(((cells >= 0) & (cells < self.shape)).all(axis=1))
+
+    def middles(self) -> Float[np.ndarray, "rows cols 2"]:
+        x, y = (self.corner[i] + (np.arange(self.shape[i]) + 0.5) * self.cell_m for i in (0, 1))
+        return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+
+    def total(self, number: Int[np.ndarray, " n"], values: Scalars | None = None) -> Float[np.ndarray, "rows cols"]:
+        """The sum of values, or the number of points, in each cell."""
+        return np.bincount(number, values, minlength=self.shape[0] * self.shape[1]).reshape(self.shape).astype(float)
+
+    def windowed(self, values: Float[np.ndarray, "rows cols"], window_m: float) -> Float[np.ndarray, "rows cols"]:
+        """The sums of values around each cell, weighted with a bell of this standard deviation, which is 1 in its
+        middle."""
+        sigma = window_m / self.cell_m
+        mean = scipy.ndimage.gaussian_filter(values, sigma, mode="constant", truncate=TRUNCATE)
+        return np.asarray(mean * (2 * np.pi * sigma**2))
+
+    def scans(
+        self, number: Int[np.ndarray, " n"], scan: Int[np.ndarray, " n"], weight: Scalars
+    ) -> Float[np.ndarray, "rows cols"]:
+        """How many scans tell of each cell: each counts by the mean weight of its points there, relative to others."""
+        if not len(number):
+            return np.zeros(self.shape)
+        both = number * (scan.max() + 1) + scan
+        pairs, which = np.unique(both, return_inverse=True)
+        which = which.ravel()
+        mean = np.bincount(which, weight) / np.bincount(which)
+        at = pairs // (scan.max() + 1)
+        squares = self.total(at, mean**2)
+        return np.where(squares > 0, self.total(at, mean) ** 2 / np.where(squares > 0, squares, 1.0), 0.0)
+
+
+SQUARE_M = 1.0
+# The lowest height of a square is this quantile of its points' heights, because some points are below the ground.
+LOW_SHARE = 0.15
+# How far the ground beside the path may be above or below it: a constant, and a share of the distance to the side.
+BAND_M, BAND_PER_M = 0.4, 0.25
+# The steepest rise of the ground relative to the path, and the distance over which it is compared.
+STEEPEST, CONE_M = 0.2, 6
+# Depth below its neighbours from which a square holds wrong points.
+SUNK_M = 0.4
+# Greatest distance from the path of points that give the height of the host's frame over the ground.
+UNDER_M = 1.5
+MIN_UNDER_PATH = 20
+
+
+def above_ground(cloud: WorldPoints, path: Path) -> Scalars:
+    """How far each point is above the rough ground; infinite where that is not known."""
+    at, far_m = path.nearest(cloud.xyz_world[:, :2])
+    rise = cloud.xyz_world[:, 2] - at[:, 2]
+    rise = rise + frame_height(rise[far_m < UNDER_M], at[far_m < UNDER_M])
+    in_band = np.abs(rise) < BAND_M + BAND_PER_M * far_m
+    grid = GroundGrid.around(cloud.xyz_world[:, :2], SQUARE_M)
+    number = grid.numbers(grid.cells(cloud.xyz_world[:, :2]))
+    low = _lowest(grid, number[in_band], rise[in_band])
+    around = scipy.ndimage.percentile_filter(np.where(np.isnan(low), 0.0, low), 50, 5)
+    known = scipy.ndimage.uniform_filter((~np.isnan(low)).astype(float), 5) > 0.8
+    low[known & (low < around - SUNK_M)] = np.nan
+    cone = np.where(np.isnan(low), np.inf, low)
+    reach = int(CONE_M / SQUARE_M)
+    i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    cone = scipy.ndimage.grey_erosion(cone, structure=-STEEPEST * SQUARE_M * np.hypot(i, j), mode="nearest")
+    ground = np.where(np.isnan(low), np.inf, np.minimum(low, cone)).ravel()[number]
+    return np.where(in_band, rise - ground, np.inf)
+
+
+def frame_height(rise: Scalars, at: Float[np.ndarray, "n 3"]) -> float:
+    """How high the host's frame is over the ground, from the heights of points near its path above that frame's
+    path."""
+    if len(rise) < MIN_UNDER_PATH:
+        raise InputError(
+            f"scans: expected {MIN_UNDER_PATH} or more points on the ground under the path, got {len(rise)}; "
+            "are the lidar's axes x right, y forward, z up, and its metres metres?"
+        )
+    place = np.unique(np.floor(at[:, :2] / SQUARE_M).astype(int), axis=0, return_inverse=True)[1].ravel()
+    order = np.lexsort([rise, place])
+    start = np.flatnonzero(np.diff(place[order], prepend=-1))
+    n = np.diff([*start, len(order)])
+    return -float(np.median(rise[order][start + (LOW_SHARE * (n - 1)).astype(int)]))
+
+
+def _lowest(grid: GroundGrid, number: np.ndarray, rise: Scalars) -> Float[np.ndarray, "rows cols"]:
+    """A low height of each square, NaN without points."""
+    order = np.lexsort([rise, number])
+    found = number[order]
+    start = np.flatnonzero(np.diff(found, prepend=-1))
+    n = np.diff([*start, len(found)])
+    low = np.full(grid.shape[0] * grid.shape[1], np.nan)
+    low[found[start]] = rise[order][start + (LOW_SHARE * (n - 1)).astype(int)]
+    return low.reshape(grid.shape)
+
 
 CELL_M = 0.5
 # Standard deviations of the windows of the planes, the widest first: each narrower plane replaces the wider one where

@@ -6,8 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, Scan
-from synth3dlanes.recorded.drives.lazy import MadeFrames
+from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, MadeFrames, Scan
 from synth3dlanes.system.arrays import Matrix4
 
 # The range at which rain loses its whole share of points; nearer, it loses less.

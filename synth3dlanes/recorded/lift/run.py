@@ -7,11 +7,9 @@ import numpy as np
 
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, RejectedLane
-from synth3dlanes.recorded.lift.centres import LINE, with_centres
 from synth3dlanes.recorded.lift.labelling import label_frame
 from synth3dlanes.recorded.lift.precision import Precision
-from synth3dlanes.recorded.lift.stretch import Stretch, lift_stretch
-from synth3dlanes.recorded.lift.tracks import Track
+from synth3dlanes.recorded.lift.tracks import LINE, Stretch, Track, lift_stretch, with_centres
 from synth3dlanes.system.errors import InputError
 
 # Frames before and after each whose scans and lanes are used.

@@ -1,20 +1,23 @@
-"""Lines that were seen in several pictures, joined into tracks beside the path, with smooth curves. World frame."""
+"""A stretch of road: its ground, and the tracks of the lanes on it. Lines that were seen in several pictures are joined
+into tracks beside the path, with smooth curves; centre lines lie between them. World frame, metres."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.polylines import lengths_along, resampled
 from synth3dlanes.labels.labels import Direction, LaneKind, Marking, PaintColor
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, MarkedLane
 from synth3dlanes.recorded.lift.cast import CastPoints, cast
+from synth3dlanes.recorded.lift.cloud import WorldPoints, cloud_of, together
 from synth3dlanes.recorded.lift.curves import GAP_M, STATION_STEP_M, SeenLine, smooth
-from synth3dlanes.recorded.lift.ground import GroundMap
-from synth3dlanes.recorded.lift.path import Path
+from synth3dlanes.recorded.lift.ground import GroundMap, fit_ground
+from synth3dlanes.recorded.lift.path import Path, path_of
 from synth3dlanes.recorded.lift.precision import Precision
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.system.errors import InputError
 
 # Lines are followed pixel by pixel, but not closer than this on the image.
 SAMPLE_PX = 3.0
@@ -260,3 +263,117 @@ def _stations(sight: SeenLine) -> dict[int, Float[np.ndarray, "2"]]:
 def _resampled(line: Float[np.ndarray, "n 2"], step: float) -> Float[np.ndarray, "m 2"]:
     """A polyline with a point at every step along it, and its ends."""
     return resampled(line, max(2, int(np.ceil(lengths_along(line)[-1] / step)) + 1))
+
+
+# Widths between delimiters that bound a lane, along at least MIN_LANE_M without a gap: where lines meet or part they
+# pass through these widths.
+WIDTHS_M = (2.2, 5.0)
+MIN_LANE_M = 10.0
+# How the ids of delimiters begin that pictures show.
+LINE = "line_"
+
+
+def with_centres(tracks: Sequence[Track], ground: GroundMap, path: Path) -> list[Track]:
+    """The tracks, and a centre line between each two delimiters that bound a lane and have none yet."""
+    lines = [track for track in tracks if track.kind == "delimiter"]
+    centres = []
+    for left in lines:
+        for right in lines:
+            centre = _between(left, right, tracks)
+            placed = None if centre is None else on_ground(centre, ground, path)
+            if placed is not None:
+                centres.append(placed)
+    left_of = {centre.right: centre.id for centre in centres}
+    right_of = {centre.left: centre.id for centre in centres}
+    bounded = [replace(line, left=left_of.get(line.id), right=right_of.get(line.id)) for line in lines]
+    others = [track for track in tracks if track.kind != "delimiter"]
+    return [*bounded, *others, *centres]
+
+
+def _between(left: Track, right: Track, tracks: Sequence[Track]) -> Track | None:
+    """The centre line between two delimiters, where they bound a lane and no other track is between them."""
+    shared, i, j = np.intersect1d(left.s, right.s, return_indices=True)
+    width = right.d[j] - left.d[i]
+    is_lane = (width > WIDTHS_M[0]) & (width < WIDTHS_M[1])
+    if is_lane.sum() * STATION_STEP_M < MIN_LANE_M:
+        return None
+    middle = (left.d[i] + right.d[j]) / 2
+    for other in tracks:
+        if other.id not in (left.id, right.id):
+            _, mine, theirs = np.intersect1d(shared, other.s, return_indices=True)
+            inside = (other.d[theirs] > left.d[i][mine]) & (other.d[theirs] < right.d[j][mine])
+            is_lane[mine[inside]] = False
+    is_lane &= _in_long_runs(is_lane, shared)
+    if not is_lane.any():
+        return None
+    std = np.hypot(left.std_m[i, 0], right.std_m[j, 0]) / 2
+    return Track(
+        id=f"centre_{left.id.removeprefix(LINE)}_{right.id.removeprefix(LINE)}",
+        s=shared[is_lane],
+        d=middle[is_lane],
+        xyz_world=unplaced(int(is_lane.sum())),
+        std_m=std[is_lane, None],
+        kind="centerline",
+        marking="none",
+        color=None,
+        direction=left.direction if left.direction == right.direction else "same",
+        left=left.id,
+        right=right.id,
+    )
+
+
+def _in_long_runs(is_lane: Bool[np.ndarray, " n"], stations: Scalars) -> Bool[np.ndarray, " n"]:
+    """Which stations are in runs without a gap of at least MIN_LANE_M."""
+    at = np.flatnonzero(is_lane)
+    runs = np.split(at, np.flatnonzero(np.diff(stations[at]) > 1.5 * STATION_STEP_M) + 1)
+    found = np.zeros(len(is_lane), dtype=bool)
+    for run in runs:
+        found[run] = len(run) * STATION_STEP_M >= MIN_LANE_M
+    return found
+
+
+# Scans from places closer than this tell nothing new; more points than this, of all scans, are thinned.
+APART_M, MOST_POINTS = 0.5, 4_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The ground along a path, and the lanes on it: those that pictures show, then those that are marked."""
+
+    path: Path
+    ground: GroundMap
+    tracks: tuple[Track, ...]
+
+
+def lift_stretch(drive: Drive, frames: Sequence[DriveFrame], precision: Precision) -> Stretch:
+    """The ground and the delimiters of some frames of a drive, from all of their scans and 2D lanes."""
+    path = path_of([frame.world_from_host for frame in frames])
+    ground = fit_ground(scans_along(drive, frames, path), path, precision)
+    groups = joined(seen_lines(drive, frames, ground, path, precision))
+    seen = [curve_of(f"line_{i}", group, ground, path) for i, group in enumerate(groups)]
+    tracks = without_strays([track for track in seen if track is not None])
+    for lane, sight in marked_lines(drive.marked, path, precision):
+        track = curve_of(lane.id, [sight], ground, path)
+        if track is not None:
+            tracks.append(track.marked_as(lane))
+    return Stretch(path, ground, tuple(tracks))
+
+
+def scans_along(drive: Drive, frames: Sequence[DriveFrame], path: Path) -> WorldPoints:
+    """The points of the frames' scans near their path, thinned. Raises InputError where there are none."""
+    clouds: list[WorldPoints] = []
+    last, every = None, 1
+    for number, frame in enumerate(frames):
+        place = frame.world_from_host[:2, 3]
+        if last is not None and ((place - last) ** 2).sum() < APART_M**2:
+            continue
+        scan = frame.scan()
+        if scan is not None:
+            clouds.append(cloud_of(scan, drive.host_from_lidar, path, number).thinned(every))
+            last = place
+            # Scan by scan: the points of all of them may not fit into memory.
+            while sum(len(cloud.scan) for cloud in clouds) > MOST_POINTS:
+                clouds, every = [cloud.thinned(2) for cloud in clouds], 2 * every
+    if not sum(len(cloud.scan) for cloud in clouds):
+        raise InputError(f"{drive.name}: expected scans with points near the host's path, got none")
+    return together(clouds)
