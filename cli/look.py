@@ -138,7 +138,7 @@ def gallery(
 @click.option("--width", metavar="PX", type=click.IntRange(min=100), help="Shrink the frames to this width in pixels.")
 def clip(where: str, out: Path, lanes: bool, width: int | None) -> None:
     """Write the clip to which a sample belongs, such as DIR/train:00000017, as an animated WebP, GIF or PNG."""
-    from synth3dlanes.figures.clip import draw_clip
+    from synth3dlanes.figures.gallery import draw_clip
     from synth3dlanes.figures.samples import load_clip
 
     found = load_clip(where)

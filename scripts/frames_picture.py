@@ -14,8 +14,8 @@ from PIL import Image
 
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures import colors
+from synth3dlanes.figures.inspect import draw_image
 from synth3dlanes.figures.scene_view import SceneView
-from synth3dlanes.figures.views import draw_image
 from synth3dlanes.geometry.frames import project, road_from_cam, transform
 from synth3dlanes.labels.labels import Labels, from_json
 from synth3dlanes.params.params import load_params

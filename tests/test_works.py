@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from synth3dlanes.dataset.columns import numbers_of
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
 from synth3dlanes.figures.describe import describe
-from synth3dlanes.figures.shown import ShownScene
+from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.formats.lanelet_map import lanelets_of
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.params.params import load_params

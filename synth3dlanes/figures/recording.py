@@ -15,9 +15,8 @@ from synth3dlanes.dataset.description import clip_of
 from synth3dlanes.dataset.format import encode_image
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.boxes import color_of, objects_in_image
 from synth3dlanes.figures.describe import shows
-from synth3dlanes.figures.overlay import stretches_img
+from synth3dlanes.figures.overlay import color_of, objects_in_image, stretches_img
 from synth3dlanes.figures.passes import semantic_colors
 from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.space import triangles

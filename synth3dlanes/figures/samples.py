@@ -2,7 +2,7 @@
 `DIR/train:00000017`, or some samples of a data set."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +14,46 @@ from synth3dlanes.dataset.format import HEIGHT, LIDAR, PASSES, decode_image, rea
 from synth3dlanes.dataset.read import Reader, find
 from synth3dlanes.dataset.scenes import find_scene
 from synth3dlanes.figures.overlay import draw_overlay
-from synth3dlanes.figures.shown import ShownSample, ShownScene
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.scene import Scene, from_json
-from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.arrays import Passes, RgbImage
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.files import read_bounded
 from synth3dlanes.truth.ground_truth import ground_truth
+
+
+@dataclass(frozen=True, eq=False)
+class ShownScene:
+    """A scene with its name (of a sample: its key) and its labels; a sample that was lifted from a real drive has no
+    scene. What else there is of it: its image, passes and lidar sweep; the frames of its clip, of which it is that of
+    `shot`; and what all cameras of its rig see at its instant."""
+
+    scene: Scene | None
+    labels: Labels
+    image: RgbImage | None = None
+    passes: Passes = field(default_factory=dict)
+    sweep: Sweep | None = None
+    clip: Sequence[tuple[Labels, RgbImage]] = ()
+    rig: Sequence[tuple[Labels, RgbImage]] = ()
+    name: str = "scene"
+    lifted_shot: Shot | None = None
+
+    @property
+    def shot(self) -> Shot:
+        """Which picture of its scene it is; of a lifted sample `lifted_shot`."""
+        return self.scene.shot if self.scene is not None else self.lifted_shot or Shot()
+
+
+@dataclass(frozen=True, eq=False)
+class ShownSample:
+    """A picture of a sample, its name, and the labels to be drawn on it, if any."""
+
+    name: str
+    image: RgbImage
+    labels: Labels | None = None
+
 
 # Passes of 8192 x 8192 take 1 GB without compression.
 MAX_IMAGE_BYTES = 1 << 30

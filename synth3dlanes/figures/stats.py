@@ -1,20 +1,22 @@
-"""Statistics of scenes and labels: whether each parameter follows its declared distribution, and label quantities."""
+"""Statistics of scenes and labels: whether each parameter follows its declared distribution, and label quantities;
+histograms of both, as counts in bins, with the counts that are expected as declared."""
 
 import dataclasses
 import math
+import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import stats
 
 from synth3dlanes.draw.rules import CONDITIONED, ParameterRules
-from synth3dlanes.figures.describe import road_words
-from synth3dlanes.figures.shape import bends, grades
+from synth3dlanes.figures.describe import bends, grades, road_words
 from synth3dlanes.labels.labels import Labels
-from synth3dlanes.params.distributions import Choice, Distribution, Uniform
+from synth3dlanes.params.distributions import Choice, Distribution, Integers, Uniform
 from synth3dlanes.params.groups import NO_JUNCTION, OPTIONAL
 from synth3dlanes.params.params import Params
 from synth3dlanes.scene.scene import Scene
@@ -333,3 +335,94 @@ def _summary(name: str, values: Scalars) -> QuantitySummary:
         return QuantitySummary(name, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     low, p05, median, p95, high = np.percentile(values, [0, 5, 50, 95, 100]).tolist()
     return QuantitySummary(name, values.size, low, p05, median, p95, high, float(values.mean()))
+
+
+_UNITS = {"m": "m", "deg": "°", "px": "px"}
+# Greatest number of values of a discrete parameter that get a bin each.
+_MAX_SINGLE_BINS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Counts of one quantity between `edges`.
+
+    `quantity` names the horizontal axis with its unit. `expected` is the count in each bin by the declared
+    distribution, None for label quantities; `is_fine` is false for a parameter that is not as declared.
+    """
+
+    title: str
+    quantity: str
+    edges: Float[np.ndarray, " e"]
+    counts: Float[np.ndarray, " n"]
+    expected: Float[np.ndarray, " n"] | None
+    is_fine: bool
+
+    @property
+    def is_of_integers(self) -> bool:
+        """Whether each bin is that of an integer."""
+        return bool((self.edges % 1 == 0.5).all())
+
+
+def histograms(scenes: SceneStatistics, labels: LabelStatistics | None) -> list[Histogram]:
+    """One histogram for each label quantity and for each parameter that varies."""
+    measured = {} if labels is None else labels.measured
+    varying = [row for row in scenes.parameters if row.count and row.minimum < row.maximum]
+    return [
+        *(_of_labels(name, values) for name, values in measured.items() if values.size),
+        *(_of_parameter(row, scenes.declared[row.key], scenes.drawn[row.key]) for row in varying),
+    ]
+
+
+def _of_labels(name: str, values: Scalars) -> Histogram:
+    # Of few values, these are the first and the last.
+    low, high = np.percentile(values, [0.5, 99.5], method="closest_observation")
+    is_whole = bool((values % 1 == 0).all()) and high - low < _MAX_SINGLE_BINS
+    edges = _single_bins(low, high) if is_whole else np.linspace(low, max(high, low + 1e-6), 41)
+    return Histogram(name.partition(" [")[0], name, edges, np.histogram(values, edges)[0].astype(float), None, True)
+
+
+def _of_parameter(row: ParameterStatistics, declared: Cases, values: Scalars) -> Histogram:
+    edges = _edges(row, declared)
+    _, _, key = row.key.partition(".")
+    name, unit = re.fullmatch(r"(.*?)(?:_(m|deg|px))?", key).groups()  # type: ignore[union-attr]
+    quantity = name.replace("_", " ") + (f" [{_UNITS[unit]}]" if unit else "")
+    title = f"{row.key} ({CONDITIONED[row.key]})" if row.key in CONDITIONED else row.key
+    return Histogram(
+        title,
+        quantity,
+        edges,
+        np.histogram(values, edges)[0].astype(float),
+        np.sum([count * declared_shares(case, edges) for case, count in declared], axis=0),
+        is_fine(row),
+    )
+
+
+def _edges(row: ParameterStatistics, declared: Cases) -> Float[np.ndarray, " e"]:
+    """Bins over the declared range and all values; one for each value of a discrete parameter with few values."""
+    low, high = min(row.low, row.minimum), max(row.high, row.maximum)
+    if all(_is_whole(case) for case, _ in declared) and high - low < _MAX_SINGLE_BINS:
+        return _single_bins(low, high)
+    return np.linspace(low, high, 21)
+
+
+def _is_whole(declared: Distribution) -> bool:
+    if isinstance(declared, Choice):
+        return all(isinstance(value, str) or float(value).is_integer() for value in declared.values)
+    return isinstance(declared, Integers)
+
+
+def _single_bins(low: float, high: float) -> Float[np.ndarray, " e"]:
+    """Edges of a bin for each integer."""
+    return np.arange(math.floor(low) - 0.5, math.ceil(high) + 1)
+
+
+def declared_shares(declared: Distribution, edges: Float[np.ndarray, " e"]) -> Scalars:
+    """The probability of each bin."""
+    if isinstance(declared, Uniform) and declared.high > declared.low:
+        return np.diff(np.clip((edges - declared.low) / (declared.high - declared.low), 0.0, 1.0))
+    if isinstance(declared, Choice):
+        values, weights = numbers(declared), np.array(declared.weights)
+    else:
+        values = np.arange(declared.low, declared.high + 1, dtype=float)
+        weights = np.ones(len(values))
+    return np.asarray(np.histogram(values, edges, weights=weights / weights.sum())[0])

@@ -10,8 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from synth3dlanes.figures import colors
-from synth3dlanes.figures.histograms import Histogram, histograms
-from synth3dlanes.figures.stats import LabelStatistics, SceneStatistics, is_fine
+from synth3dlanes.figures.stats import Histogram, LabelStatistics, SceneStatistics, histograms, is_fine
 from synth3dlanes.system.words import counted
 
 _COLUMNS = 7

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from synth3dlanes.figures.boxes import lines_img, objects_in_image
+from synth3dlanes.figures.overlay import lines_img, objects_in_image
 from synth3dlanes.figures.colors import ELEMENT, OBJECT
 from synth3dlanes.figures.overlay import draw_overlay
 from synth3dlanes.geometry.lens import Lens

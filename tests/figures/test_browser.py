@@ -11,7 +11,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.page import report_page, scene_page
-from synth3dlanes.figures.shown import ShownScene
+from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synth3dlanes.figures.clip import draw_clip
+from synth3dlanes.figures.gallery import draw_clip
 from synth3dlanes.figures.page import MAX_FRAMES, scene_page
-from synth3dlanes.figures.shown import ShownScene
+from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.world import resolve

@@ -5,7 +5,7 @@ import pytest
 
 from synth3dlanes.figures.gallery import draw_gallery
 from synth3dlanes.figures.overlay import draw_overlay
-from synth3dlanes.figures.shown import ShownSample
+from synth3dlanes.figures.samples import ShownSample
 
 
 def test_every_image_has_its_cell_in_reading_order(straight_labels):

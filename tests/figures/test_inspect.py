@@ -8,8 +8,8 @@ from rich.console import Console
 
 from synth3dlanes.figures.inspect import draw_inspect, summary
 from synth3dlanes.figures.passes import pass_picture
+from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.figures.scene_view import SceneView
-from synth3dlanes.figures.shown import ShownScene
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth
 

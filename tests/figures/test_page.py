@@ -11,7 +11,7 @@ from matplotlib.tri import Triangulation
 
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.page import report_page, scene_page
-from synth3dlanes.figures.shown import ShownScene
+from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.params.params import load_params
 from synth3dlanes.truth.ground_truth import ground_truth
