@@ -8,7 +8,6 @@ import click
 
 from synth3dlanes.system.errors import InputError
 
-from .idle import refuse_idle, refuse_together
 from .networks import (
     INTRINSICS,
     WEIGHTS,
@@ -18,7 +17,7 @@ from .networks import (
     need_torch,
     own_model_option,
 )
-from .options import FiniteRange, json_option, progress_bar
+from .options import FiniteRange, json_option, progress_bar, refuse_idle, refuse_together
 
 if TYPE_CHECKING:
     from synth3dlanes_baseline.photographs import Photographs

@@ -13,8 +13,7 @@ import click
 
 from synth3dlanes.production.events import LEVELS, Event, duration
 
-from .idle import refuse_together
-from .options import LINE_EVERY_S, JobCommand, OutputFile, given, job_options, json_option, warn
+from .options import LINE_EVERY_S, JobCommand, OutputFile, given, job_options, json_option, refuse_together, warn
 
 # The options that are fields of Job, in the order of the help.
 FIELDS = (

@@ -9,8 +9,7 @@ from synth3dlanes.scene.settings import PASSES
 from synth3dlanes.system.files import encoded, write
 from synth3dlanes.system.words import counted
 
-from .idle import refuse_idle
-from .options import CountRange, OutputFile, json_option, output_console
+from .options import CountRange, OutputFile, json_option, output_console, refuse_idle
 
 
 @click.command()

@@ -4,8 +4,7 @@ import json
 
 import click
 
-from .idle import refuse_idle
-from .options import completing, json_option, set_option
+from .options import completing, json_option, refuse_idle, set_option
 
 
 @click.group()

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import click
 
-from .idle import refuse_idle
 from .networks import (
     INTRINSICS,
     SHIPPED,
@@ -15,7 +14,7 @@ from .networks import (
     need_torch,
     own_model_option,
 )
-from .options import FiniteRange, OutputFile, patience, progress_bar
+from .options import FiniteRange, OutputFile, patience, progress_bar, refuse_idle
 
 
 def is_checkpoint(what: str) -> bool:

@@ -9,8 +9,7 @@ import click
 from synth3dlanes.scene.settings import MAX_SAMPLES, N_SCENE_NUMBERS
 from synth3dlanes.system.errors import InputError
 
-from .idle import refuse_idle_keys
-from .options import CountRange, JobCommand, given, job_options, set_option, warn
+from .options import CountRange, JobCommand, given, job_options, refuse_idle_keys, set_option, warn
 
 
 @click.command(cls=JobCommand)

@@ -8,7 +8,6 @@ import click
 
 from synth3dlanes.system.files import encoded, write
 
-from .idle import refuse_idle
 from .options import (
     CountRange,
     JobCommand,
@@ -18,6 +17,7 @@ from .options import (
     job_options,
     json_option,
     output_console,
+    refuse_idle,
     warn,
 )
 

@@ -9,8 +9,8 @@ import click
 
 from synth3dlanes.system.errors import InputError
 
-from .idle import is_given, refuse_idle_keys, refuse_repeated, refuse_together
 from .networks import WEIGHTS, CheckpointPath, device_option, need_torch
+from .options import is_given, refuse_idle_keys, refuse_repeated, refuse_together
 
 MODEL_NAMES = ("paper", "compact", "small", "nano", "tiny", "improved", "tusimple")
 ROW_NAMES = (

@@ -5,7 +5,6 @@ from typing import Any
 
 import click
 
-from .idle import refuse_idle
 from .options import (
     READERS,
     JobCommand,
@@ -14,6 +13,7 @@ from .options import (
     json_option,
     output_console,
     progress_bar,
+    refuse_idle,
     warn,
     workers_option,
 )

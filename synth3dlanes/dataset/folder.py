@@ -1,16 +1,37 @@
-"""A data set in a folder of this machine: its `dataset.json`, and the lock that one run at a time has on a shard."""
+"""A data set in a folder of this machine: its `dataset.json` and what lies beside it and follows
+from it alone (the card of the hub, and Croissant's description), and the lock that one run at a time has on a shard.
+"""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
-from synth3dlanes.dataset.description import DESCRIPTION, updated_description
+from synth3dlanes.dataset import card, croissant
+from synth3dlanes.dataset.description import DESCRIPTION, parse_description, updated_description
 from synth3dlanes.dataset.locks import Locks, locked, locks
 from synth3dlanes.system.errors import ClaimedError, InputError
 from synth3dlanes.system.files import Folder, read_bounded
 from synth3dlanes.system.schema import MAX_BYTES
+
+# By name: what makes the file of a description, and the text without which it is a user's own.
+COMPANIONS: dict[str, tuple[Callable[[Mapping[str, Any]], bytes], str]] = {
+    card.CARD: (card.card, card.MARK),
+    croissant.CROISSANT: (croissant.croissant, croissant.MARK),
+}
+
+
+def updated_companions(before: Mapping[str, bytes | None], description: bytes, where: str) -> dict[str, bytes]:
+    """The files that a data set shall have beside this `dataset.json`, which lies at `where`.
+
+    `before` has the contents of each, None where there is none; one that a user has made their own stays.
+    """
+    contents = parse_description(description, where)
+    return {
+        name: make(contents) if (found := before[name]) is None or mark.encode() in found else found
+        for name, (make, mark) in COMPANIONS.items()
+    }
+
 
 # Besides its own byte, a shard has one for the process that has the shard made by others.
 DRIVER_LOCKS = 1 << 40

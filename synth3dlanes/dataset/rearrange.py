@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from synth3dlanes.dataset.address import MAX_READ_BYTES
 from synth3dlanes.dataset.description import (
     differences,
     names_of,
@@ -20,7 +21,6 @@ from synth3dlanes.dataset.description import (
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.index import read_recipe
-from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.splits import readers, split_name, split_size
 from synth3dlanes.dataset.write import Shard, scan

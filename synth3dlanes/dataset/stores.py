@@ -13,11 +13,10 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from synth3dlanes.dataset.address import connect, kinds, read_file, translate_store_errors
-from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
+from synth3dlanes.dataset.address import MAX_READ_BYTES, connect, kinds, read_file, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
+from synth3dlanes.dataset.folder import COMPANIONS, updated_companions
 from synth3dlanes.dataset.index import read_indices
-from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.system.errors import InputError, OutageError
 from synth3dlanes.system.files import Folder, open_regular, read_bounded

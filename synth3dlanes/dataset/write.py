@@ -22,11 +22,11 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
+from synth3dlanes.dataset.address import MAX_READ_BYTES
 from synth3dlanes.dataset.columns import index_row, table
 from synth3dlanes.dataset.description import differences, numbers_of_lifted
 from synth3dlanes.dataset.format import BLOCK, LABELS, SCENE, key_of, tar_bytes, tar_end, tar_members
 from synth3dlanes.dataset.index import place_columns, read_index, read_recipe
-from synth3dlanes.dataset.local_files import MAX_READ_BYTES
 from synth3dlanes.labels import labels as labels_module
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.system.errors import FormatError, InputError

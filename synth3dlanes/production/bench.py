@@ -25,7 +25,7 @@ from scipy.ndimage import gaussian_filter
 from synth3dlanes.dataset.format import decode_image
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.production.recipe import Recipe, make_part, make_sample
-from synth3dlanes.production.workers import Limits, Pool
+from synth3dlanes.production.workers import Limits, Pool, ask
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.files import read_bounded
 from synth3dlanes.system.schema import MAX_BYTES, parse
@@ -108,7 +108,7 @@ def bench(
         with Pool(workers, SLOW, masks=masks) as pool:
             timed = _time_samples(pool, recipe, shard, n, notify)
             notify("the denoiser")
-            denoise = _one(pool, time_denoiser, recipe)
+            denoise = ask(pool, time_denoiser, recipe).result("bench")
         start = time.perf_counter()
         shard.join(1 << 30)
         join = (time.perf_counter() - start) / len(shard.joined())
@@ -149,9 +149,9 @@ def measure_quality(recipe: Recipe, notify: Callable[[str], None], samples: int 
     with Pool(1, SLOW, pinned=False) as pool:
         for index in range(REFERENCE_SCENES):
             notify(f"reference {index + 1} of {REFERENCE_SCENES}")
-            made = _one(pool, make_sample, recipe, index)
+            made = ask(pool, make_sample, recipe, index).result("bench")
             image = decode_image(made.members["png"], "bench")
-            truth = _one(pool, make_reference, converged, index)
+            truth = ask(pool, make_reference, converged, index).result("bench")
             psnr_db.append(psnr(image, truth))
             ssims.append(ssim(image, truth))
     return Quality(psnr_db, ssims)
@@ -164,7 +164,7 @@ def measure_naive(recipe: Recipe, notify: Callable[[str], None]) -> DefaultTimin
         for index in range(NAIVE_SCENES):
             for samples, times in seconds.items():
                 notify(f"naively: scene {index + 1} of {NAIVE_SCENES} at {counted(samples, 'sample')}")
-                times.append(_one(pool, time_naive, recipe, index, samples))
+                times.append(ask(pool, time_naive, recipe, index, samples).result("bench"))
     return DefaultTiming(mean(seconds[recipe.settings.samples]), NAIVE_SAMPLES, mean(seconds[NAIVE_SAMPLES]))
 
 
@@ -325,10 +325,3 @@ def _seconds_between(timed: list[SampleTiming]) -> float:
 def _memory_mib(timed: list[SampleTiming]) -> Float[np.ndarray, " n"]:
     """Resident memory of the first worker after each of its samples."""
     return np.array([sample.rss_bytes / 2**20 for sample in timed if sample.worker == timed[0].worker])
-
-
-def _one(pool: Pool, function: Callable[..., Any], *args: Any) -> Any:
-    pool.start(function.__name__, function, *args)
-    while True:
-        for outcome in pool.wait(10.0):
-            return outcome.result("bench")

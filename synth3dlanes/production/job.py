@@ -38,11 +38,10 @@ from synth3dlanes.params.params import BASE, Params, load_params
 from synth3dlanes.params.params_text import contradictions
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import Shots, clips
-from synth3dlanes.production.condition import Condition, fitting_world
 from synth3dlanes.production.events import Event
 from synth3dlanes.production.given_scenes import drawn, given_scenes
 from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.recipe import Condition, Recipe, fitting_world
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.tally import RunReport, total
 from synth3dlanes.production.user_assets import open_library

@@ -24,10 +24,9 @@ from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.dataset.patience import LIMIT_S, Patience
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.production.forecast import forecast, patience_s
+from synth3dlanes.production.forecast import Room, forecast, is_full, patience_s
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
-from synth3dlanes.production.room import Room, is_full
 from synth3dlanes.production.tally import RunTally
 from synth3dlanes.production.workers import Limits, Outcome, Pool
 from synth3dlanes.system.errors import FormatError, LinkError, OutageError

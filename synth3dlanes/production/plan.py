@@ -13,8 +13,7 @@ from synth3dlanes.dataset.write import Shard
 from synth3dlanes.draw.makers import check_way
 from synth3dlanes.params.cameras import black_pictures
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
-from synth3dlanes.production.forecast import Forecast, forecast
-from synth3dlanes.production.measured import measured
+from synth3dlanes.production.forecast import Forecast, forecast, measured
 from synth3dlanes.production.recipe import EncodedSample, Recipe, make_sample
 from synth3dlanes.production.workers import Limits
 from synth3dlanes.scene.settings import MAX_SAMPLES, SPLIT_NAME

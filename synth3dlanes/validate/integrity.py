@@ -14,8 +14,8 @@ import pyarrow as pa
 from synth3dlanes import __version__
 from synth3dlanes.dataset.address import connect, read_file, translate_store_errors
 from synth3dlanes.dataset.columns import SCHEMA, index_row
-from synth3dlanes.dataset.companions import COMPANIONS
 from synth3dlanes.dataset.description import DESCRIPTION
+from synth3dlanes.dataset.folder import COMPANIONS
 from synth3dlanes.dataset.format import BLOCK, key_of, tar_end, tar_members
 from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, recipe_of, require_columns
 from synth3dlanes.labels.labels import Labels

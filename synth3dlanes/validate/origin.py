@@ -17,7 +17,7 @@ from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.scenes import Provenance
 from synth3dlanes.draw.sample import draw_world, sample_scene, world_again, world_in_shot
 from synth3dlanes.params.distributions import Distribution
-from synth3dlanes.production.condition import Condition, belongs_to
+from synth3dlanes.production.recipe import Condition, belongs_to
 from synth3dlanes.production.twins import changed_world
 from synth3dlanes.scene.scene import Scene, Weather
 from synth3dlanes.system.errors import FormatError, InputError

@@ -13,7 +13,7 @@ import pytest
 from click.testing import Result
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.dataset.local_files import LocalFiles
+from synth3dlanes.dataset.address import LocalFiles
 
 Run = Callable[..., Result]
 

@@ -13,9 +13,8 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
-from synth3dlanes.production.condition import Condition, fitting_world
 from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.production.recipe import Condition, Recipe, fitting_world
 from synth3dlanes.production.run import generate
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import RenderSettings

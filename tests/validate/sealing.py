@@ -5,8 +5,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from synth3dlanes.dataset.companions import COMPANIONS, updated_companions
 from synth3dlanes.dataset.description import recipe_text
+from synth3dlanes.dataset.folder import COMPANIONS, updated_companions
 from synth3dlanes.dataset.format import LABELS, key_of
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.write import Shard
