@@ -10,7 +10,7 @@ import click
 from .options import READERS, json_option, progress_bar, workers_option
 
 if TYPE_CHECKING:
-    from synth3dlanes.formats.summary import ExportSummary
+    from synth3dlanes.formats.export import ExportSummary
     from synth3dlanes.formats.verify import Verification
 
 
@@ -25,7 +25,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 
 def _formats(incomplete: str) -> list[str]:
-    from synth3dlanes.formats.registry import format_names
+    from synth3dlanes.formats.format import format_names
 
     return [name for name in format_names() if name.startswith(incomplete)]
 

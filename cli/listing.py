@@ -18,7 +18,7 @@ def _yaml_files(kind: str) -> Listing:
 
 
 def _formats() -> Listing:
-    from synth3dlanes.formats.registry import described
+    from synth3dlanes.formats.format import described
 
     return described()
 

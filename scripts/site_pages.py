@@ -15,8 +15,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import synth3dlanes
-from synth3dlanes.formats.format import PinholeFormat, SampleFormat
-from synth3dlanes.formats.registry import format_names, open_format
+from synth3dlanes.formats.format import PinholeFormat, SampleFormat, format_names, open_format
 
 ROOT = Path(__file__).parents[1]
 # Pages of the site, by the files of the repository that they show.

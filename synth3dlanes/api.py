@@ -19,8 +19,7 @@ from synth3dlanes.dataset.scenes import provenance_of, read_scene
 from synth3dlanes.dataset.splits import data_set_name, evenly_spaced, one_reader, readers, split_name
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.draw.sample import sample_scene as _sample_scene
-from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.summary import ExportSummary
+from synth3dlanes.formats.export import Export, ExportSummary
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.camera_files import load_camera as _load_camera
 from synth3dlanes.params.cameras import CameraSpec

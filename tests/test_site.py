@@ -14,7 +14,7 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 
 import synth3dlanes
-from synth3dlanes.formats.registry import format_names
+from synth3dlanes.formats.format import format_names
 
 pytestmark = pytest.mark.thorough
 

@@ -20,13 +20,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, model_validator
 
-from synth3dlanes.formats import line_score
 from synth3dlanes.formats.comparing import Comparison, ExportView, OurLine, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.line_score import GEN_LANENET, Line3d, LinePair
 from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead
 from synth3dlanes.formats.reading import ForeignLane, ForeignSample, LabelLines, first_lines, labels_of, read_image
-from synth3dlanes.formats.scoring import EVERY, lines_by, predicted, rates
+from synth3dlanes.formats.scoring import EVERY, GEN_LANENET, Line3d, LinePair, line_score, lines_by, predicted, rates
 from synth3dlanes.formats.sidecar import Sidecars
 from synth3dlanes.formats.writing import CV_FROM_CAM, POINT_DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.geometry.frames import invert, road_from_cam, transform
@@ -316,7 +314,7 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
         for kind in FIELDS:
             pairs = [pair_of[kind] for _, pair_of in frames]
             if kind == "delimiter" or any(found for _, found in pairs):
-                yield rates(f"{name}, {RULES[kind].name}s", frames, line_score.score(pairs, GEN_LANENET))
+                yield rates(f"{name}, {RULES[kind].name}s", frames, line_score(pairs, GEN_LANENET))
 
 
 def _found(lines: Sequence[Polyline3], shares: Sequence[float], where: str) -> list[Line3d]:

@@ -15,7 +15,9 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.polylines import resampled
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
+from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage, Scalars
 
 if TYPE_CHECKING:
@@ -42,6 +44,8 @@ ROUNDING = 1e-3
 SHARES, DEPTHS_M = (0.1, 0.5, 0.9), (5.0, 50.0)
 # How far a boundary may be from half a lane's width.
 SIDE_M = 0.05
+FLU_CORNERS = CORNERS[:, [1, 0, 2]] * [1, -1, 1]
+"""Corners of a box of size 2 with x forward and y left, in the order of CORNERS."""
 
 
 class SourceSample:
@@ -71,7 +75,7 @@ class SourceSample:
     @cached_property
     def kerbs(self) -> tuple[Lane, ...]:
         """The kerbs that its camera sees, if it has a scene."""
-        from synth3dlanes.formats.kerbs import kerb_lanes
+        from synth3dlanes.formats.conditions import kerb_lanes
 
         return kerb_lanes(self.scene, self.labels.camera) if self.has_scene else ()
 
@@ -455,6 +459,35 @@ def compare_sweep(found_cam: Points | None, truth: SourceSample, limit_m: float)
         return Comparison()
     apart = np.linalg.norm(found - ours, axis=1)
     return Comparison.within([Gap.of("points of the lidar", "m", apart, "sweep")], {"m": limit_m})
+
+
+def compare_boxes(
+    found: Iterable[tuple[str, Points3]], items: Sequence[ObjectLabel], b_from_cam: Matrix4, of: str, limit_m: float
+) -> tuple[Comparison, list[ObjectLabel | None]]:
+    """Corners in a frame by their tracks, each beside the nearest of our objects that is left, and these objects; `of`
+    says where tracks name one object."""
+    gaps, problems, tracks, left = list[Gap](), list[str](), dict[str, str](), {item.id: item for item in items}
+    matched = list[ObjectLabel | None]()
+    for name, corners in found:
+        if not left:
+            problems.append(f"object {name}: expected one of the labels, got none left")
+            matched.append(None)
+            continue
+        ours = {key: transform(b_from_cam, item.corners_cam) for key, item in left.items()}
+        middle = corners.mean(axis=0)
+        nearest = min(ours, key=lambda key: float(np.linalg.norm(ours[key].mean(axis=0) - middle)))
+        matched.append(left.pop(nearest))
+        gaps.append(Gap.of(f"object {nearest}", "m", np.linalg.norm(corners - ours[nearest], axis=1), "box"))
+        tracks[name] = f"object {nearest} of {of}"
+    problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
+    return Comparison.within(gaps, {"m": limit_m}).because(problems) + Comparison(tracks=tracks), matched
+
+
+def middle_of(left: Points3, right: Points3) -> Points3:
+    """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
+    if len(left) != len(right):
+        left, right = (resampled(line, 100) for line in (left, right))
+    return (left + right) / 2
 
 
 def side_problems(

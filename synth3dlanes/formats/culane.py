@@ -17,8 +17,6 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from PIL import Image, ImageDraw
 
-from synth3dlanes.formats import band_score
-from synth3dlanes.formats.band_score import Canvas
 from synth3dlanes.formats.comparing import (
     NEAR_START_M,
     Comparison,
@@ -32,7 +30,7 @@ from synth3dlanes.formats.comparing import (
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
 from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.reading import drawable, file_below, first_lines, numbers, read_mask, read_text
-from synth3dlanes.formats.scoring import EVERY, scored
+from synth3dlanes.formats.scoring import EVERY, Canvas, band_score, scored
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars, sidecar
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.system.arrays import Polyline2
@@ -235,7 +233,7 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
             return None
         return frame.content[0], drawable(parse_lines(read_text(path), str(path)), str(path))
 
-    return scored(read(out, EVERY), of_frame, partial(band_score.score, canvas=EVALUATED), predictions)
+    return scored(read(out, EVERY), of_frame, partial(band_score, canvas=EVALUATED), predictions)
 
 
 FORMAT = PinholeFormat(

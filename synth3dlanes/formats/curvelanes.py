@@ -14,13 +14,11 @@ from pathlib import Path, PurePath
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats import band_score
-from synth3dlanes.formats.band_score import Canvas
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_lines
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
 from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
 from synth3dlanes.formats.reading import drawable, image_size, listed_files, numbers, read_text
-from synth3dlanes.formats.scoring import EVERY, scored
+from synth3dlanes.formats.scoring import EVERY, Canvas, band_score, scored
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars, sidecar
 from synth3dlanes.formats.writing import FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.system import schema
@@ -132,7 +130,7 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
                 return [line * scale for line in frame.content[0]], [line * scale for line in found]
         return None
 
-    return scored(read(out, EVERY), of_frame, partial(band_score.score, canvas=EVALUATED), predictions)
+    return scored(read(out, EVERY), of_frame, partial(band_score, canvas=EVALUATED), predictions)
 
 
 FORMAT = PinholeFormat(

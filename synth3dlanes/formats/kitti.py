@@ -25,12 +25,19 @@ from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, compar
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.one_frame import FRAMES_PER_SPLIT
 from synth3dlanes.formats.reading import first_lines, numbers, read_file, read_text
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
+from synth3dlanes.formats.writing import (
+    CV_FROM_CAM,
+    PARTS,
+    FrameAnnotation,
+    expect_objects,
+    expect_pinhole,
+    img_from_cv_centred,
+)
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene.things import classes_in
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError
 
 TRAINING, LISTS = "training", "ImageSets"
 """All frames are in one folder, as KITTI's own training and validation frames are."""
@@ -126,13 +133,11 @@ def occlusion(visible_fraction: float) -> int:
 
 
 def write(frame: SampleFrame) -> FrameAnnotation:
-    where, labels = f"{frame.split}:{frame.key}", frame.labels
-    if labels.objects is None:
-        raise InputError(f"{where}: expected labels with objects, got older ones; generate the data set again")
-    if not labels.camera.lens.is_pinhole:
-        raise InputError(f"{where}: expected a camera without distortion, got {labels.camera.lens}")
+    labels = frame.labels
+    expect_objects(frame)
+    expect_pinhole(labels.camera, frame.where)
     name, dropped, lines = _name(frame), Counter[str](), list[str]()
-    for item in labels.objects:
+    for item in labels.objects or ():
         reason = _left_out(item)
         if reason:
             dropped[reason] += 1
@@ -187,13 +192,11 @@ def _name(frame: SampleFrame) -> str:
 def _calib(labels: Labels) -> str:
     """The text of a calibration: matrices row by row."""
     camera = labels.camera
-    img_from_cv = camera.img_from_cam @ CV_FROM_CAM.T
-    img_from_cv[:2, 2] -= HALF_PX
     cam_from_velo = (invert(camera.road_from_cam) if labels.lidar is None else labels.lidar.cam_from_lidar) @ invert(
         VELO_FROM_LIDAR
     )
     cv_from_velo = CV_FROM_CAM @ cam_from_velo[:3]
-    projection = np.column_stack([img_from_cv, np.zeros(3)])
+    projection = np.column_stack([img_from_cv_centred(camera), np.zeros(3)])
     matrices = {**{f"P{i}": projection for i in range(4)}, "R0_rect": np.eye(3)}
     matrices |= {"Tr_velo_to_cam": cv_from_velo, "Tr_imu_to_velo": np.eye(4)[:3]}
     return "\n".join(f"{name}: {_row(matrix)}" for name, matrix in matrices.items())

@@ -17,7 +17,16 @@ import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, compare_map, distances, is_beside
+from synth3dlanes.formats.comparing import (
+    Comparison,
+    Gap,
+    Rule,
+    SourceSample,
+    compare_map,
+    distances,
+    is_beside,
+    middle_of,
+)
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import MIRRORED, link_gaps
 from synth3dlanes.formats.lanelet_map import (
@@ -35,6 +44,8 @@ from synth3dlanes.formats.lanelet_map import (
     painted_along,
     painted_lines,
 )
+from synth3dlanes.formats.opendrive.maps import NONE
+from synth3dlanes.formats.opendrive.maps import SIGNS as GERMAN_SIGNS
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.geometry.frames import invert, transform
@@ -66,16 +77,7 @@ LEAST_AREA_M2 = 0.05
 
 # Types of traffic elements; other ones are left out.
 TYPES, LIGHT = classes_in("lanelet2", of_elements=True), "traffic_light"
-SIGNS = {
-    "stop": "de206",
-    "give_way": "de205",
-    "priority": "de306",
-    "no_entry": "de267",
-    "no_u_turn": "de272",
-    "left_only": "de209-10",
-    "right_only": "de209-20",
-    "ahead_only": "de209-30",
-}
+SIGNS = {kind: f"de{type_}" + f"-{subtype}" * (subtype != NONE) for kind, (type_, subtype) in GERMAN_SIGNS.items()}
 RAILS = {"guardrail": "guard_rail", "concrete": "jersey_barrier", **dict.fromkeys(KERBS, "curbstone")}
 BORDERS: dict[str, Tags] = {
     "curbstone": {"type": "curbstone", "subtype": "high"},
@@ -417,19 +419,15 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     segments = {segment.id: segment for segment in truth.labels.graph.segments}
     known = set(truth.scene.paper_road.segments if truth.scene.map is None else truth.scene.map.lanes)
     inner = {name: lanelets for name, lanelets in found.items() if name in segments or name not in known}
-    middles = [(name, np.concatenate([_middle(at) for at in lanelets])) for name, lanelets in inner.items()]
+    middles = [
+        (name, np.concatenate([middle_of(at.left.points, at.right.points) for at in lanelets]))
+        for name, lanelets in inner.items()
+    ]
     compared = compare_map(middles, truth, RULE) + Comparison(outside=Counter({RULE.name: len(found) - len(inner)}))
     labelled = {name: lanelets for name, lanelets in inner.items() if name in segments}
     problems += [*_degree_problems(osm), *_link_problems(labelled, truth), *_neighbour_problems(labelled, truth)]
     compared += _crosswalks(crosswalks, truth) + _paint(labelled, truth)
     return compared.because(problems)
-
-
-def _middle(lanelet: Lanelet) -> Polyline3:
-    left, right = lanelet.left.points, lanelet.right.points
-    if len(left) != len(right):
-        left, right = (resampled(points, 100) for points in (left, right))
-    return (left + right) / 2
 
 
 def _degree_problems(osm: Osm) -> Iterator[str]:

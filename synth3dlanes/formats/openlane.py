@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, model_validator
 
-from synth3dlanes.formats import line_score
 from synth3dlanes.formats.comparing import (
     NEAR_START_M,
     Comparison,
@@ -38,7 +37,6 @@ from synth3dlanes.formats.comparing import (
     places_beside,
 )
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.line_score import OPENLANE, Line3d, LinePair
 from synth3dlanes.formats.lines import LaneAhead, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.reading import (
     UNKNOWN,
@@ -51,7 +49,7 @@ from synth3dlanes.formats.reading import (
     read_image,
     read_text,
 )
-from synth3dlanes.formats.scoring import EVERY, scored
+from synth3dlanes.formats.scoring import EVERY, OPENLANE, Line3d, LinePair, line_score, scored
 from synth3dlanes.formats.writing import CV_FROM_CAM, POINT_DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels.labels import Labels, Lane, Marking, PaintColor, Pair
 from synth3dlanes.system import schema
@@ -398,7 +396,7 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
         ]
         return true, [Line3d(line.xyz, np.ones(len(line.xyz), dtype=bool), line.category) for line in lines]
 
-    return scored(read(out, EVERY), of_frame, partial(line_score.score, rules=OPENLANE), predictions)
+    return scored(read(out, EVERY), of_frame, partial(line_score, rules=OPENLANE), predictions)
 
 
 FORMAT = PinholeFormat(

@@ -36,7 +36,7 @@ from synth3dlanes.formats.comparing import (
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, half_widths, lane_segments, link_gaps
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_text
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation
+from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, expect_pinhole
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import resampled, stretches
 from synth3dlanes.labels.labels import CameraLabel, Marking
@@ -45,7 +45,7 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import ElementKind, ElementState
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.json_arrays import JsonMatrix3, JsonPoints, Row3
 from synth3dlanes.system.schema import Excerpt, Number, PathBelow
 from synth3dlanes.world.world import World, resolve
@@ -141,10 +141,7 @@ class _Lane:
 
 def write(frame: SampleFrame) -> FrameAnnotation | None:
     """The two label files of a moment, with its first picture; None without any lane in the area."""
-    if not frame.labels.camera.lens.is_pinhole:
-        raise InputError(
-            f"{frame.split}:{frame.key}: expected a camera without distortion, got {frame.labels.camera.lens}"
-        )
+    expect_pinhole(frame.labels.camera, frame.where)
     shot = frame.scene.shot
     segment, timestamp = f"{frame.number - shot.frame * shot.n_cameras - shot.camera:08d}", round(shot.time_s * 1e9)
     image = f"{frame.part}/{segment}/image/{_name(frame.labels.camera)}/{timestamp}.jpg"

@@ -3,16 +3,21 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.geometry.frames import invert, project, turned
+from synth3dlanes.geometry.frames import from_axes, invert, project, turned
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.things import ObjectCategory
 from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.errors import InputError
+
+if TYPE_CHECKING:
+    # Who reads a format needs none.
+    import synth3dlanes.scene.scene
 
 CV_FROM_CAM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """OpenCV's camera axes (frame `_cv`: x right, y down, z forward) from ours."""
@@ -64,6 +69,11 @@ class ExportFrame:
     parts: frozenset[Part]
 
     @property
+    def where(self) -> str:
+        """What messages about it begin with."""
+        return f"{self.split}:{self.key}"
+
+    @property
     def is_train(self) -> bool:
         """Whether networks train on it."""
         return self.part == "train"
@@ -104,9 +114,41 @@ def objects_of(labels: Labels, classes: Mapping[ObjectCategory, str]) -> list[Ob
     return [item for item in labels.objects or () if item.category in classes]
 
 
-def world_from_host(camera: CameraLabel, right_m: float, forward_m: float) -> Matrix4:
-    """The host's own road frame, in which cameras and lidars keep their places through a clip; the camera is that far
-    to its right and forward."""
+def expect_objects(frame: ExportFrame) -> None:
+    """Raise InputError for labels without objects."""
+    if frame.labels.objects is None:
+        raise InputError(f"{frame.where}: expected labels with objects, got older ones; generate the data set again")
+
+
+def expect_pinhole(camera: CameraLabel, where: str) -> None:
+    """Raise InputError, which begins with `where`, for a camera with distortion."""
+    if not camera.lens.is_pinhole:
+        raise InputError(f"{where}: expected a camera without distortion, got {camera.lens}")
+
+
+def world_from_vehicle(camera: CameraLabel, scene: "synth3dlanes.scene.scene.Scene", host_from_ego: Matrix4) -> Matrix4:
+    """World from a vehicle frame that lies so in the host's own road frame: sensors keep their places in it through a
+    clip."""
     world_from_road = camera.world_from_cam @ invert(camera.road_from_cam)
-    host_from_road = turned(0.0, right_m, forward_m)
-    return np.asarray(world_from_road @ invert(host_from_road))
+    host_from_road = turned(0.0, scene.camera.right_m, scene.camera.forward_m)
+    return np.asarray(world_from_road @ invert(host_from_road) @ host_from_ego)
+
+
+def with_cv_axes(b_from_cam: Matrix4) -> Matrix4:
+    """The pose of a camera with OpenCV's axes in place of ours."""
+    b_from_cv = b_from_cam.copy()
+    b_from_cv[:3, :3] = b_from_cam[:3, :3] @ CV_FROM_CAM.T
+    return b_from_cv
+
+
+def with_flu_axes(b_from_box: Matrix4) -> Matrix4:
+    """The pose of a box with the axes forward, left, up in place of right, forward, up."""
+    x, y, z = b_from_box[:3, :3].T
+    return from_axes(y, -x, z, b_from_box[:3, 3])
+
+
+def img_from_cv_centred(camera: CameraLabel) -> Float[np.ndarray, "3 3"]:
+    """The matrix K of formats whose pixels count from the middle of the first one, not from its corner."""
+    img_from_cv = camera.img_from_cam @ CV_FROM_CAM.T
+    img_from_cv[:2, 2] -= 0.5
+    return np.asarray(img_from_cv)

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.xml import USER_DATA, Element
+from synth3dlanes.formats.opendrive.described import USER_DATA, Element
 from synth3dlanes.formats.reading import MAX_NUMBER
 from synth3dlanes.system.arrays import AnyScalars
 from synth3dlanes.system.errors import FormatError

@@ -10,10 +10,9 @@ import pytest
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats import openlane
-from synth3dlanes.formats.conditions import conditions
+from synth3dlanes.formats.conditions import conditions, kerb_lanes
 from synth3dlanes.formats.culane import SCENES, scene_list, scene_of
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.kerbs import kerb_lanes
 from synth3dlanes.formats.openlane import CASES, WAYMO_FROM_CAM, parse
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.geometry.frames import transform

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.registry import format_names
+from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.system.errors import Synth3dlanesError
 from tests.formats.test_segmentation import passes_of

@@ -14,9 +14,8 @@ from click.testing import CliRunner
 from PIL import Image
 
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.format import PinholeFormat
+from synth3dlanes.formats.format import PinholeFormat, format_names, open_format
 from synth3dlanes.formats.plan import assign, open_reader, parts_of
-from synth3dlanes.formats.registry import format_names, open_format
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.system import files
 from synth3dlanes.system.errors import ClaimedError, FormatError, InputError

@@ -3,7 +3,7 @@
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.formats.registry import format_names
+from synth3dlanes.formats.format import format_names
 from tests.formats.test_segmentation import passes_of
 from tests.small_files import withstands
 from tests.thorough import first

@@ -7,8 +7,8 @@ import shutil
 import pytest
 
 from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.plan import open_reader
-from synth3dlanes.formats.registry import format_names
 from synth3dlanes.formats.verify import verify
 from tests.formats.faults import FAULTS, PLANTED
 from tests.formats.problems import problems

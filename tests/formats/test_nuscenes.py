@@ -21,8 +21,8 @@ from synth3dlanes.formats import export
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.nuscenes.convention import scene_name, segment_type
+from synth3dlanes.formats.nuscenes.format import annotate
 from synth3dlanes.formats.nuscenes.maps import arcline_paths
-from synth3dlanes.formats.nuscenes.write import annotate
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.lens import Lens

@@ -7,7 +7,7 @@ import pytest
 
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.registry import format_names
+from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.params.params import load_params
 from synth3dlanes.production.plan import Plan

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.opendrive.write import opendrive
+from synth3dlanes.formats.opendrive.format import opendrive
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.roadside import Building, Post, Rail, Roadside

@@ -9,8 +9,8 @@ import pytest
 
 from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.formats.opendrive.write import opendrive
-from synth3dlanes.formats.opendrive.xml import numbered
+from synth3dlanes.formats.opendrive.described import numbered
+from synth3dlanes.formats.opendrive.format import opendrive
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.world.world import World

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.draw.sample import Scenes, draw_world
-from synth3dlanes.formats.opendrive.write import opendrive
+from synth3dlanes.formats.opendrive.format import opendrive
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.registry import format_names, open_format
+from synth3dlanes.formats.format import format_names, open_format
 from synth3dlanes.system.errors import ClaimedError, InputError
 from tests.formats.problems import problems
 

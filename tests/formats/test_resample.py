@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from synth3dlanes.formats.format import PinholeFormat
-from synth3dlanes.formats.registry import format_names, open_format
-from synth3dlanes.formats.resample import fitting_pinhole, resample, source_pixels
+from synth3dlanes.formats.format import PinholeFormat, format_names, open_format
+from synth3dlanes.formats.one_frame import fitting_pinhole, resample, source_pixels
 from synth3dlanes.formats.writing import Pinhole
 from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.system.errors import InputError

@@ -6,11 +6,9 @@ Commits: Gen-LaneNet 45c6cc4, OpenLane 8a0ce6b, once_3dlanes_benchmark 7582fbb, 
 import numpy as np
 import pytest
 
-from synth3dlanes.formats import line_score
-from synth3dlanes.formats.band_score import Canvas
-from synth3dlanes.formats.band_score import score as score_bands
-from synth3dlanes.formats.line_score import GEN_LANENET, OPENLANE, Line3d, prune
 from synth3dlanes.formats.once import benchmark as score_once
+from synth3dlanes.formats.scoring import GEN_LANENET, OPENLANE, Canvas, Line3d, line_score, prune
+from synth3dlanes.formats.scoring import band_score as score_bands
 from synth3dlanes.formats.tusimple import mean_score, score_frame
 
 ROWS_PX = np.arange(160.0, 720.0, 10.0)
@@ -27,11 +25,11 @@ FOUR = [line(x) for x in (-5.4, -1.8, 1.8, 5.4)]
 
 
 def score_apollo(frames):
-    return line_score.score(frames, GEN_LANENET)
+    return line_score(frames, GEN_LANENET)
 
 
 def score_openlane(frames):
-    return line_score.score(frames, OPENLANE)
+    return line_score(frames, OPENLANE)
 
 
 def score_tusimple(frames, rows_px):

@@ -11,7 +11,7 @@ import yaml
 from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.registry import format_names
+from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.verify import Verification, verify
 from synth3dlanes.params.camera_files import load_camera
 from synth3dlanes.params.cameras import CameraSpec

@@ -28,13 +28,31 @@ from jaxtyping import Float
 from pyarrow import feather
 
 from synth3dlanes.formats.argoverse2.maps import PIECE_M, RULE, LogMap, compare_log_map, map_files, read_map
-from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, compare_camera, compare_sweep, pinhole_pixels
+from synth3dlanes.formats.comparing import (
+    FLU_CORNERS,
+    Comparison,
+    SourceSample,
+    compare_boxes,
+    compare_camera,
+    compare_sweep,
+    pinhole_pixels,
+)
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.reading import read_file
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, objects_of, world_from_host
-from synth3dlanes.geometry.frames import from_axes, invert, quaternion, rotation, transform
+from synth3dlanes.formats.writing import (
+    PARTS,
+    FrameAnnotation,
+    expect_objects,
+    expect_pinhole,
+    img_from_cv_centred,
+    objects_of,
+    with_cv_axes,
+    with_flu_axes,
+    world_from_vehicle,
+)
+from synth3dlanes.geometry.frames import invert, quaternion, rotation, transform
 from synth3dlanes.labels.labels import CameraLabel
-from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
+from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.columnar import TableBounds, read_arrow, reading_table
@@ -160,17 +178,16 @@ def log_name(first: int) -> str:
 def write(frame: SampleFrame) -> FrameAnnotation:
     """The files of a picture; with the first of an instant also its sweep and rows, with the first of a log its
     calibration and map."""
-    labels, shot, where = frame.labels, frame.scene.shot, f"{frame.split}:{frame.key}"
-    if labels.objects is None:
-        raise InputError(f"{where}: expected labels with objects, got older ones; generate the data set again")
-    name = _name(labels.camera, shot.n_cameras, where)
+    labels, shot = frame.labels, frame.scene.shot
+    expect_objects(frame)
+    name = _name(labels.camera, shot.n_cameras, frame.where)
     first = frame.number - shot.frame * shot.n_cameras - shot.camera
     files = LogFiles(frame.part, log_name(first))
     timestamp_ns = START_NS + first * ROOM_NS + round(shot.time_s * 1e9)
     image = files.image(name, timestamp_ns)
     if not frame.cameras:
         return FrameAnnotation(image, 0)
-    world_from_ego = ego_frame(frame)
+    world_from_ego = world_from_vehicle(labels.camera, frame.scene, HOST_FROM_EGO)
     ego_from_cam = invert(world_from_ego) @ labels.camera.world_from_cam
     own: dict[str, str | bytes] = {files.sweep(timestamp_ns): _sweep(frame, ego_from_cam)}
     n_lanes = 0
@@ -193,15 +210,8 @@ def document(path: str, lines: Path) -> Iterator[bytes]:
     yield _table(sorted(rows, key=lambda row: row["timestamp_ns"]), schema)
 
 
-def ego_frame(frame: SampleFrame) -> Matrix4:
-    """World from the vehicle frame, in which sensors keep their places through a clip."""
-    mounted = frame.scene.camera
-    return world_from_host(frame.labels.camera, mounted.right_m, mounted.forward_m) @ HOST_FROM_EGO
-
-
 def _name(camera: CameraLabel, n_cameras: int, where: str) -> str:
-    if not camera.lens.is_pinhole:
-        raise InputError(f"{where}: expected a camera without distortion, got {camera.lens}")
+    expect_pinhole(camera, where)
     if camera.name in CAMERAS:
         return camera.name
     if n_cameras > 1:
@@ -225,11 +235,9 @@ def _calibration(frame: SampleFrame, files: LogFiles, world_from_ego: Matrix4) -
     sensors, lenses = list[dict[str, Any]](), list[dict[str, Any]]()
     for key, camera in frame.cameras.items():
         name = _name(camera, n_cameras, f"{frame.split}:{key}")
-        ego_from_cv = ego_from_world @ camera.world_from_cam
-        ego_from_cv[:3, :3] = ego_from_cv[:3, :3] @ CV_FROM_CAM.T
-        (fx, _, cx), (_, fy, cy), _ = camera.img_from_cam @ CV_FROM_CAM.T
-        lens = {"fx_px": fx, "fy_px": fy, "cx_px": cx - HALF_PX, "cy_px": cy - HALF_PX}
-        sensors.append({"sensor_name": name, **_pose(ego_from_cv)})
+        (fx, _, cx), (_, fy, cy), _ = img_from_cv_centred(camera)
+        lens = {"fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy}
+        sensors.append({"sensor_name": name, **_pose(with_cv_axes(ego_from_world @ camera.world_from_cam))})
         size = {"height_px": camera.height_px, "width_px": camera.width_px}
         lenses.append({"sensor_name": name, **lens, **dict.fromkeys(("k1", "k2", "k3"), 0.0), **size})
     ego_from_lidar, labels = np.eye(4), frame.labels
@@ -241,8 +249,6 @@ def _calibration(frame: SampleFrame, files: LogFiles, world_from_ego: Matrix4) -
 
 def _box(item: ObjectLabel, ego_from_cam: Matrix4, log: str, timestamp_ns: int) -> dict[str, Any]:
     """A row of the annotations. The box's own frame is x forward, y left, z up."""
-    pose = ego_from_cam @ item.cam_from_object
-    x, y, z = pose[:3, :3].T
     width_m, length_m, height_m = item.size_m.tolist()
     return {
         "timestamp_ns": timestamp_ns,
@@ -251,7 +257,7 @@ def _box(item: ObjectLabel, ego_from_cam: Matrix4, log: str, timestamp_ns: int) 
         "length_m": length_m,
         "width_m": width_m,
         "height_m": height_m,
-        **_pose(from_axes(y, -x, z, pose[:3, 3])),
+        **_pose(with_flu_axes(ego_from_cam @ item.cam_from_object)),
         "num_interior_pts": item.lidar_points or 0,
     }
 
@@ -384,29 +390,21 @@ def _camera(log: Log, name: str, cam_from_ego: Matrix4, camera: CameraLabel) -> 
 
 def _boxes(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSample) -> Comparison:
     """Corners of boxes in metres, their class, points and track."""
-    table = log.annotations
-    rows = np.flatnonzero(table["timestamp_ns"] == timestamp_ns)
-    poses, items = matrices({key: table[key][rows] for key in table}), objects_of(truth.labels, CATEGORIES)
-    problems, gaps, tracks, left = list[str](), list[Gap](), dict[str, str](), {item.id: item for item in items}
-    for row, pose in zip(rows.tolist(), poses, strict=True):
-        size = np.array([table[key][row] for key in ("length_m", "width_m", "height_m")])
-        found = transform(cam_from_ego @ pose, CORNERS[:, [1, 0, 2]] * [1, -1, 1] * size / 2)
-        middle = found.mean(axis=0)
-        if not left:
-            problems.append(f"object {table['track_uuid'][row]}: expected one of the labels, got none left")
-            continue
-        ours = {item: one.corners_cam for item, one in left.items()}
-        nearest = min(ours, key=lambda item: float(np.linalg.norm(ours[item].mean(axis=0) - middle)))
-        item = left.pop(nearest)
-        gaps.append(Gap.of(f"object {item.id}", "m", np.linalg.norm(found - ours[item.id], axis=1), "box"))
-        tracks[str(table["track_uuid"][row])] = f"object {item.id} of {log.files}"
-        if table["category"][row] != CATEGORIES[item.category]:
-            problems.append(f"object {item.id}: expected {CATEGORIES[item.category]}, got {table['category'][row]}")
-        if table["num_interior_pts"][row] != (item.lidar_points or 0):
-            expected, got = item.lidar_points or 0, table["num_interior_pts"][row]
-            problems.append(f"object {item.id}: expected {expected} points of the lidar on it, got {got}")
-    problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
-    return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(tracks=tracks)
+    every = log.annotations
+    table = {key: values[every["timestamp_ns"] == timestamp_ns] for key, values in every.items()}
+    sizes_m = np.column_stack([table[key] for key in ("length_m", "width_m", "height_m")])
+    placed = zip(matrices(table), sizes_m, strict=True)
+    corners = (transform(cam_from_ego @ pose, FLU_CORNERS * size_m / 2) for pose, size_m in placed)
+    boxes, items = zip(map(str, table["track_uuid"]), corners, strict=True), objects_of(truth.labels, CATEGORIES)
+    compared, matched = compare_boxes(boxes, items, np.eye(4), str(log.files), BOX_M)
+    problems = list[str]()
+    for item, category, points in zip(matched, table["category"], table["num_interior_pts"], strict=True):
+        if item is not None and category != CATEGORIES[item.category]:
+            problems.append(f"object {item.id}: expected {CATEGORIES[item.category]}, got {category}")
+        if item is not None and points != (item.lidar_points or 0):
+            expected = item.lidar_points or 0
+            problems.append(f"object {item.id}: expected {expected} points of the lidar on it, got {points}")
+    return compared.because(problems)
 
 
 def _lidar(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSample) -> Comparison:

@@ -30,6 +30,7 @@ from synth3dlanes.formats.comparing import (
     compare_map,
     distances,
     is_beside,
+    middle_of,
     side_problems,
 )
 from synth3dlanes.formats.lane_map import LaneSegment, half_widths, lane_segments, link_gaps
@@ -266,6 +267,11 @@ class LogLane(Excerpt):
     def right(self) -> Float[np.ndarray, "n 3"]:
         return _array(self.right_lane_boundary)
 
+    @property
+    def middle(self) -> Float[np.ndarray, "n 3"]:
+        """The middle between them."""
+        return middle_of(self.left, self.right)
+
 
 class _Area(Excerpt):
     area_boundary: list[_Point]
@@ -349,25 +355,17 @@ def compare_log_map(found: LogMap, truth: SourceSample) -> Comparison:
     lanes: PiecesOf = {}
     for i, number in sorted(pieces):
         lanes.setdefault(segments[i].id, []).append(pieces[i, number])
-    middles = [(name, np.concatenate([_middle(piece) for piece in lane])) for name, lane in lanes.items()]
+    middles = [(name, np.concatenate([piece.middle for piece in lane])) for name, lane in lanes.items()]
     halves_m = dict(zip(lanes, half_widths(truth.scene, list(lanes)), strict=True))
     problems = list[str]()
     for name, lane in ((name, piece) for name, own in lanes.items() for piece in own):
-        middle = _middle(lane)
+        middle = lane.middle
         sides = {"left": lane.left, "right": lane.right}
         beside = {side: line for side, line in sides.items() if len(line) == len(middle)}
         problems += side_problems(name, middle, beside, halves_m[name])
     problems += [*_link_problems(lanes, truth), *_neighbour_problems(lanes, truth, halves_m)]
     problems += [*_paint_problems(lanes, truth), *_crossing_problems(found, truth), *_ground_problems(found, truth)]
     return compare_map(middles, truth, RULE).because(problems)
-
-
-def _middle(lane: LogLane) -> Float[np.ndarray, "n 3"]:
-    """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
-    left, right = lane.left, lane.right
-    if len(left) != len(right):
-        left, right = (resampled(line, 100) for line in (left, right))
-    return (left + right) / 2
 
 
 def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
@@ -389,7 +387,7 @@ def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
             if sorted(got) != sorted(expected):
                 yield f"lane {name}: expected {sorted(expected) or 'none'} to {word} {lane.id}, got {got or 'none'}"
         for other in (to for one, to in links if one is lane):
-            gap_m = float(np.linalg.norm(_middle(lane)[-1] - _middle(other)[0]))
+            gap_m = float(np.linalg.norm(lane.middle[-1] - other.middle[0]))
             if not gap_m <= GAP_M + gaps_m.get((lane.id, other.id), 0.0):
                 yield f"lane {name}: expected {other.id} to begin where {lane.id} ends, got it {gap_m:.3f} m away"
 

@@ -9,7 +9,7 @@
 | `crosswalk`, `wait_line`, `road_marking` | symbols | m, `_clip` |
 | `map_id`, `trackline_id` | ids of the labels | |
 
-`clip` has the files, tables and frames, and reads them; `scenario` what stands still around a clip; `videos` makes and
+`clip` has the files, tables and frames, reads them, and has what stands still around a clip; `videos` makes and
 compares the control videos.
 """
 
@@ -29,6 +29,7 @@ from jaxtyping import Float
 from pyarrow import parquet
 
 from synth3dlanes.formats.comparing import (
+    FLU_CORNERS,
     Comparison,
     Gap,
     Rule,
@@ -47,8 +48,9 @@ from synth3dlanes.formats.cosmos.clip import (
     ClipFiles,
     CosmosClip,
     CosmosView,
+    Scenario,
+    scenario,
 )
-from synth3dlanes.formats.cosmos.scenario import Scenario, scenario
 from synth3dlanes.formats.cosmos.videos import (
     CATEGORIES,
     ELEMENTS,
@@ -61,11 +63,17 @@ from synth3dlanes.formats.cosmos.videos import (
 )
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import Boundary
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, objects_of, world_from_host
+from synth3dlanes.formats.writing import (
+    CV_FROM_CAM,
+    PARTS,
+    FrameAnnotation,
+    objects_of,
+    with_flu_axes,
+    world_from_vehicle,
+)
 from synth3dlanes.geometry.frames import invert, quaternion, transform
 from synth3dlanes.imaging.video import mp4
 from synth3dlanes.labels.labels import CameraLabel, Marking, Pair, SymbolLabel
-from synth3dlanes.labels.object_labels import CORNERS
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import SignKind
 from synth3dlanes.system.arrays import Matrix4, Points3
@@ -102,8 +110,6 @@ BOX_M = 0.002
 # Greatest step back from one point of a line to the next: labels are rounded.
 BACK_M = 0.01
 CAM_OF_FLU = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-# Corners of a box with x forward and y left, in the order of CORNERS.
-FLU_CORNERS = CORNERS[:, [1, 0, 2]] * [1, -1, 1]
 # Pixels, as shares of the image, at which a camera is compared.
 SHARES = (0.05, 0.3, 0.5, 0.7, 0.95)
 TABLE_OF = {"stop_line": "wait_line", "give_way_line": "wait_line", "crosswalk": "crosswalk", "gore": None}
@@ -139,7 +145,7 @@ def line_style(marking: Marking, double: bool | None, pair: Pair | None) -> str:
 
 def annotate(frame: SampleFrame) -> FrameAnnotation:
     """The files of a clip, with its first picture."""
-    where, shot = f"{frame.split}:{frame.key}", frame.scene.shot
+    where, shot = frame.where, frame.scene.shot
     if frame.labels.objects is None or frame.labels.traffic_elements is None:
         raise InputError(f"{where}: expected labels with objects and traffic elements, got older ones; generate again")
     if shot.n_frames < 2:
@@ -148,7 +154,7 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
     files = ClipFiles(frame.part, f"{frame.split}-{frame.key}")
     every = (picture.labels for key in views for picture in frame.pictures(key))
     around = scenario(resolve(frame.scene), frame.labels, every)
-    clip_from_world = invert(_world_from_rig(frame.labels.camera, frame.scene))
+    clip_from_world = invert(world_from_vehicle(frame.labels.camera, frame.scene, HOST_FROM_RIG))
     depths, own = dict[str, Any](), dict[str, str | bytes]()
     for key, view in views.items():
         depths[view], videos = _videos(partial(frame.pictures, key), around, shot.fps)
@@ -188,17 +194,16 @@ def _videos(
     return {"low": span[0], "high": span[1]}, {kind: stream.getvalue() for kind, stream in streams.items()}
 
 
-def _world_from_rig(camera: CameraLabel, scene: Scene) -> Matrix4:
-    return np.asarray(world_from_host(camera, scene.camera.right_m, scene.camera.forward_m) @ HOST_FROM_RIG)
-
-
 def _calibration(frame: SampleFrame, views: Mapping[str, str], where: str) -> dict[str, Any]:
     """The cameras' lenses and places, in the form of DriveWorks."""
     sensors = []
     for key, view in views.items():
         first = next(iter(frame.pictures(key)))
         camera = first.labels.camera
-        lens, rig_from_cam = fitted(camera, where), invert(_world_from_rig(camera, first.scene)) @ camera.world_from_cam
+        lens, rig_from_cam = (
+            fitted(camera, where),
+            invert(world_from_vehicle(camera, first.scene, HOST_FROM_RIG)) @ camera.world_from_cam,
+        )
         turn = rig_from_cam[:3, :3] @ CAM_FROM_FLU
         yaw, pitch = np.arctan2(turn[1, 0], turn[0, 0]), np.arcsin(np.clip(-turn[2, 0], -1, 1))
         roll = np.arctan2(turn[2, 1], turn[2, 2])
@@ -218,7 +223,7 @@ def _moving(frame: SampleFrame, clip_from_world: Matrix4) -> dict[str, list[dict
     poses, boxes = list[dict[str, Any]](), list[dict[str, Any]]()
     for picture in frame.pictures(frame.key):
         camera, micros = picture.labels.camera, _micros(picture.scene)
-        pose = clip_from_world @ _world_from_rig(camera, picture.scene)
+        pose = clip_from_world @ world_from_vehicle(camera, picture.scene, HOST_FROM_RIG)
         told = {"location": _xyz(pose[:3, 3]), "orientation": _xyzw(pose)}
         poses.append({"timestamp_micros": micros, "name": "synth3dlanes", **told})
         for item in objects_of(picture.labels, CATEGORIES):
@@ -230,7 +235,7 @@ def _moving(frame: SampleFrame, clip_from_world: Matrix4) -> dict[str, list[dict
                     "trackline_id": str(item.id),
                     "center": _xyz(placed[:3, 3]),
                     "size": _xyz((length_m, width_m, height_m)),
-                    "orientation": _xyzw(_flu(placed)),
+                    "orientation": _xyzw(with_flu_axes(placed)),
                     "category": CATEGORIES[item.category],
                 }
             )
@@ -264,7 +269,7 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
     for element in around.elements:
         label, placed = element.label, clip_from_world @ element.world_from_element
         width_m, depth_m, height_m = label.size_m.tolist()
-        box = {"map_id": str(label.id), "center": _xyz(placed[:3, 3]), "orientation": _xyzw(_flu(placed))}
+        box = {"map_id": str(label.id), "center": _xyz(placed[:3, 3]), "orientation": _xyzw(with_flu_axes(placed))}
         box["dimensions"] = _xyz((depth_m, width_m, height_m))
         table = ELEMENTS[label.category]
         category = SIGN_CATEGORIES.get(label.kind or "", "TRAFFIC_SIGN_INFORMATION") if label.state is None else table
@@ -280,13 +285,6 @@ def _edge_paint(side: str, boundary: Boundary) -> dict[str, list[str]]:
 
 def _micros(scene: Scene) -> int:
     return round(scene.shot.time_s * 1e6)
-
-
-def _flu(pose: Matrix4) -> Matrix4:
-    """A pose with its axes forward, left, up in place of right, forward, up."""
-    turned = pose.copy()
-    turned[:3, :3] = pose[:3, :3] @ CAM_FROM_FLU
-    return turned
 
 
 def _xyz(values: Sequence[float] | np.ndarray) -> dict[str, float]:

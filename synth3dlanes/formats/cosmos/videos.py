@@ -16,8 +16,7 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_gradient_magnitude, label, maximum_filter, sobel
 
 from synth3dlanes.formats.comparing import SourceSample
-from synth3dlanes.formats.cosmos.clip import FOLDERS, CosmosClip
-from synth3dlanes.formats.cosmos.scenario import PaintedLine, Scenario
+from synth3dlanes.formats.cosmos.clip import FOLDERS, CosmosClip, PaintedLine, Scenario
 from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import lengths_along

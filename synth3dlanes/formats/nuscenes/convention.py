@@ -23,7 +23,6 @@ REAR_M = 1.4
 HOST_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -REAR_M], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 EGO_FROM_LIDAR = np.array([[0.0, 1.0, 0.0, 0.94], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.84], [0.0, 0.0, 0.0, 1.0]])
 """The place of the original's lidar, which an empty sweep has too: tools measure from there."""
-HALF_PX = 0.5
 START_US, ROOM_US = 10**15, 4 * 10**6
 """The first timestamp, and how much later the next picture's scene begins at least."""
 DATE = "2001-09-09"

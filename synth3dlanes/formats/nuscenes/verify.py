@@ -11,10 +11,12 @@ import shapely
 from jaxtyping import Float
 
 from synth3dlanes.formats.comparing import (
+    FLU_CORNERS,
     Comparison,
     Gap,
     Rule,
     SourceSample,
+    compare_boxes,
     compare_camera,
     compare_map,
     compare_sweep,
@@ -42,7 +44,6 @@ from synth3dlanes.formats.reading import read_file
 from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform, turned
 from synth3dlanes.labels.labels import Labels, Lane
-from synth3dlanes.labels.object_labels import CORNERS
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.world.world import scene_network
@@ -111,21 +112,16 @@ def _pose(
 
 def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
     """Corners of boxes in metres, their class, attribute, visibility, points and track."""
-    version, items = picture.version, objects_of(truth.labels, CATEGORIES)
-    problems, gaps, tracks, left = list[str](), list[Gap](), dict[str, str](), {item.id: item for item in items}
-    seen = _seen(picture, truth)
-    for row in version.boxes.get(picture.data.sample_token, []):
-        width, length, height = row.size
-        found = transform(row.matrix, CORNERS[:, [1, 0, 2]] * [1, -1, 1] * np.array([length, width, height]) / 2)
-        if not left:
-            problems.append(f"object {row.instance_token}: expected one of the labels, got none left")
+    version, seen = picture.version, _seen(picture, truth)
+    rows = version.boxes.get(picture.data.sample_token, [])
+    # Sizes are width, length and height.
+    corners = (transform(row.matrix, FLU_CORNERS * np.array(row.size)[[1, 0, 2]] / 2) for row in rows)
+    boxes, items = zip((row.instance_token for row in rows), corners, strict=True), objects_of(truth.labels, CATEGORIES)
+    compared, matched = compare_boxes(boxes, items, global_from_cam, picture.log.logfile, BOX_M)
+    problems = list[str]()
+    for row, item in zip(rows, matched, strict=True):
+        if item is None:
             continue
-        ours = {key: transform(global_from_cam, item.corners_cam) for key, item in left.items()}
-        middle = found.mean(axis=0)
-        nearest = min(ours, key=lambda key: float(np.linalg.norm(ours[key].mean(axis=0) - middle)))
-        item = left.pop(nearest)
-        gaps.append(Gap.of(f"object {item.id}", "m", np.linalg.norm(found - ours[item.id], axis=1), "box"))
-        tracks[row.instance_token] = f"object {item.id} of {picture.log.logfile}"
         instance = version.row("instance", InstanceRow, row.instance_token)
         attributes = [version.row("attribute", NamedRow, name).name for name in row.attribute_tokens]
         speed_m_s = None if item.velocity_cam is None else float(np.linalg.norm(item.velocity_cam))
@@ -141,8 +137,7 @@ def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample
         ):
             if got not in expected:
                 problems.append(f"object {item.id}: expected the {what} {expected[0]}, got {got}")
-    problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
-    return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(tracks=tracks)
+    return compared.because(problems)
 
 
 def _seen(picture: CameraPicture, truth: SourceSample) -> dict[int, Any]:

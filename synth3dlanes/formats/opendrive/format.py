@@ -1,8 +1,317 @@
-"""The format opendrive."""
+"""Write OpenDRIVE: one file a scene, with its roads, their lanes and paint, and what stands beside them."""
 
-from synth3dlanes.formats.format import SampleFormat
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from synth3dlanes.formats.format import SampleFormat, SampleFrame
+from synth3dlanes.formats.opendrive.described import (
+    MAJOR,
+    MINOR,
+    NO_NUMBER,
+    USER_DATA,
+    Element,
+    PaintedMark,
+    add,
+    lane_ascends,
+    lane_key,
+    numbered,
+)
+from synth3dlanes.formats.opendrive.maps import described_map
+from synth3dlanes.formats.opendrive.paper import described_paper
 from synth3dlanes.formats.opendrive.verify import RULE, read, verify
-from synth3dlanes.formats.opendrive.write import README, annotate
+from synth3dlanes.formats.writing import FrameAnnotation
+from synth3dlanes.scene.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
+from synth3dlanes.world.world import World, resolve
+
+KINDS: dict[MapLaneKind, str] = {
+    "driving": "driving",
+    "shoulder": "shoulder",
+    "border": "border",
+    "parking": "parking",
+    "walkway": "sidewalk",
+    "cycle": "biking",
+    "median": "median",
+    "restricted": "restricted",
+    "kerb": "curb",
+    "none": "none",
+}
+MARKS = {
+    "none": "none",
+    "solid": "solid",
+    "dashed": "broken",
+    "solid_solid": "solid solid",
+    "solid_dashed": "solid broken",
+    "dashed_solid": "broken solid",
+    "dashed_dashed": "broken broken",
+    "dots": "botts dots",
+}
+SIDES = {"left": 1, "center": 0, "right": -1}
+
+
+README = f"""OpenDRIVE {MAJOR}.{MINOR}: a map of each scene.
+
+- `SPLIT/KEY.xodr`: the roads of the scene of this frame. Its coordinates are those of `world_from_cam` in the frame's
+  labels (x, y on the ground, z up, metres), which so places the camera in the map.
+- Roads are laid on the terrain by elevation, superelevation and, where the ground bends across the lanes, shape.
+- `{USER_DATA}` in a lane's user data is the id of its segment in the lane graph of the labels.
+"""
+
+
+class LaneJoint(NamedTuple):
+    """A lane that traffic leaves, and one that it enters there: their road, section, number, and end."""
+
+    one: tuple[str, int, int]
+    leaves: str
+    other: tuple[str, int, int]
+    enters: str
+
+
+class FileIds(NamedTuple):
+    """The ids in the file of roads and junctions by ours."""
+
+    roads: Mapping[str, str]
+    junctions: Mapping[str, str]
+
+
+def annotate(frame: SampleFrame) -> FrameAnnotation:
+    text = opendrive(resolve(frame.scene), frame.key)
+    return FrameAnnotation(None, text.count('type="driving"'), files={f"{frame.split}/{frame.key}.xodr": text})
+
+
+def opendrive(world: World, name: str) -> str:
+    """The OpenDRIVE file of a world; its inertial frame is the world frame."""
+    described = described_paper(world) if world.scene.map is None else described_map(world)
+    roads, found = described.map, described.roads
+    touches = list(_touches(roads, found))
+    root = ElementTree.Element("OpenDRIVE")
+    (west, south), (east, north) = described.xy_world.min(axis=0), described.xy_world.max(axis=0)
+    header = {"revMajor": MAJOR, "revMinor": MINOR, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
+    add(root, "header", **header, north=north, south=south, east=east, west=west)
+    direct = _direct_junctions(found, touches)
+    # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.
+    roads_by = numbered(found)
+    ids = FileIds(roads_by, numbered([*(at.id for at in roads.junctions), *direct.values()], roads_by.values()))
+    elements = {}
+    for road in found.values():
+        element = add(root, "road", name=road.id, length=road.length_m, id=ids.roads[road.id])
+        element.set("junction", ids.junctions[road.junction] if road.junction else NO_NUMBER)
+        element.set("rule", "LHT" if road.keeps_left else "RHT")
+        _add_links(add(element, "link"), road, found, touches, direct, ids)
+        view, s = add(element, "planView"), 0.0
+        for piece in road.plan:
+            _add_piece(view, piece, s)
+            s += piece.length_m
+        _add_cubics(add(element, "elevationProfile"), "elevation", road.heights)
+        lateral = add(element, "lateralProfile")
+        _add_cubics(lateral, "superelevation", road.banks)
+        for shape in road.shapes:
+            add(lateral, "shape", s=shape.s_m, t=shape.t_m, a=shape.a, b=shape.b, c=shape.c, d=shape.d)
+        # At a junction the lanes of its arms have no links: the connections of the junction tell them.
+        own = [touch for touch in touches if road.junction is not None or not _enters_junction(touch, found)]
+        _add_lanes(add(element, "lanes"), road, own, described.segments)
+        elements[road.id] = element
+    described.add_things(elements)
+    _add_junctions(root, roads, found, touches, direct, ids)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+# -- links
+
+
+def _touches(roads: RoadMap, found: Mapping[str, MapRoad]) -> Iterable[LaneJoint]:
+    for a, b in roads.links:
+        (one, i, m), (other, j, n) = (lane_key(name) for name in (a, b))
+        if one in found and other in found:
+            ends = [lane_ascends(found[one], i, m), lane_ascends(found[other], j, n)]
+            yield LaneJoint((one, i, m), "end" if ends[0] else "start", (other, j, n), "start" if ends[1] else "end")
+
+
+def _enters_junction(touch: LaneJoint, found: Mapping[str, MapRoad]) -> bool:
+    """Whether it is between a connecting road of a junction and another one."""
+    return found[touch.one[0]].junction != found[touch.other[0]].junction
+
+
+def _is_within(touch: LaneJoint) -> bool:
+    """Whether it is between two sections of a road."""
+    (one, i, _), (other, j, _) = touch.one, touch.other
+    return one == other and abs(i - j) == 1 and touch.leaves != touch.enters and (i < j) == (touch.leaves == "end")
+
+
+def _beyond(road: str, end: str, touches: Iterable[LaneJoint]) -> dict[tuple[str, str], None]:
+    """The ends of other roads that lanes lead to or come from at an end of a road."""
+    found: dict[tuple[str, str], None] = {}
+    for touch in touches:
+        if _is_within(touch):
+            continue
+        sides = [(touch.one[0], touch.leaves), (touch.other[0], touch.enters)]
+        for here, there in (sides, sides[::-1]):
+            if here == (road, end):
+                found[there] = None
+    return found
+
+
+def _direct_junctions(found: Mapping[str, MapRoad], touches: list[LaneJoint]) -> dict[tuple[str, str], str]:
+    """The ids of direct junctions by ends of roads: where lanes lead from one road to several without connecting
+    roads."""
+    groups: dict[tuple[str, str], str] = {}
+    for road in found.values():
+        for end in ("start", "end"):
+            beyond = [at for at in _beyond(road.id, end, touches) if found[at[0]].junction is None]
+            if road.junction is None and len({name for name, _ in beyond}) > 1 and (road.id, end) not in groups:
+                name = f"direct_{len(groups)}"
+                groups |= dict.fromkeys([(road.id, end), *beyond], name)
+    return groups
+
+
+def _add_links(
+    element: Element,
+    road: MapRoad,
+    found: Mapping[str, MapRoad],
+    touches: list[LaneJoint],
+    direct: Mapping[tuple[str, str], str],
+    ids: FileIds,
+) -> None:
+    for tag, end in (("predecessor", "start"), ("successor", "end")):
+        beyond = _beyond(road.id, end, touches)
+        through = [name for name, _ in beyond if found[name].junction is not None]
+        if (road.id, end) in direct:
+            add(element, tag, elementType="junction", elementId=ids.junctions[direct[road.id, end]])
+        elif road.junction is None and through:
+            add(element, tag, elementType="junction", elementId=ids.junctions[str(found[through[0]].junction)])
+        elif beyond:
+            (name, contact), *_ = beyond
+            add(element, tag, elementType="road", elementId=ids.roads[name], contactPoint=contact)
+
+
+def _linked(road: str, i: int, number: int, end: str, touches: list[LaneJoint]) -> list[tuple[str, int]]:
+    """The lanes, by road and number, that follow or precede a lane at an end of it."""
+    here, found = (road, i, number), []
+    for touch in touches:
+        if touch.one == here and touch.leaves == end:
+            found.append((touch.other[0], touch.other[2]))
+        if touch.other == here and touch.enters == end:
+            found.append((touch.one[0], touch.one[2]))
+    return found
+
+
+def _add_junctions(
+    root: Element,
+    roads: RoadMap,
+    found: Mapping[str, MapRoad],
+    touches: list[LaneJoint],
+    direct: Mapping[tuple[str, str], str],
+    ids: FileIds,
+) -> None:
+    for at in roads.junctions:
+        if not any(road.junction == at.id for road in found.values()):
+            continue
+        junction = add(root, "junction", name=at.id, id=ids.junctions[at.id], type="default")
+        entered: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
+        for touch in touches:
+            (one, _, m), (other, _, n) = touch.one, touch.other
+            if found[other].junction == at.id and found[one].junction != at.id:
+                entered.setdefault((one, other, touch.enters), []).append((m, n))
+        _add_connections(junction, entered, "connectingRoad", ids)
+        pairs = {(lane_key(low)[0], lane_key(high)[0]) for low, high in at.yields}
+        for low, high in sorted(pairs):
+            add(junction, "priority", high=ids.roads[high], low=ids.roads[low])
+    for name in dict.fromkeys(direct.values()):
+        junction = add(root, "junction", name=name, id=ids.junctions[name], type="direct")
+        parted: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
+        for touch in touches:
+            ends = (touch.one[0], touch.leaves), (touch.other[0], touch.enters)
+            if not _is_within(touch) and all(direct.get(end) == name for end in ends):
+                parted.setdefault((touch.one[0], touch.other[0], touch.enters), []).append(
+                    (touch.one[2], touch.other[2])
+                )
+        _add_connections(junction, parted, "linkedRoad", ids)
+
+
+def _add_connections(
+    junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str, ids: FileIds
+) -> None:
+    for count, ((one, other, contact), lanes) in enumerate(entered.items()):
+        connection = add(junction, "connection", id=str(count), incomingRoad=ids.roads[one], contactPoint=contact)
+        connection.set(key, ids.roads[other])
+        for m, n in lanes:
+            add(connection, "laneLink", **{"from": str(m), "to": str(n)})
+
+
+# -- form
+
+
+def _add_piece(view: Element, piece: PlanPiece, s: float) -> None:
+    place = {"x": piece.x_m, "y": piece.y_m, "hdg": piece.heading_rad, "length": piece.length_m}
+    geometry = add(view, "geometry", s=s, **place)
+    if piece.u is not None and piece.v is not None:
+        scale = piece.parameter_end ** np.arange(4)
+        named = {f"{letter}U": float(u) for letter, u in zip("abcd", piece.u * scale, strict=True)}
+        named |= {f"{letter}V": float(v) for letter, v in zip("abcd", piece.v * scale, strict=True)}
+        add(geometry, "paramPoly3", **named, pRange="normalized")
+    elif piece.curvature != piece.curvature_end:
+        add(geometry, "spiral", curvStart=piece.curvature, curvEnd=piece.curvature_end)
+    elif piece.curvature:
+        add(geometry, "arc", curvature=piece.curvature)
+    else:
+        add(geometry, "line")
+
+
+def _add_cubics(parent: Element, tag: str, cubics: Iterable[Polynomial], key: str = "s") -> None:
+    for piece in cubics:
+        add(parent, tag, **{key: piece.s_m}, a=piece.a, b=piece.b, c=piece.c, d=piece.d)
+
+
+# -- lanes
+
+
+def _add_lanes(element: Element, road: MapRoad, touches: list[LaneJoint], segments: Mapping[LaneName, str]) -> None:
+    _add_cubics(element, "laneOffset", road.lane_offsets or [Polynomial(s_m=0.0, a=0.0)])
+    for i, section in enumerate(road.sections):
+        part = add(element, "laneSection", s=section.s_m)
+        for side, sign in SIDES.items():
+            lanes = [lane for lane in section.lanes if np.sign(lane.number) == sign]
+            lanes = lanes or ([MapLane(number=0, kind="none")] if sign == 0 else [])
+            group = add(part, side) if lanes else part
+            for lane in sorted(lanes, key=lambda at: -at.number):
+                _add_lane(group, road, i, lane, touches, segments)
+
+
+def _add_lane(
+    group: Element, road: MapRoad, i: int, lane: MapLane, touches: list[LaneJoint], segments: Mapping[LaneName, str]
+) -> None:
+    element = add(group, "lane", id=str(lane.number), type=KINDS[lane.kind], level=str(lane.level).lower())
+    if lane.against:
+        element.set("direction", "reversed")
+    link = add(element, "link")
+    if lane.kind == "driving" and lane.number:
+        for tag, end in (("predecessor", "start"), ("successor", "end")):
+            for _, number in dict.fromkeys(_linked(road.id, i, lane.number, end, touches)):
+                add(link, tag, id=str(number))
+    if lane.number:
+        _add_cubics(element, "width", lane.widths or [Polynomial(s_m=0.0, a=0.0)], "sOffset")
+    for mark in lane.marks:
+        _add_mark(element, mark)
+    if lane.kind == "driving" and lane.number:
+        name = f"{road.id}.{i}.{lane.number}"
+        add(element, "userData", code=USER_DATA, value=segments.get(name, name))
+
+
+def _add_mark(element: Element, mark: MapMark) -> None:
+    width_m = 3 * mark.width_m if "_" in mark.kind else mark.width_m
+    color = "yellow" if mark.yellow else "white"
+    kind = {"type": MARKS[mark.kind], "weight": "standard"}
+    entry = add(element, "roadMark", sOffset=mark.s_m, **kind, color=color, width=width_m)
+    if isinstance(mark, PaintedMark):
+        entry.set("laneChange", mark.lane_change)
+        lines = add(entry, "type", name=MARKS[mark.kind], width=width_m)
+        for t_m, dash_m, gap_m, first_m in mark.stripes:
+            places = {"tOffset": t_m, "sOffset": first_m, "width": mark.width_m}
+            add(lines, "line", length=dash_m, space=gap_m, **places, color=color)
+
 
 FORMAT = SampleFormat(
     title="OpenDRIVE: a map of each scene",

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.formats.opendrive.described import Element, add, add_crosswalk
 from synth3dlanes.formats.opendrive.roads import OdrRoad
-from synth3dlanes.formats.opendrive.xml import Element, add, add_crosswalk
 from synth3dlanes.scene.roadside import Rail
 from synth3dlanes.scene.scene import Symbol
 from synth3dlanes.world.beside import beside, on_ground

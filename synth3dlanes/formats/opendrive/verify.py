@@ -9,7 +9,7 @@ import numpy as np
 
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame
-from synth3dlanes.formats.opendrive.xml import USER_DATA, Element
+from synth3dlanes.formats.opendrive.described import USER_DATA, Element
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.maps.document import parse_xml
