@@ -133,11 +133,10 @@ def occlusion(visible_fraction: float) -> int:
 
 
 def write(frame: SampleFrame) -> FrameAnnotation:
-    labels = frame.labels
-    expect_objects(frame)
+    labels, objects = frame.labels, expect_objects(frame)
     expect_pinhole(labels.camera, frame.where)
     name, dropped, lines = _name(frame), Counter[str](), list[str]()
-    for item in labels.objects or ():
+    for item in objects:
         reason = _left_out(item)
         if reason:
             dropped[reason] += 1

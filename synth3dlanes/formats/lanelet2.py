@@ -77,7 +77,9 @@ LEAST_AREA_M2 = 0.05
 
 # Types of traffic elements; other ones are left out.
 TYPES, LIGHT = classes_in("lanelet2", of_elements=True), "traffic_light"
-SIGNS = {kind: f"de{type_}" + f"-{subtype}" * (subtype != NONE) for kind, (type_, subtype) in GERMAN_SIGNS.items()}
+SIGNS: dict[str, str] = {
+    kind: f"de{type_}" + f"-{subtype}" * (subtype != NONE) for kind, (type_, subtype) in GERMAN_SIGNS.items()
+}
 RAILS = {"guardrail": "guard_rail", "concrete": "jersey_barrier", **dict.fromkeys(KERBS, "curbstone")}
 BORDERS: dict[str, Tags] = {
     "curbstone": {"type": "curbstone", "subtype": "high"},

@@ -114,10 +114,11 @@ def objects_of(labels: Labels, classes: Mapping[ObjectCategory, str]) -> list[Ob
     return [item for item in labels.objects or () if item.category in classes]
 
 
-def expect_objects(frame: ExportFrame) -> None:
-    """Raise InputError for labels without objects."""
+def expect_objects(frame: ExportFrame) -> tuple[ObjectLabel, ...]:
+    """The objects of its labels. Raises InputError for labels without them."""
     if frame.labels.objects is None:
         raise InputError(f"{frame.where}: expected labels with objects, got older ones; generate the data set again")
+    return frame.labels.objects
 
 
 def expect_pinhole(camera: CameraLabel, where: str) -> None:

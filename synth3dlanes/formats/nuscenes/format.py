@@ -74,8 +74,7 @@ README = f"""nuScenes (v1.0) with its map expansion: a scene for each of ours, a
 def annotate(frame: SampleFrame) -> FrameAnnotation:
     """The image of a picture and its lines; with the first of an instant also its sweep, with the first of a scene its
     map."""
-    labels, shot = frame.labels, frame.scene.shot
-    expect_objects(frame)
+    labels, shot, objects = frame.labels, frame.scene.shot, expect_objects(frame)
     expect_pinhole(labels.camera, frame.where)
     before = shot.frame * shot.n_cameras + shot.camera
     first, log = frame.number - before, f"{frame.split}-{int(frame.key) - before:08d}"
@@ -109,7 +108,7 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
         lidar = data(LIDAR, "pcd.bin", ego_from_lidar)
         files[lidar["file"]], picture["data"] = _sweep(frame), [camera, lidar]
     # Cars come first among the objects.
-    parked = {item.id for item, car in zip(labels.objects, frame.scene.cars, strict=False) if not car.track}
+    parked = {item.id for item, car in zip(objects, frame.scene.cars, strict=False) if not car.track}
     boxes = [
         _box(item, item.id in parked, ego_from_cam if frame.cameras else None)
         for item in objects_of(labels, CATEGORIES)
