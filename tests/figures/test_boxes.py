@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from synth3dlanes.figures.overlay import lines_img, objects_in_image
 from synth3dlanes.figures.colors import ELEMENT, OBJECT
-from synth3dlanes.figures.overlay import draw_overlay
+from synth3dlanes.figures.overlay import draw_overlay, lines_img, objects_in_image
 from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.scenes import changed

@@ -10,8 +10,7 @@ from rich.console import Console
 from synth3dlanes.draw.draws import draws_of
 from synth3dlanes.draw.paper import draw_road
 from synth3dlanes.draw.sample import Scenes, sample_scene
-from synth3dlanes.figures.stats import declared_shares
-from synth3dlanes.figures.stats import Statistics, is_fine, label_statistics, scene_statistics
+from synth3dlanes.figures.stats import Statistics, declared_shares, is_fine, label_statistics, scene_statistics
 from synth3dlanes.figures.stats_views import statistics_table
 from synth3dlanes.params.distributions import Choice, Integers, Uniform
 from synth3dlanes.params.groups import DAYTIMES, KINDS
