@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from synth3dlanes.scene.roadside import Building, Crossing, Rail, Roadside
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.world.beside import beside
-from synth3dlanes.world.buildings import building_body, building_frame
+from synth3dlanes.world.buildings import building_bodies, building_frame
 from synth3dlanes.world.crossings import DAM_M, DAM_SLOPE, crossing_body, crossing_frame, crossing_span
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.posts import lamp_heads_of, post_body, post_frames
@@ -29,7 +29,7 @@ def bodies(ground: Ground, roadside: Roadside) -> list[Body]:
         *(rail_body(ground, rail) for rail in roadside.rails),
         *(post_body(post, frame) for post, frame in zip(roadside.posts, frames, strict=True)),
         *(crossing_body(ground, crossing) for crossing in roadside.crossings),
-        *(building_body(ground, building) for building in roadside.buildings),
+        *building_bodies(ground, roadside.buildings),
         *map(pole_body, poles, foot_frames(ground, poles)),
     ]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from synth3dlanes.geometry.frames import cross
 from synth3dlanes.scene.things import KINDS
 from synth3dlanes.system.arrays import Points3
 
@@ -46,10 +47,11 @@ class Quads:
         self.surfaces: list[Int[np.ndarray, " f"]] = []
         self.feet: list[Points3] = []
 
-    def add(self, corners: QuadCorners, color: Sequence[float], surface: str = "") -> None:
-        """Quads of one colour."""
+    def add(self, corners: QuadCorners, color: Sequence[float] | Float[np.ndarray, "f 4"], surface: str = "") -> None:
+        """Quads of one colour, or of one each."""
+        colors = color if isinstance(color, np.ndarray) else np.array(_glossy(color), dtype=float)
         self.corners.append(corners)
-        self.colors.append(np.tile(np.array(_glossy(color), dtype=float), (len(corners), 1)))
+        self.colors.append(np.broadcast_to(colors, (len(corners), 4)))
         self.surfaces.append(np.full(len(corners), SURFACES.index(surface or self.default)))
 
     def box(
@@ -73,10 +75,10 @@ class Quads:
         """The side of a tapered prism with n faces between two points."""
         along = ends_world[1] - ends_world[0]
         along /= np.linalg.norm(along)
-        across = np.cross(along, [1.0, 0, 0] if abs(along[0]) < 0.7 else [0, 1.0, 0])
+        across = cross(along, np.array([1.0, 0, 0] if abs(along[0]) < 0.7 else [0, 1.0, 0]))
         across /= np.linalg.norm(across)
         angles = 2 * np.pi * (np.arange(n + 1) + 0.5) / n
-        ring = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(along, across)
+        ring = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * cross(along, across)
         rings = ends_world[:, None] + np.array(radii_m)[:, None, None] * ring
         self.sweep(rings, color)
 

@@ -75,10 +75,10 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
         return _body(bodies, assets, lambda body, _: may_be_long or body.length_m <= LONG_M)[0]
 
     farthest_m = extent(of.params.town_streets.speed_m_s)[1] * shot.duration_s
-    host_places = Route(host.lanes, lines).at(host.at_m + np.arange(0.0, farthest_m + 1.0, WAY_STEP_M))[0]
+    host_places = lines.route(host.lanes).xy(host.at_m + np.arange(0.0, farthest_m + 1.0, WAY_STEP_M))
     meetings = partial(draw_meetings, town_map, host_places, of, shot.duration_s)
     usual = Usual.draw(own, bodies.rng, flow("traffic"))
-    traffic = simulate(town_map, town.host, body, usual, shot.duration_s, meetings)
+    traffic = simulate(town_map, lines, town.host, body, usual, shot.duration_s, meetings)
 
     def stand(scene: Scene, ground: Ground) -> Roadside:
         draws = StreetDraws(of("town", "town_fronts"), of("roadside"), of("structures"), own)
@@ -117,17 +117,17 @@ def _shot_of(drawn: DrawnTown, found: TownDrive, shot: Shot, terrain: Terrain) -
     """The host's shot, with its track in a clip."""
     if shot.n_frames == 1:
         return shot
-    track = _driven(Route(found.host.lanes, drawn.lines), found.host, terrain)
+    track = _driven(drawn.lines.route(found.host.lanes), found.host, terrain)
     return shot.model_copy(update={"speed_m_s": _speed(track), "track": track})
 
 
 def _cars_of(drawn: DrawnTown, found: TownDrive, terrain: Terrain, looks: Draw, assets: Assets) -> tuple[Car, ...]:
     """The cars of the traffic."""
     cars, lines = [], drawn.lines
-    host = Route(drawn.host.lanes, lines).at(np.array([drawn.host.at_m]))[0]
+    host = lines.route(drawn.host.lanes).xy(np.array([drawn.host.at_m]))
     for moving in found.cars:
-        route = Route(moving.lanes, lines)
-        ends = route.at(np.array([moving.track[0][1], moving.track[-1][1]]))[0]
+        route = lines.route(moving.lanes)
+        ends = route.xy(np.array([moving.track[0][1], moving.track[-1][1]]))
         if np.linalg.norm(ends - host, axis=1).min() > MOVING_M:
             continue
         k, s_m = route.place_at(moving.track[0][1])
@@ -150,7 +150,7 @@ def _parked_cars(
     """Cars in the parking lanes near the host, which stand beside the outermost lanes, where nobody who drives would
     touch them: in bends the ends of long vehicles swing out of their lanes."""
     cars, rng = list[Car](), looks.rng
-    host = Route(drawn.host.lanes, drawn.lines).at(np.array([drawn.host.at_m]))[0]
+    host = drawn.lines.route(drawn.host.lanes).xy(np.array([drawn.host.at_m]))
     driven = _driven_places(drawn, found)
 
     def fits(body: CarBody, own: CarModel) -> bool:
@@ -187,7 +187,7 @@ def _driven_places(drawn: DrawnTown, found: TownDrive) -> list[Float[np.ndarray,
     for car in (found.host, *found.cars):
         offset_m = drawn.host.offset_m if car is found.host else 0.0
         lengths_m = np.array([length_m for _, length_m in car.track])
-        places.append(body_places(Route(car.lanes, drawn.lines), lengths_m, car.body, offset_m))
+        places.append(body_places(drawn.lines.route(car.lanes), lengths_m, car.body, offset_m))
     return places
 
 

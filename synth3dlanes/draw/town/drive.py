@@ -8,6 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.draw.crossing import STEP_S, Crosser
 from synth3dlanes.draw.town.junctions import Arm
@@ -91,6 +92,7 @@ class Driver:
     stood_s: float = 0.0
     lane: int = 0
     limits: list[float] = field(default_factory=list)
+    _placed: tuple[float, Float[np.ndarray, "2"]] | None = None
 
     def __post_init__(self) -> None:
         self.limits = [min(self.wish, math.sqrt(SIDEWAYS / max(bend, 1e-4))) for bend in self.route.sharpest]
@@ -106,6 +108,13 @@ class Driver:
         starts = self.route.starts
         while self.lane + 2 < len(starts) and starts[self.lane + 1] <= self.at_m:
             self.lane += 1
+
+    @property
+    def xy(self) -> Float[np.ndarray, "2"]:
+        """Where its middle is."""
+        if self._placed is None or self._placed[0] != self.at_m:
+            self._placed = self.at_m, self.route.xy(np.array([self.at_m]))[0]
+        return self._placed[1]
 
     @property
     def is_done(self) -> bool:
@@ -169,6 +178,7 @@ class TownTraffic:
         self.crossers: dict[CrosswalkKey, list[Crosser]] = {}
         self.time_s = 0.0
         self._on: dict[str, list[tuple[Driver, float]]] = {}
+        self._bound_for: dict[str, list[Driver]] = {}
         self._groups: dict[CrosswalkKey, Sequence[LightGroup]] = {}
 
     def meet(self, key: CrosswalkKey, crosser: Crosser, groups: Sequence[LightGroup]) -> None:
@@ -180,7 +190,7 @@ class TownTraffic:
 
     def step(self) -> None:
         """Move all by STEP_S."""
-        self._on = self._occupied()
+        self._on, self._bound_for = self._occupied(), self._coming()
         for key, crossers in self.crossers.items():
             for crosser in crossers:
                 crosser.step(partial(self._may_cross, key, crosser))
@@ -214,6 +224,14 @@ class TownTraffic:
             while k < len(driver.route.lanes) and starts[k] < driver.at_m + half:
                 found.setdefault(driver.route.lanes[k], []).append((driver, driver.at_m - starts[k]))
                 k += 1
+        return found
+
+    def _coming(self) -> dict[str, list[Driver]]:
+        """For each junction, the cars whose next junction it is, or that are in it."""
+        found: dict[str, list[Driver]] = {}
+        for driver in self.drivers:
+            if driver.gate < len(driver.gates):
+                found.setdefault(driver.gates[driver.gate].rules.junction.id, []).append(driver)
         return found
 
     def _acceleration(self, driver: Driver) -> float:
@@ -304,13 +322,11 @@ class TownTraffic:
             return True
         mine = _time(zone.from_m - half - driver.at_m, driver), _time(zone.to_m + half - driver.at_m, driver)
         yields = (zone.conflict.lane, lane) in gate.rules.yields
-        for other in self.drivers:
+        for other in self._bound_for[gate.rules.junction.id]:
             place = other.route.place.get(lane)
-            if other is driver or place is None or other.gate >= len(other.gates):
+            if other is driver or place is None:
                 continue
             its = other.gates[other.gate]
-            if its.rules is not gate.rules:
-                continue
             start, reach = other.route.starts[place], other.length_m / 2
             from_m, to_m = start + zone.conflict.other_from_m - reach, start + zone.conflict.other_to_m + reach
             if other.at_m > to_m:

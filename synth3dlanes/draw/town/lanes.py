@@ -41,17 +41,24 @@ class LaneLine:
 
 
 class LaneLines:
-    """The lanes of a town by name, as `LaneLine`, each made once."""
+    """The lanes of a town by name, as `LaneLine`, and routes along them, each made once."""
 
     def __init__(self, town_map: TownMap) -> None:
         self.connectors = {at.lane: at for rules in town_map.junctions for at in rules.junction.connectors}
         self.streets = {street.id: street for street in town_map.streets}
         self._made: dict[str, LaneLine] = {}
+        self._routes: dict[tuple[str, ...], Route] = {}
 
     def __getitem__(self, name: str) -> LaneLine:
         if name not in self._made:
             self._made[name] = self._line(name)
         return self._made[name]
+
+    def route(self, lanes: tuple[str, ...]) -> "Route":
+        """The route along linked lanes."""
+        if lanes not in self._routes:
+            self._routes[lanes] = Route(lanes, self)
+        return self._routes[lanes]
 
     def _line(self, name: str) -> LaneLine:
         if name in self.connectors:
@@ -129,12 +136,16 @@ class Route:
         headings = np.unwrap(np.concatenate([line.headings for line in self._own]))
         return lengths, points, headings
 
+    def xy(self, length_m: Scalars) -> Points2:
+        """Points at lengths."""
+        lengths, points, _ = self._points
+        return np.stack([np.interp(length_m, lengths, points[:, k]) for k in (0, 1)], -1)
+
     def at(self, length_m: Scalars) -> tuple[Points2, Float[np.ndarray, "n 2"]]:
         """Points and unit headings at lengths."""
-        lengths, points, headings = self._points
-        xy = np.stack([np.interp(length_m, lengths, points[:, k]) for k in (0, 1)], -1)
+        lengths, _, headings = self._points
         heading = np.interp(length_m, lengths, headings)
-        return xy, np.stack([np.cos(heading), np.sin(heading)], -1)
+        return self.xy(length_m), np.stack([np.cos(heading), np.sin(heading)], -1)
 
 
 def street_lanes(street: Street, side: str, key: str, sections: Sequence[int]) -> list[str]:

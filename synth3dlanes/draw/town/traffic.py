@@ -93,10 +93,10 @@ def plan_host(town_map: TownMap, lines: LaneLines, own: Draw, rng: Rng) -> HostP
     ways = ways or list(rules.ways)
     order = [ways[i] for i in rng.permutation(len(ways)).tolist()]
     found: HostPlan | None = None
+    ways_on = _WaysOn(town_map, own)
     for way in order:
-        lanes = _before(town_map, way.lanes[0]) + list(way.lanes[1:])
-        lanes = _onward(town_map, lanes, own, rng)
-        route = Route(lanes, lines)
+        lanes = ways_on.onward(_before(town_map, way.lanes[0]) + list(way.lanes[1:]), rng)
+        route = lines.route(lanes)
         first, last = route.place[way.lanes[1]], route.place[way.lanes[-1]]
         enters_m, leaves_m = route.starts[first], route.starts[last]
         if town.host_place == "before":
@@ -106,14 +106,15 @@ def plan_host(town_map: TownMap, lines: LaneLines, own: Draw, rng: Rng) -> HostP
         else:
             at_m = leaves_m + town.host_m + 2.0
         if at_m >= 12.0:
-            return HostPlan(tuple(lanes), at_m)
-        found = found or HostPlan(tuple(lanes), 12.0)
+            return HostPlan(lanes, at_m)
+        found = found or HostPlan(lanes, 12.0)
     assert found is not None, "a junction has ways"
     return found
 
 
 def simulate(
     town_map: TownMap,
+    lines: LaneLines,
     host: HostPlan,
     draw_body: Callable[[bool], CarBody],
     usual: Usual,
@@ -122,7 +123,6 @@ def simulate(
 ) -> TownDrive:
     """Traffic until the host is at its place, and from then on for a clip, in which it meets people at crosswalks.
     Where the host does not get there, with fewer cars. `draw_body` draws a car that is long only if it may be."""
-    lines = LaneLines(town_map)
     for share in (1.0, 0.4, 0.0):
         fewer = usual._replace(flow=usual.flow * share)
         found = _Simulation(town_map, lines, host, draw_body, fewer).run(duration_s, meetings)
@@ -142,7 +142,7 @@ class _Simulation:
     ) -> None:
         self.town_map, self.lines, self.flow = town_map, lines, usual.flow
         self.rng = np.random.default_rng(usual.seed)
-        self.draw_body, self.usual = draw_body, usual
+        self.draw_body, self.usual, self.ways_on = draw_body, usual, _WaysOn(town_map, usual.own)
         self.has_crosswalks = town_map.town.has_crosswalks
         self.lights = {
             each.junction.id: Lights.draw(each, usual.own, self.rng)
@@ -153,7 +153,7 @@ class _Simulation:
         self.wish = usual.own.at("speed_m_s", (int(self.rng.integers(3)) + usual.u) / 3)
         self.traffic = TownTraffic(lines, self.lights)
         self.bodies: dict[int, CarBody] = {}
-        self._gates: dict[tuple[str, ...], tuple[Route, tuple[Gate, ...]]] = {}
+        self._gates: dict[tuple[str, ...], tuple[Gate, ...]] = {}
         start_m = max(host.at_m - RUN_UP_M, 6.0)
         self.host = self._driver(host.lanes, start_m, HOST_SIZE_M[0], 0.0)
         self.host.is_host = True
@@ -202,27 +202,26 @@ class _Simulation:
         return MovingCar(body, driver.route.lanes, speed_m_s, rounded)
 
     def _driver(self, lanes: tuple[str, ...], at_m: float, length_m: float, speed: float) -> Driver:
+        route = self.lines.route(lanes)
         if lanes not in self._gates:
-            route = Route(lanes, self.lines)
-            self._gates[lanes] = route, gates_of(route, self.town_map.junctions, self.has_crosswalks)
-        route, gates = self._gates[lanes]
+            self._gates[lanes] = gates_of(route, self.town_map.junctions, self.has_crosswalks)
         wish = self.wish * float(self.rng.uniform(0.85, 1.08))
-        return Driver(route, gates, length_m, wish, at_m, speed)
+        return Driver(route, self._gates[lanes], length_m, wish, at_m, speed)
 
     def _add(self, lanes: Sequence[str], at_m: float, speed: float) -> bool:
         """Add a car on its way from these lanes on, if there is room for it."""
-        route = _onward(self.town_map, list(lanes), self.usual.own, self.rng)
+        route = self.ways_on.onward(list(lanes), self.rng)
         is_straight = all(self._is_straight(lane) for lane in route)
         body = self.draw_body(is_straight)
-        driver = self._driver(tuple(route), at_m, body.length_m, speed)
+        driver = self._driver(route, at_m, body.length_m, speed)
         here = {driver.route.lanes[k] for k in (driver.lane, max(driver.lane - 1, 0))}
-        xy, _ = driver.route.at(np.array([at_m]))
-        for other in self.traffic.drivers:
-            away_m = float(np.linalg.norm(other.route.at(np.array([other.at_m]))[0] - xy))
-            near = other.route.lanes[other.lane] in here or set(other.route.lanes[other.lane :]) & here
+        aways_m = np.linalg.norm(np.stack([other.xy for other in self.traffic.drivers]) - driver.xy, axis=-1)
+        for other, away_m in zip(self.traffic.drivers, aways_m.tolist(), strict=True):
             touching_m = (driver.length_m + other.length_m) / 2
-            if away_m < touching_m + LEAST_GAP_M if near else away_m < min(touching_m, 2.5):
-                return False
+            if away_m < touching_m + LEAST_GAP_M:
+                near = not here.isdisjoint(other.route.lanes[other.lane :])
+                if near or away_m < min(touching_m, 2.5):
+                    return False
         driver.speed = min(driver.speed, driver.limits[driver.lane])
         self.bodies[id(driver)] = body
         self.traffic.drivers.append(driver)
@@ -238,7 +237,7 @@ class _Simulation:
             for side, key in lanes_along(street):
                 names = street_lanes(street, side, key, range(len(street.pieces)))
                 names = names if side == "right" else names[::-1]
-                route = Route(names, self.lines)
+                route = self.lines.route(tuple(names))
                 at_m = float(self.rng.uniform(4, 40))
                 while at_m < route.length_m - 5 and len(self.traffic.drivers) < MAX_CARS:
                     if self.flow > 0 and self.rng.random() < 0.8:
@@ -332,25 +331,33 @@ def _before(town_map: TownMap, lane: str) -> list[str]:
     return found
 
 
-def _onward(town_map: TownMap, lanes: list[str], own: Draw, rng: Rng) -> list[str]:
-    """A route from its lanes on: along streets, and at junctions by ways drawn by their turns."""
-    after = {a: b for street in town_map.streets for a, b in street.links}
-    ways: dict[str, list[JunctionWay]] = {}
-    for rules in town_map.junctions:
-        for way in rules.ways:
-            ways.setdefault(way.lanes[0], []).append(way)
-    found, passed = list(lanes), 0
-    while True:
-        last = found[-1]
-        if last in after:
-            found.append(after[last])
-        elif last in ways and passed < MOST_JUNCTIONS:
-            weights = np.array([own.weights("turn").get(way.turn, 0.0) for way in ways[last]])
-            weights = weights if weights.any() else np.ones(len(weights))
-            way = ways[last][int(rng.choice(len(weights), p=weights / weights.sum()))]
-            if set(way.lanes[1:]) & set(found):
-                return found
-            found += way.lanes[1:]
-            passed += 1
-        else:
-            return found
+class _WaysOn:
+    """How lanes go on in a town: along streets, and at junctions by ways that are drawn by their turns."""
+
+    def __init__(self, town_map: TownMap, own: Draw) -> None:
+        self.after = {a: b for street in town_map.streets for a, b in street.links}
+        self.turns = own.weights("turn")
+        self.ways: dict[str, list[JunctionWay]] = {}
+        for rules in town_map.junctions:
+            for way in rules.ways:
+                self.ways.setdefault(way.lanes[0], []).append(way)
+
+    def onward(self, lanes: Sequence[str], rng: Rng) -> tuple[str, ...]:
+        """A route from its lanes on."""
+        found, passed = list(lanes), 0
+        while True:
+            last = found[-1]
+            if last in self.after:
+                found.append(self.after[last])
+            elif last in self.ways and passed < MOST_JUNCTIONS:
+                ways = self.ways[last]
+                weights = np.array([self.turns.get(way.turn, 0.0) for way in ways])
+                weights = weights if weights.any() else np.ones(len(weights))
+                way = ways[int(rng.choice(len(weights), p=weights / weights.sum()))]
+                if not set(found).isdisjoint(way.lanes[1:]):
+                    break
+                found += way.lanes[1:]
+                passed += 1
+            else:
+                break
+        return tuple(found)
