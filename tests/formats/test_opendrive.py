@@ -17,7 +17,7 @@ from synth3dlanes.system.errors import FormatError
 from synth3dlanes.world.paint import is_double, paint_color, painted_rows
 from synth3dlanes.world.symbols import shape
 from synth3dlanes.world.world import resolve
-from tests.formats.opendrive_reading import read_roads as read_file_roads
+from tests.formats.opendrive_reading import read_roads
 from tests.scenes import FLAT, changed, hill
 from tests.thorough import first
 
@@ -39,10 +39,6 @@ ROADS = [
         (4, True, True, 0, 0.0),
     ]
 ]
-
-
-def read_roads(text):
-    return read_file_roads(text, "test")
 
 
 def world_of(markings=None, **road):
@@ -68,11 +64,11 @@ def differences(world, text):
     stations = np.arange(-260, 300, 0.1)
     worst = np.zeros(2)
     for road in read_roads(text).values():
-        for number, lane in road.lanes.items():
+        for number, lane in road.by_number.items():
             data = lane.find("userData")
             if data is not None:
                 line = of_segment(world, data.get("value")).points_world(stations)
-                centers = np.array([road.center(number, s) for s in np.linspace(0, road.length, 14)])
+                centers = np.array([road.center(number, s) for s in np.linspace(0, road.length_m, 14)])
                 aside, above = apart(centers, line)
                 worst = np.maximum(worst, [aside.max(), np.abs(above).max()])
     return worst
@@ -95,9 +91,9 @@ def test_lanes_reach_from_end_to_end_of_every_curve(road):
     found = read_roads(opendrive(world, "test"))
     centers = np.concatenate(
         [
-            [file_road.center(number, s) for s in np.linspace(0, file_road.length, 100)]
+            [file_road.center(number, s) for s in np.linspace(0, file_road.length_m, 100)]
             for file_road in found.values()
-            for number, lane in file_road.lanes.items()
+            for number, lane in file_road.by_number.items()
             if lane.find("userData") is not None
         ]
     )
@@ -111,7 +107,10 @@ def test_the_header_encloses_all_reference_lines():
     text = opendrive(world_of(topology=3), "test")
     header = ElementTree.fromstring(text).find("header")
     west, east, south, north = (float(header.get(key)) for key in ("west", "east", "south", "north"))
-    lines = [file_road.line(np.linspace(0.0, file_road.length, 200))[:2] for file_road in read_roads(text).values()]
+    lines = [
+        file_road.line(np.linspace(0.0, file_road.length_m, 200), np.inf).T[:2]
+        for file_road in read_roads(text).values()
+    ]
     x, y = np.concatenate(lines, axis=1)
     assert (x.min(), x.max(), y.min(), y.max()) == pytest.approx((west, east, south, north), abs=0.5)
 
@@ -124,12 +123,12 @@ def test_traffic_and_successors_are_those_of_the_lane_graph(road):
     roads = {element.id: element for element in read_roads(ElementTree.tostring(root, encoding="unicode")).values()}
 
     def segment(road_id, number):
-        return roads[road_id].lanes[int(number)].find("userData").get("value")
+        return roads[road_id].by_number[int(number)].find("userData").get("value")
 
     for file_road in roads.values():
         ahead_is_right = file_road.element.get("rule") == "RHT"
-        forward = file_road.line(file_road.length)[1] > file_road.line(0.0)[1]
-        for number, lane in file_road.lanes.items():
+        forward = file_road.point(file_road.length_m, 0.0)[1] > file_road.point(0.0, 0.0)[1]
+        for number, lane in file_road.by_number.items():
             if lane.find("userData") is not None:
                 # Lanes right of lane 0 go along s in right-hand traffic.
                 goes_ahead = forward == ((number < 0) == ahead_is_right)
@@ -141,12 +140,12 @@ def test_traffic_and_successors_are_those_of_the_lane_graph(road):
         before, after = (by_id[connecting].find(f"link/{tag}") for tag in ("predecessor", "successor"))
         assert (connection.get("contactPoint"), before.get("elementId")) == ("start", incoming)
         for link in connection.iter("laneLink"):
-            lane = roads[connecting].lanes[int(link.get("to"))]
+            lane = roads[connecting].by_number[int(link.get("to"))]
             assert lane.find("link/predecessor").get("id") == link.get("from")
             out = lane.find("link/successor").get("id")
             ends = [(incoming, link.get("from"), before), (after.get("elementId"), out, after)]
-            for (there, number, end), s in zip(ends, (0.0, roads[connecting].length), strict=True):
-                at = 0.0 if end.get("contactPoint") == "start" else roads[there].length
+            for (there, number, end), s in zip(ends, (0.0, roads[connecting].length_m), strict=True):
+                at = 0.0 if end.get("contactPoint") == "start" else roads[there].length_m
                 here, meets = roads[connecting].center(int(link.get("to")), s), roads[there].center(int(number), at)
                 inside = roads[connecting].center(int(link.get("to")), abs(s - 1.0))
                 along = (inside - here) / np.linalg.norm(inside - here)
@@ -168,11 +167,11 @@ def _rows(world, line):
 
 def marks_of(file_road):
     """(lane number, mark, its start and end) of all that is painted."""
-    for number, lane in file_road.lanes.items():
+    for number, lane in file_road.by_number.items():
         marks = lane.findall("roadMark")
         starts = [float(mark.get("sOffset")) for mark in marks]
         assert starts[:1] in ([], [0.0])
-        for mark, start, end in zip(marks, starts, [*starts[1:], file_road.length], strict=False):
+        for mark, start, end in zip(marks, starts, [*starts[1:], file_road.length_m], strict=False):
             if mark.get("type") != "none":
                 yield number, mark, start, end
 
@@ -189,7 +188,7 @@ def test_marks_are_the_delimiters_in_place_colour_and_dashes(road):
         for number, mark, start, end in marks_of(file_road):
 
             def place(s, file_road=file_road, number=number):
-                edge = file_road.cubic("laneOffset", s) if number == 0 else file_road.edges(number, s)[1]
+                edge = file_road.sides(number, s)[1]
                 return file_road.point(s, float(edge))
 
             points = np.array([place(s) for s in np.linspace(start, end, 5)[1:4]])
@@ -239,7 +238,7 @@ def test_the_stripes_of_mixed_pairs_lie_on_their_sides_with_their_dashes(road, p
             (solid_t,) = (t for t, gap in gaps.items() if gap == 0)
             assert sorted(gaps) == pytest.approx([-0.2, 0.2])
             at = (start + end) / 2
-            edge = file_road.cubic("laneOffset", at) if number == 0 else file_road.edges(number, at)[1]
+            edge = file_road.sides(number, at)[1]
             (here,), (aside,) = (np.atleast_2d(file_road.point(at, float(edge) + t)) for t in (0.0, solid_t))
             name = min(dense, key=lambda name: np.linalg.norm(dense[name][:, :2] - here[:2], axis=1).min())
             # The host drives towards +y: the side of +x is the driver's right.
@@ -257,7 +256,7 @@ def test_the_stripes_of_mixed_pairs_lie_on_their_sides_with_their_dashes(road, p
 def local_corners(file_road, item):
     """The corners of an object in its own frame, in the world, where the road is nearly flat."""
     s, t, turn = (float(item.get(key)) for key in ("s", "t", "hdg"))
-    here, ahead, left = (np.array(file_road.on_plane(*at, 0.0)) for at in ((s, t), (s + 0.01, t), (s, t + 1.0)))
+    here, ahead, left = (file_road.point(*at, 0.0) for at in ((s, t), (s + 0.01, t), (s, t + 1.0)))
     along, left = (ahead - here) / np.linalg.norm(ahead - here), left - here
     axes = np.stack([along, left, np.cross(along, left)])
     cos, sin = np.cos(turn), np.sin(turn)
@@ -291,7 +290,7 @@ def test_objects_stand_and_lie_where_the_worlds_do():
     for file_road in found.values():
         for item in file_road.element.iter("object"):
             s, t, z = (float(item.get(key)) for key in ("s", "t", "zOffset"))
-            places[item.get("type"), item.get("subtype")] = (file_road, item, file_road.on_plane(s, t, z))
+            places[item.get("type"), item.get("subtype")] = (file_road, item, file_road.point(s, t, z))
     tree, house = places["tree", None][2], places["building", "house"][2]
     np.testing.assert_allclose(tree, world.site.trees_world[0], atol=0.05)
     model = world.scene.assets.tree_models[0]

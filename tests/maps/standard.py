@@ -14,7 +14,7 @@ import gzip
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -68,14 +68,7 @@ def along(geometry: Element, s: np.ndarray) -> np.ndarray:
         first, last = (number(form, key, number(form, "curvature")) for key in ("curvStart", "curvEnd"))
         u, v, turn = _clothoid(first, (last - first) / length if length else 0.0, s)
     else:
-        if form.tag == "poly3":
-            x, y, end = np.array([0.0, 1, 0, 0]), np.array([number(form, key) for key in "abcd"]), length
-        else:
-            x, y = (np.array([number(form, letter + axis) for letter in "abcd"]) for axis in "UV")
-            end = length if form.get("pRange") == "arcLength" else 1.0
-        p = np.linspace(0, end, 20_001)
-        u, v = (np.polynomial.polynomial.polyval(p, c) for c in (x, y))
-        lengths = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(u), np.diff(v)))])
+        x, y, p, lengths = _curve(form, length)
         # A graph ends where its length does; a curve whose stated length is not its own is stretched.
         at = np.interp(s if form.tag == "poly3" else s * lengths[-1] / length, lengths, p)
         u, v = (np.polynomial.polynomial.polyval(at, c) for c in (x, y))
@@ -85,6 +78,19 @@ def along(geometry: Element, s: np.ndarray) -> np.ndarray:
     cos, sin = math.cos(heading), math.sin(heading)
     places = number(geometry, "x") + cos * u - sin * v, number(geometry, "y") + sin * u + cos * v, heading + turn
     return np.stack(places, axis=-1)
+
+
+@cache
+def _curve(form: Element, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The coefficients of a cubic curve, and its lengths at many values of its parameter."""
+    if form.tag == "poly3":
+        x, y, end = np.array([0.0, 1, 0, 0]), np.array([number(form, key) for key in "abcd"]), length
+    else:
+        x, y = (np.array([number(form, letter + axis) for letter in "abcd"]) for axis in "UV")
+        end = length if form.get("pRange") == "arcLength" else 1.0
+    p = np.linspace(0, end, 20_001)
+    u, v = (np.polynomial.polynomial.polyval(p, c) for c in (x, y))
+    return x, y, p, np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(u), np.diff(v)))])
 
 
 def _clothoid(first: float, bend: float, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -153,11 +159,13 @@ class Road:
             found[which == i] = along(self.geometries[i], s[which == i] - self.starts[i])
         return found
 
-    def points(self, s: np.ndarray, t: np.ndarray, level_m: np.ndarray, before_m: float) -> np.ndarray:
-        """Places of the surface: t on the road's plane, and from there so far to the left on the level."""
+    def points(
+        self, s: np.ndarray, t: np.ndarray, level_m: np.ndarray, before_m: float, h: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Places of the surface, or `h` over the road's plane: t on the plane, then `level_m` to the left, level."""
         x, y, heading = self.line(s, before_m).T
         pitch, roll = np.arctan(self.elevation.slope(s, before_m)), self.roll.at(s, before_m)
-        h = self.shape(s, t)
+        h = self.shape(s, t) if h is None else h
         left, up = t * np.cos(roll) - h * np.sin(roll) + level_m, t * np.sin(roll) + h * np.cos(roll)
         ahead = -np.sin(pitch) * up
         cos, sin = np.cos(heading), np.sin(heading)
