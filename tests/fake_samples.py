@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import signal
 import sys
 import time
 from dataclasses import replace
@@ -159,14 +158,6 @@ def eat_memory_on_bad(recipe: Recipe, index: int) -> EncodedSample:
 
 def miss_a_library(recipe: Recipe, index: int) -> EncodedSample:
     raise ImportError("libmissing.so.1: cannot open shared object file")
-
-
-def be_killed_once(recipe: Recipe, index: int) -> EncodedSample:
-    mark = Path(os.environ["SYNTH3DLANES_TEST_MARK"]) / str(index)
-    if not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return make(recipe, index)
 
 
 def find_the_disk_full(recipe: Recipe, index: int) -> EncodedSample:

@@ -175,10 +175,6 @@ def test_all_mistakes_are_reported(problems: Callable[[str], list[str]]) -> None
     assert len(problems(f"{OWN}fx: 500\nheight_m: 30\npitch_deg: x\nfocal: 3")) == 3
 
 
-KEYS = [*CameraSpec.model_fields, "fx", "K", "calibration", "camera_matrix", "distortion_coefficients", "cam0"]
-KEYS += ["intrinsics", "resolution", "distortion_model", "fisheye_model", "image_width", "image_height"]
-
-
 @pytest.mark.parametrize("name", preset_names("cameras"))
 def test_every_ready_camera_draws_scenes(name: str) -> None:
     spec = load_camera(name)

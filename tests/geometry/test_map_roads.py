@@ -1,58 +1,16 @@
 """Maps as networks: labels against an independent reading of the map's polynomials, paths, directions and links."""
 
-from functools import lru_cache
-
 import numpy as np
 import pytest
 
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.scene import scene as scene_file
-from synth3dlanes.scene.road_map import MapRoad, RoadMap
+from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.world import resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road
 
 MAPS = {"four way": FOUR_WAY, "left turn": LEFT_TURN, "T": T_JUNCTION, "sections": sections_road()}
-
-
-def value(pieces, s):
-    """A piecewise cubic, by the formula."""
-    found = np.zeros(len(s))
-    for piece in sorted(pieces, key=lambda at: at.s_m):
-        x = s - piece.s_m
-        found = np.where(x >= 0, piece.a + piece.b * x + piece.c * x**2 + piece.d * x**3, found)
-    return found
-
-
-@lru_cache(maxsize=50)
-def plan(text: str):
-    """Stations, points and headings along a road's plan: small steps along headings."""
-    road, length_m = MapRoad.model_validate_json(text), 0.0
-    stations, points, headings = [], [], []
-    for piece in road.plan:
-        u = np.linspace(0, piece.length_m, 2 + int(piece.length_m / 0.01))
-        bend = (piece.curvature_end - piece.curvature) / piece.length_m
-        heading = piece.heading_rad + piece.curvature * u + bend * u**2 / 2
-        middle = (heading[1:] + heading[:-1]) / 2
-        steps = np.diff(u)[:, None] * np.stack([np.cos(middle), np.sin(middle)], -1)
-        points.append(np.array([piece.x_m, piece.y_m]) + np.concatenate([[[0, 0]], np.cumsum(steps, axis=0)]))
-        stations.append(length_m + u)
-        headings.append(heading)
-        length_m += piece.length_m
-    return np.concatenate(stations), np.concatenate(points), np.concatenate(headings)
-
-
-def edge(road: MapRoad, section: int, number: int, s):
-    """Points of a lane's outer edge: widths summed outwards from the line."""
-    known, points, headings = plan(road.model_dump_json())
-    xy = np.stack([np.interp(s, known, points[:, k]) for k in (0, 1)], -1)
-    heading = np.interp(s, known, headings)
-    lanes = {lane.number: lane for lane in road.sections[section].lanes}
-    side = 1 if number > 0 else -1
-    t = value(road.lane_offsets, s)
-    for n in range(side, number + side, side) if number else ():
-        t = t + side * value(lanes[n].widths, s - road.sections[section].s_m)
-    return xy + t[:, None] * np.stack([-np.sin(heading), np.cos(heading)], -1)
 
 
 @pytest.mark.parametrize("name", MAPS)

@@ -38,16 +38,6 @@ BENDS = plan(
 )
 
 
-def link(before: str = "", after: str = "") -> str:
-    """Links of a road to others, as NAME:CONTACT."""
-    texts = []
-    for tag, text in (("predecessor", before), ("successor", after)):
-        name, _, contact = text.partition(":")
-        if text:
-            texts.append(f'<{tag} elementType="road" elementId="{name}" contactPoint="{contact}"/>')
-    return "".join(texts)
-
-
 @cache
 def file(profile: str = "") -> bytes:
     """A map of one road with two lanes in each direction."""
