@@ -232,12 +232,6 @@ def test_no_two_cars_ever_overlap(preset):
     assert_apart(load_params(preset), range(3), every_s=0.4)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_no_two_cars_overlap_in_two_hundred_clips():
-    assert_apart(params("cars.n=[12, 24]"), range(200), every_s=0.1)
-
-
 def assert_apart(drawn_from: Params, scenes: range, every_s: float) -> None:
     """No body has a point inside another, at any of many instants; the bodies are sampled, so that the sampler's own
     test of rectangles is not used."""

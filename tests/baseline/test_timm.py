@@ -107,25 +107,6 @@ def test_a_file_gives_timms_vgg16_the_features_of_our_own(timm, tmp_path):
             torch.testing.assert_close(mine, its, rtol=1e-3, atol=1e-5)
 
 
-@pytest.mark.thorough
-def test_a_network_around_a_trunk_learns_and_its_checkpoint_rebuilds_it(timm):
-    config = _config("timm:resnet18")
-    torch.manual_seed(0)
-    model = LaneNet(config)
-    image, intrinsics = torch.rand(2, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]] * 2)
-    output = model(image, intrinsics)
-    assert output.x_m.shape == (2, 3, 16, 6)
-    (output.x_m.square().sum() + output.pose.sum()).backward()
-    assert model.image.trunk.conv1.weight.grad.abs().max() > 0
-    again = LaneNet(type(config).model_validate_json(config.model_dump_json()))
-    again.load_state_dict(model.state_dict())
-    with torch.no_grad():
-        assert again.eval()(image, intrinsics).x_m.equal(model.eval()(image, intrinsics).x_m)
-    early = LaneNet(_config("timm:resnet18", **{"model.variant": "early_ipm", "model.pose_target": "fixed"}))
-    assert len(early.image.channels) == 1
-    assert early(image, intrinsics).x_m.isfinite().all()
-
-
 @pytest.mark.parametrize("variant", ["full", "early_ipm"])
 @pytest.mark.parametrize("name", first(2, ["mobilenetv3_small_100", "mobilenetv4_conv_small_035", "mobilenetv2_050"]))
 def test_every_parameter_has_a_gradient(timm, name, variant):

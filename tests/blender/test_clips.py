@@ -46,16 +46,6 @@ def forget():
 
 
 @pytest.mark.thorough
-def test_bytes_do_not_depend_on_what_was_made_before():
-    in_order = [make_sample(RECIPE, index).members for index in range(6)]
-    for index in (4, 2, 1):
-        if index != 1:  # which goes on from 2
-            forget()
-        assert make_sample(RECIPE, index).members == in_order[index], index
-    assert len({members["png"] for members in in_order}) == 6
-
-
-@pytest.mark.thorough
 def test_scenes_of_all_weathers_in_any_order_give_the_bytes_of_each_alone():
     """What a studio keeps (materials, lamps, sky, names of objects) must not show in the next scene."""
     weathers = (

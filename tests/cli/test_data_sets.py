@@ -27,17 +27,6 @@ def test_stats_of_a_data_set(run: Run, folder: Path, in_tmp_path: Path) -> None:
     assert {"grade [%]", "curvature [1/km]"} <= {row["name"] for row in document["labels"]}
 
 
-@pytest.mark.thorough
-def test_stats_of_scenes_drawn_now(run: Run) -> None:
-    drawn = ("stats", "--params", "tiny", "--n", 30, "--json")
-    document = json.loads(run(*drawn).stdout)
-    assert document["n_scenes"] == 30
-    assert "labels" not in document
-    assert all(row["outside"] == 0 for row in document["parameters"])
-    assert json.loads(run(*drawn, "--seed", 1).stdout)["parameters"] != document["parameters"]
-    assert run(*drawn).stdout == run(*drawn).stdout
-
-
 @pytest.mark.parametrize("arguments", [[], ["d", "--params", "tiny"], ["d", "--seed", "3"], ["d", "--set", "cars.n=1"]])
 def test_stats_is_of_one_thing(run: Run, arguments: list[str]) -> None:
     result = run("stats", *arguments)

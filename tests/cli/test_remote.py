@@ -87,16 +87,6 @@ def test_every_command_that_reads_reads_a_store(store: s3fs.S3FileSystem, run: R
 
 
 @pytest.mark.thorough
-def test_train_reads_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
-    pytest.importorskip("torch")
-    url = "s3://lanes/trained"
-    assert run("merge", folder, "--out", url).exit_code == 0
-    result = run("train", url, "--model", "tiny", "--epochs", 1, "--batch", 4, "--device", "cpu", "--out", "model")
-    assert result.exit_code == 0, result.output
-    assert Path("model/best.pt").exists()
-
-
-@pytest.mark.thorough
 def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
     shutil.copytree(folder, "here")
     url = "s3://lanes/validated"

@@ -20,26 +20,6 @@ JUNCTIONS = ["merge", "split", "none", "merge", "a = b and c", "none"]
 INDEX = pa.table({"n_lanes": N_LANES, "max_grade": GRADES, "flip_lateral": FLIPS, "junction": JUNCTIONS})
 
 
-@pytest.mark.parametrize(
-    ("where", "expected"),
-    [
-        ("flip_lateral and n_lanes = 4", [2]),
-        ("flip_lateral and n_lanes == 4", [2]),
-        ("not flip_lateral", [1, 3, 5]),
-        ("flip_lateral = false", [1, 3, 5]),
-        ("junction = 'merge' or max_grade >= 0.2", [0, 3, 4]),
-        ("flip_lateral and (n_lanes = 2 or n_lanes = 3)", [0, 4]),
-        ("2 < n_lanes < 4", [1, 4]),
-        ("max_grade < -0.05", [5]),
-        ("junction = 'a = b and c'", [4]),
-        ("n_lanes !=\n 3 and 4 > n_lanes", [0, 5]),
-        ("true", [0, 1, 2, 3, 4, 5]),
-    ],
-)
-def test_rows_that_fit(where: str, expected: list[int]) -> None:
-    assert rows_where(INDEX, where).tolist() == expected
-
-
 queries = st.recursive(
     st.sampled_from(["flip_lateral", "n_lanes = 3", "max_grade > 0.07", "junction != 'none'"]),
     lambda inner: st.one_of(

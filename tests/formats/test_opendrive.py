@@ -1,19 +1,15 @@
 """OpenDRIVE: the lanes of a file, read by the standard's rules, are the world's, in place, height, direction, links and
 paint."""
 
-import re
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.opendrive.format import opendrive
-from synth3dlanes.formats.verify import verify
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.roadside import Building, Post, Rail, Roadside
 from synth3dlanes.scene.scene import Symbol, Tree
-from synth3dlanes.system.errors import FormatError
 from synth3dlanes.world.paint import is_double, paint_color, painted_rows
 from synth3dlanes.world.symbols import shape
 from synth3dlanes.world.world import resolve
@@ -318,34 +314,3 @@ def test_objects_stand_and_lie_where_the_worlds_do():
         assert (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0, "counter-clockwise"
     lengths = [float(r.get("length")) for road in found.values() for r in road.element.iter("repeat")]
     assert sum(lengths) == pytest.approx(120, abs=6)
-
-
-@pytest.mark.thorough
-def test_an_export_has_a_map_of_each_scene_and_its_check_finds_what_is_broken(dataset, tmp_path):
-    out = tmp_path / "out"
-    job = Export(str(dataset), out, "opendrive")
-    summary = job.write()
-    assert sorted(summary.n_frames.values()) == [4, 7]
-    files = sorted(str(path.relative_to(out)) for path in out.rglob("*.xodr"))
-    assert files == [*(f"test/{i:08d}.xodr" for i in range(4)), *(f"train/{i:08d}.xodr" for i in range(7))]
-    assert [result.problems for result in verify(job, 9)] == [(), ()]
-    path = out / "test/00000002.xodr"
-    text = path.read_text()
-    for pattern, replacement, expected in (
-        (r'(<geometry s="0" x=")([^"]*)', lambda m: f"{m[1]}{float(m[2]) + 0.1}", "roads without gaps"),
-        (r'(<elevation s="0" a=")[^"]*', r"\g<1>1e3", "roads without gaps"),
-        (r'<(predecessor|successor) id="[^"]*"', r'<\g<1> id="-99"', "to be there"),
-    ):
-        path.write_text(re.sub(pattern, replacement, text))
-        problems = [problem for result in verify(job, 9) for problem in result.problems]
-        assert problems, pattern
-        others = [problem for problem in problems if "test/00000002.xodr: " not in problem]
-        assert all(re.fullmatch(r"and \d+ more problems", problem) for problem in others)
-        assert any(expected in problem for problem in problems)
-    for pattern, replacement, expected in (
-        (r'(<geometry s="0" x=")[^"]*', r"\g<1>1e3", "planView: expected geometry without gaps"),
-        (r'<lane id="(-?)1" type="driving"', r'<lane id="\g<1>7" type="driving"', "lane"),
-    ):
-        path.write_text(re.sub(pattern, replacement, text))
-        with pytest.raises(FormatError, match=rf"00000002\.xodr: road .*{expected}"):
-            verify(job, 9)

@@ -13,7 +13,6 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats.coco import run_lengths
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import open_reader
-from synth3dlanes.formats.verify import verify
 from synth3dlanes.formats.yolo import document as settings_of_yolo
 from synth3dlanes.formats.yolo import outline
 from synth3dlanes.scene.things import SEMANTIC_IDS
@@ -160,15 +159,6 @@ def test_masks_are_the_passes_and_lines_run_along_them(masks, with_passes):
                 assert np.mean((on_own | hidden)[1:-1]) > 0.7
                 n_checked += 1
     assert n_checked >= 6
-
-
-@pytest.mark.parametrize("format_name", ["coco", "masks"])
-def test_exports_verify(format_name, request, with_passes):
-    out = request.getfixturevalue(format_name)
-    results = verify(Export(str(with_passes), out, format_name), 9)
-    assert [result.name for result in results] == ["test", "train", "val"]
-    assert [result.problems for result in results] == [()] * 3
-    assert all(result.n_matched == result.n > 5 for result in results)
 
 
 def test_lines_with_each_others_numbers_are_found(with_passes, masks, tmp_path):

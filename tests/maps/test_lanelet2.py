@@ -5,13 +5,11 @@ import pickle
 import re
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.lanelet2 import lanelet2
 from synth3dlanes.params.params import load_params
@@ -109,23 +107,6 @@ ROUND = [
 @pytest.mark.parametrize(("preset", "seed", "index"), first(1, ROUND))
 def test_scenes_come_back_with_their_lanes_links_rules_and_paint(preset: str, seed: int, index: int) -> None:
     check(sample_world(Scenes(load_params(preset), seed, "round"), index))
-
-
-@pytest.mark.thorough
-def test_a_scene_on_a_map_that_is_read_again_has_its_lanes_and_links() -> None:
-    text, _ = lanelet2(sample_world(Scenes(load_params("town"), 5, "round"), 1))
-    given = read(text.encode())
-    scenes = replace(Scenes(load_params("streets"), 5, "round"), map=MapPlace(given))
-    for index in range(2):
-        world = sample_world(scenes, index)
-        assert len(world.network.lanes) > 100
-        assert set(world.network.lanes) <= set(given.lanes)
-        inside = {(a, b) for a, b in given.links if {a, b} <= set(world.network.lanes)}
-        assert set(world.network.links) == inside
-        # Out once more: lanes meet as in the first file.
-        again, lost = lanelet2(world)
-        assert lost == 0
-        assert len(read(again.encode()).links) == len(world.network.links)
 
 
 # -- small maps
