@@ -3,8 +3,9 @@
 A mutant is the code with one small fault: another sign or operator, a comparison off by one, a changed constant,
 swapped axes or arguments, a dropped condition. Tests are run in the copy until one fails: files of tests that are
 called like the mutant's module, then in the order of how far their imports are from it, and as many as LIMIT_S of CPU
-time allows. So what survives may still fail a test that is far away. Prints each mutant with the test that killed it,
-the survivors and the share killed.
+time allows. So what survives may still fail a test that is far away. Faults in functions are run by forks of one
+process that has all tests (`scripts.mutants_run`), all others by a process each. Prints each mutant with the test that
+killed it, the survivors and the share killed.
 
 Which mutants a subject has follows from a hash of each place: edits of other places do not change them. A mutant with a
 result in FOLDER/results.jsonl is not run again; with --killed only those are run that have one and were killed there.
@@ -21,9 +22,10 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -148,10 +150,10 @@ def _changed(node: ast.AST, source: Source) -> Iterator[tuple[ast.AST, str]]:
             yield node, f"({source(other)})"
         case ast.comprehension(_, _, [condition, *_]):
             yield condition, "True"
-        case ast.Call(called, [first, second, *rest], keywords) if _last_name(called) not in NOT_SWAPPED:
+        case ast.Call(called, [first, second, *rest], keywords) if _is_swapped(called, first, second):
             parts = [source(second), source(first), *map(source, rest), *map(source, keywords)]
             yield node, f"{source(called)}({', '.join(parts)})"
-        case ast.Tuple([first, second], ast.Load()) if not _is_text_or_type(first, second):
+        case ast.Tuple([first, second], ast.Load()) if not _is_text_or_type(first, second) and _differ(first, second):
             swapped = f"{source(second)}, {source(first)}"
             # Axes have no brackets, and slices may have none.
             yield node, swapped if isinstance(first, ast.Slice) or isinstance(second, ast.Slice) else f"({swapped})"
@@ -159,6 +161,14 @@ def _changed(node: ast.AST, source: Source) -> Iterator[tuple[ast.AST, str]]:
             yield node, f"({source(value)}).{NAMES[name]}"
         case ast.Name(name, ast.Load()) if name in NAMES:
             yield node, NAMES[name]
+
+
+def _is_swapped(called: ast.AST, first: ast.AST, second: ast.AST) -> bool:
+    return _last_name(called) not in NOT_SWAPPED and _differ(first, second)
+
+
+def _differ(one: ast.AST, other: ast.AST) -> bool:
+    return ast.unparse(one) != ast.unparse(other)
 
 
 def _last_name(node: ast.AST) -> str:
@@ -278,6 +288,22 @@ def kill(mutant: Mutant, tree: Path) -> str:
     return ""
 
 
+def kill_by_forks(tree: Path, asked: list[Mutant]) -> None:
+    """Write the results of those mutants that are in functions."""
+    from scripts.mutants_run import runs_in_functions
+
+    inside = [asdict(mutant) for mutant in asked if runs_in_functions((tree / mutant.path).read_bytes(), mutant)]
+    if inside:
+        # By their keys, which mixes the subjects: whatever ends the run, some of each have a result.
+        (tree.parent / "mutants.json").write_text(json.dumps(sorted(inside, key=itemgetter("key"))))
+        environment = {**os.environ, "PYTHONPATH": str(tree), "MPLBACKEND": "Agg", "MUTANTS": str(tree.parent)}
+        options = ["-p", "scripts.mutants_run", "-p", "no:cacheprovider", "-q", "--tb=native", "tests"]
+        command = [sys.executable, "-m", "pytest", *options]
+        done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True)
+        if done.returncode > 1:
+            raise click.ClickException(f"pytest ended with {done.returncode}: {(done.stdout + done.stderr)[-1000:]}")
+
+
 def cpu_s() -> float:
     """The CPU time of all programs that ran until now."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -293,11 +319,11 @@ def main(folder: Path, n: int, only: tuple[str, ...], killed: Path | None) -> No
     """Copy the checkout as it is, run the mutants that have no result, and print all results."""
     tree, results = folder.resolve() / "tree", folder / "results.jsonl"
     copy_checkout(tree)
-    done, asked = read(results), read(killed) if killed else {}
-    rows = []
-    for subject, mutant in sampled(tree, n, [*(only or SUBJECTS)]):
-        if killed and not asked.get(mutant.key):
-            continue
+    asked = read(killed) if killed else {}
+    wanted = [(s, m) for s, m in sampled(tree, n, [*(only or SUBJECTS)]) if not killed or asked.get(m.key)]
+    kill_by_forks(tree, [mutant for _, mutant in wanted if mutant.key not in read(results)])
+    done, rows = read(results), []
+    for subject, mutant in wanted:
         if mutant.key not in done:
             done[mutant.key] = kill(mutant, tree)
             row = {"key": mutant.key, "killed_by": done[mutant.key], "mutant": str(mutant)}
