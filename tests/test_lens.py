@@ -1,4 +1,4 @@
-"""Lenses: projection and its inverse, against numbers that OpenCV 4.11 gave and against properties."""
+"""Lenses and rigid transforms: projection and its inverse, against numbers of OpenCV 4.11 and against properties."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from synth3dlanes.geometry.frames import project
+from synth3dlanes.geometry.frames import invert, project, road_from_cam, transform
 from synth3dlanes.geometry.lens import PINHOLE, Lens, LensModel
 
 # By cv2.projectPoints and cv2.fisheye.projectPoints, whose axes are x right, y down, z forward, for this matrix.
@@ -128,3 +128,23 @@ def test_a_wrong_number_of_coefficients_is_refused(model: LensModel, n: int) -> 
 def test_a_sensor_tilted_too_far_is_refused() -> None:
     with pytest.raises(ValueError, match=r"expected tau_x and tau_y of at most 0\.5, in radians"):
         lens("opencv", [0.0] * 13 + [0.6])
+
+
+POSES = st.builds(road_from_cam, st.floats(0.5, 5), st.floats(-1, 1))
+
+
+@given(POSES, POSES)
+def test_inverse_undoes_and_inverts_products(a_from_b, b_from_c):
+    points = np.array([[1.0, 2, 3], [-4, 5, 0.5]])
+    np.testing.assert_allclose(transform(invert(a_from_b), transform(a_from_b, points)), points, atol=1e-12)
+    np.testing.assert_allclose(invert(a_from_b @ b_from_c), invert(b_from_c) @ invert(a_from_b), atol=1e-12)
+
+
+def test_the_axis_of_a_camera_that_looks_down_sinks_towards_the_road():
+    ahead = transform(road_from_cam(1.5, 0.1), np.array([[0.0, 10, 0]]))[0]
+    assert ahead[2] < 1.5, "ten metres along the axis of a camera pitched down is lower than the camera"
+    np.testing.assert_allclose(ahead, [0, 10 * np.cos(0.1), 1.5 - 10 * np.sin(0.1)])
+
+
+def test_the_camera_stands_its_height_above_the_foot():
+    np.testing.assert_allclose(transform(road_from_cam(1.7, 0.05), np.zeros((1, 3)))[0], [0, 0, 1.7])

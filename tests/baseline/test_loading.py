@@ -1,5 +1,4 @@
-"""The loader: nothing read before it is needed, the same batches from any number of workers, nothing kept that is not
-whole."""
+"""The loader: nothing read early, the same batches from any workers, nothing kept that is not whole."""
 
 import multiprocessing
 import os
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from synth3dlanes_baseline import loading
+from synth3dlanes_baseline.ahead import ahead
 from synth3dlanes_baseline.cache import SLOT_BYTES, Slots, from_bytes, to_bytes
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import annotation_of
@@ -219,3 +219,32 @@ print(resident_mb() - before)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=os.sep)
     assert float(done.stdout) < 20
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_items_come_in_order_and_few_are_made_ahead(n):
+    made = []
+
+    def items():
+        for i in range(20):
+            made.append(i)
+            yield i
+
+    for used, item in enumerate(ahead(items(), n), start=1):
+        assert item == used - 1
+        assert len(made) <= used + n
+    assert made == list(range(20))
+
+
+def test_an_error_comes_after_the_items_before_it_and_a_reader_may_leave():
+    def items():
+        yield from range(3)
+        raise ValueError("the fourth")
+
+    found = []
+    with pytest.raises(ValueError, match="the fourth"):
+        found.extend(ahead(items(), 2))
+    assert found == [0, 1, 2]
+    reading = ahead(items(), 2)
+    assert [next(reading), next(reading)] == [0, 1]
+    reading.close()

@@ -1,13 +1,25 @@
-"""Lines are drawn where the camera sees them."""
+"""Lines, boxes, contact sheets and animations show what the camera sees, where it sees it."""
 
+import io
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from synth3dlanes.figures.colors import KINDS
-from synth3dlanes.figures.overlay import draw_overlay, stretches_img
+from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
+from synth3dlanes.figures.gallery import draw_clip, draw_gallery
+from synth3dlanes.figures.overlay import draw_overlay, lines_img, objects_in_image, stretches_img
+from synth3dlanes.figures.page import MAX_FRAMES, scene_page
+from synth3dlanes.figures.samples import ShownSample, ShownScene
+from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.labels.labels import Labels, LaneKind
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.truth.ground_truth import ground_truth, label
+from synth3dlanes.world.world import resolve
+from tests.scenes import changed
+from tests.signals import signals_scene
 
 
 def middle_of(drawn: np.ndarray, row: int, kind: LaneKind, background: int = 120) -> float:
@@ -65,3 +77,139 @@ def test_points_behind_the_camera_are_never_drawn(straight_labels, gray_image):
     lanes = tuple(replace(lane, xyz_cam=lane.xyz_cam * [1, -1, 1]) for lane in straight_labels.lanes)
     labels = Labels(straight_labels.camera, lanes, straight_labels.graph)
     assert (draw_overlay(gray_image, labels) == gray_image).all()
+
+
+def test_lines_connect_the_projected_corners(flat_scene):
+    labels = ground_truth(flat_scene)
+    ((item, lines), _) = objects_in_image(labels)
+    corners = labels.camera.project(item.corners_cam)
+    ends = np.concatenate([line[[0, -1]] for line in lines[:12]])
+    for corner in corners:
+        assert (np.abs(ends - corner).max(axis=1) < 1e-6).sum() == 3
+    middle, front = labels.camera.project(item.corners_cam[[[2, 3, 6, 7], [2, 3, 2, 3]]].mean(axis=1))
+    np.testing.assert_allclose(lines[12], [middle, front], atol=2)
+
+
+def test_a_box_beside_the_camera_is_drawn_as_far_as_it_is_ahead(flat_scene):
+    long = flat_scene.cars[0].model_copy(update={"model": 10, "s_m": -47.0})
+    labels = ground_truth(flat_scene.model_copy(update={"cars": (long,)}))
+    lines = list(lines_img(labels.camera, labels.objects[0]))
+    assert 5 <= len(lines) < 13
+    assert all(np.isfinite(line).all() for line in lines)
+
+
+def test_a_lens_bends_the_lines(flat_scene):
+    camera = {"lens": Lens(model="fisheye", coefficients=(0.02, 0, 0, 0)), "fx_px": 90, "fy_px": 90}
+    labels = ground_truth(changed(flat_scene, camera=camera))
+    assert all(len(line) > 2 for _, lines in objects_in_image(labels) for line in lines)
+
+
+def test_the_overlay_shows_seen_objects_and_no_hidden_ones(flat_scene, gray_image):
+    labels = ground_truth(flat_scene)
+    empty = draw_overlay(gray_image, replace(labels, objects=(), lanes=()))
+    drawn = draw_overlay(gray_image, replace(labels, lanes=()))
+    changed_px = (drawn != empty).any(axis=2)
+    left, top, right, bottom = labels.objects[0].box_px.astype(int)
+    assert changed_px[top : bottom + 1, left : right + 1].sum() > 50
+    assert (np.abs(drawn.astype(int) - OBJECT).max(axis=2) < 60).sum() > 20
+    hidden = draw_overlay(gray_image, replace(labels, lanes=()).with_seen_shares((0.0, 0.0)))
+    assert (hidden == empty).all()
+
+
+def test_faces_of_traffic_elements_are_drawn_where_their_corners_are_but_for_hidden_ones():
+    labels = replace(ground_truth(signals_scene()), lanes=())
+    drawn = [found for found in objects_in_image(labels) if found[0].is_element]
+    assert len(drawn) == 9
+    for item, lines in drawn:
+        corners = labels.camera.project(item.corners_cam[4:])
+        ends = np.concatenate([line[[0, -1]] for line in lines])
+        for corner in corners:
+            assert (np.abs(ends - corner).max(axis=1) < 1e-6).sum() == 2
+    gray = np.full((labels.camera.height_px, labels.camera.width_px, 3), 90, np.uint8)
+    overlay = draw_overlay(gray, labels)
+    assert (np.abs(overlay.astype(int) - ELEMENT).max(axis=2) < 60).sum() > 20
+    hidden = tuple(replace(item, visible_fraction=0.0) for item in labels.traffic_elements)
+    assert (draw_overlay(gray, replace(labels, traffic_elements=hidden)) == gray).all()
+
+
+def test_every_image_has_its_cell_in_reading_order(straight_labels):
+    images = [np.full((36, 48, 3), 10 * i, dtype=np.uint8) for i in range(5)]
+    sheet = np.asarray(draw_gallery([ShownSample("", image) for image in images], 3))
+    assert sheet.shape == (2 * (18 + 36) + 3 * 4, 3 * 48 + 4 * 4, 3)
+    assert [int(sheet[22 + 18 + 58 * (i // 3), 4 + 24 + 52 * (i % 3), 0]) for i in range(5)] == [0, 10, 20, 30, 40]
+    assert (sheet[-10, -10] == 255).all()
+
+
+def test_lanes_are_drawn_when_given(straight_labels, gray_image):
+    plain = draw_gallery([ShownSample("00000007", gray_image)], 4)
+    drawn = draw_gallery([ShownSample("00000007", gray_image, straight_labels)], 4)
+    assert plain.size == drawn.size == (488, 386)
+    expected = draw_overlay(gray_image, straight_labels)
+    assert (expected != gray_image).any()
+    for sheet, image in ((plain, gray_image), (drawn, expected)):
+        np.testing.assert_array_equal(np.asarray(sheet)[22:382, 4:484], image)
+
+
+@pytest.mark.parametrize("width_px", [None, 300])
+def test_each_cell_carries_its_own_key_above_its_picture_at_a_size_that_can_be_read(gray_image, width_px):
+    """The keys are drawn after the images are shrunk: each cell begins with the same picture of its key."""
+    names = ["00000007", "00000017", "00000007" + 100 * "x"]
+    sheet = np.asarray(draw_gallery([ShownSample(name, gray_image) for name in names], 3, width_px))
+    assert sheet.shape[1] <= (width_px or sheet.shape[1])
+    pitch = (sheet.shape[1] - 4) // 3
+    first, second, third = (sheet[4:22, 4 + i * pitch : 4 + i * pitch + 56] for i in range(3))
+    np.testing.assert_array_equal(first, third)
+    assert (first != second).any()
+    assert (first < 110).all(axis=-1).sum() > 40, "dark strokes of a font of a fixed size"
+    assert (sheet[22:-4, 4 : pitch - 1] == 120).all(), "nothing covers a picture"
+    assert (sheet[:, -4:] == 255).all(), "a long key ends with its cell"
+
+
+def shown_in(scene, frame, n_frames=3):
+    shot = Shot(frame=frame, n_frames=n_frames, fps=4, speed_m_s=20)
+    return scene.model_copy(update={"shot": shot})
+
+
+def labelled(scene):
+    world = resolve(scene)
+    return label(world, world.view)
+
+
+@pytest.mark.parametrize("fps", [10.0, 12.0, 7.0])
+@pytest.mark.parametrize("kind", ["webp", "gif", "png"])
+def test_an_animation_has_all_frames_in_order_and_lasts_as_long_as_the_clip(fps, kind):
+    frames = [np.full((48, 64, 3), 20 * i, dtype=np.uint8) for i in range(9)]
+    animation = Image.open(io.BytesIO(draw_clip(frames, fps, 32, kind)))
+    assert (animation.format, animation.size, animation.n_frames) == (kind.upper(), (32, 24), 9)
+    assert animation.info["loop"] == 0
+    lasts_ms, grays = 0, []
+    for number in range(animation.n_frames):
+        animation.seek(number)
+        animation.load()
+        lasts_ms += animation.info["duration"]
+        grays.append(int(np.asarray(animation.convert("L")).mean()))
+    assert lasts_ms == pytest.approx(9000 / fps, abs=5 if kind == "gif" else 0.5)
+    assert grays == pytest.approx(range(0, 180, 20), abs=3)
+
+
+def test_a_page_of_a_clip_has_each_frame_and_begins_with_its_own(flat_scene, gray_image):
+    clip = [(labelled(shown_in(flat_scene, frame)), gray_image) for frame in range(3)]
+    scene = shown_in(flat_scene, 1)
+    page = scene_page(ShownScene(scene, clip[1][0], gray_image, clip=clip))
+    words = re.findall(r'data-words="([^"]*)"', page)
+    assert words == ["frame 0, 0.00 s", "frame 1, 0.25 s", "frame 2, 0.50 s"]
+    assert re.search(r'max="2" value="1"', page)
+    assert 'data-pause-ms="250"' in page
+    assert "show frame 1, 0.25 s." in page
+    assert 'id="frames"' not in scene_page(ShownScene(flat_scene, clip[0][0], gray_image))
+
+
+def test_a_page_of_a_long_clip_has_some_of_its_frames(flat_scene, gray_image):
+    n_frames = 2 * MAX_FRAMES + 1
+    labels = labelled(shown_in(flat_scene, 0, n_frames))
+    page = scene_page(
+        ShownScene(shown_in(flat_scene, 100, n_frames), labels, gray_image, clip=[(labels, gray_image)] * n_frames)
+    )
+    words = [int(number) for number in re.findall(r'data-words="frame (\d+),', page)]
+    assert words == list(range(0, n_frames, 3))
+    assert re.search(r'value="33"', page)

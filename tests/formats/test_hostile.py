@@ -1,4 +1,4 @@
-"""Label files of others, mutated: each is read, or refused by a FormatError whose lines name it."""
+"""Label files of others, mutated or wrong: each is read, or refused by a FormatError whose lines name it."""
 
 import json
 
@@ -8,12 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from synth3dlanes.formats import apollo, once, openlane, tusimple
+from synth3dlanes.formats.apollo import CAMERA
 from synth3dlanes.formats.apollo import parse as parse_apollo
+from synth3dlanes.formats.lines import scene_tags
 from synth3dlanes.formats.openlane import parse as parse_openlane
 from synth3dlanes.formats.reading import image_size, read_image
 from synth3dlanes.formats.tusimple import TusimpleSplit, find_labels
 from synth3dlanes.formats.tusimple import parse as parse_tusimple
 from synth3dlanes.system.errors import FormatError
+from tests.formats import closed_form as cf
 from tests.hostile import WHERE, damaged, files, mutated, refused_or_read
 
 TUSIMPLE = {"raw_file": "clips/1/20.jpg", "lanes": [[-2, 630, 620]], "h_samples": [240, 250, 260]}
@@ -125,3 +129,19 @@ def test_a_picture_of_too_many_pixels_is_refused(tmp_path):
         read_image(tmp_path / "bomb.png")
     with pytest.raises(FormatError, match=r"bomb\.png: expected an image, got "):
         image_size(tmp_path / "bomb.png")
+
+
+@pytest.mark.parametrize("parse", [apollo.parse, openlane.parse, once.parse, tusimple.parse])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"lanes": 3}'])
+def test_a_wrong_file_is_a_format_error_that_names_it(parse, text):
+    with pytest.raises(FormatError, match=r"^some/file.json: "):
+        parse(text, "some/file.json")
+
+
+def test_scene_tags():
+    camera = cf.camera_label()
+    assert scene_tags(cf.road(camera), CAMERA) == set()
+    assert scene_tags(cf.road(camera, curvature=0.004), CAMERA) == {"curve"}
+    assert scene_tags(cf.road(camera, slope=0.001), CAMERA) == {"up_down", "steep"}
+    leaving = cf.lane(camera, cf.curve(3.0), "exit", "centerline", road="exit")
+    assert scene_tags(cf.labels_of(camera, leaving), CAMERA) == {"merge_split"}

@@ -1,4 +1,4 @@
-"""Air, daylight and sensor: each against its law, in numbers that do not come from the code under test."""
+"""Light, film, air, sky and sensor: each against its law, in numbers that do not come from the code under test."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.imaging.film import tonemap
+from synth3dlanes.imaging.film import response, tonemap
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.sensor import MOST_GAIN, add_noise, gain, motion_blur
-from synth3dlanes.imaging.sky import overcast_dome
+from synth3dlanes.imaging.sky import SKY_SHAPE, clear_sky, cloud_cover, overcast_dome, sun_color, sun_direction
+from synth3dlanes.scene.scene import Light
+from synth3dlanes.world.bonnet import bonnet
 from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT, changed
 
@@ -151,3 +154,96 @@ def test_what_is_amplified_is_noisier(rng):
     before = add_noise(dark, 4.0, np.random.default_rng(1)) - dark
     after = add_noise(8 * dark, 4.0, np.random.default_rng(1), 8.0) - 8 * dark
     np.testing.assert_allclose(after, 8 * before, rtol=1e-3, atol=1e-6)
+
+
+def test_more_light_is_never_darker() -> None:
+    x = np.concatenate([np.linspace(0, 1e-4, 500), np.geomspace(1e-4, 60000, 20000)])
+    assert np.all(np.diff(response(x)) >= 0)
+    levels = tonemap(np.repeat(x[None, :, None], 3, axis=2).astype(np.float32))[0, :, 0]
+    assert np.all(np.diff(levels.astype(int)) >= 0)
+    assert (levels[0], levels[-1]) == (0, 255)
+
+
+def test_every_level_between_black_and_white_is_used() -> None:
+    x = np.linspace(0, 8, 200_000, dtype=np.float32)
+    assert len(np.unique(tonemap(np.repeat(x[None, :, None], 3, axis=2)))) == 256
+
+
+def test_middle_gray_stays_and_sunlit_white_does_not_clip() -> None:
+    gray, white = tonemap(np.array([[[0.18] * 3, [2.5] * 3]], np.float32))[0, :, 0]
+    assert abs(int(gray) - 118) <= 8
+    assert 225 < white < 254
+
+
+def test_what_is_no_light_is_black() -> None:
+    assert np.all(tonemap(np.array([[[-1.0, np.nan, -np.inf]]], np.float32)) == 0)
+    assert np.all(tonemap(np.array([[[np.inf, 1e9, 7e4]]], np.float32)) == 255)
+
+
+@given(st.floats(0, 100, width=32))
+def test_the_table_agrees_with_the_curve(x: float) -> None:
+    level = tonemap(np.full((1, 1, 3), x, np.float32))[0, 0, 0]
+    assert abs(float(level) - 255 * float(response(np.array(x)))) <= 0.7
+
+
+def light(zenith_deg: float, azimuth_deg: float = 0.0) -> Light:
+    return Light(sun_zenith_rad=np.deg2rad(zenith_deg), sun_azimuth_rad=np.deg2rad(azimuth_deg), exposure=1.0)
+
+
+@pytest.mark.parametrize("zenith_deg", [5.0, 30.0, 45.0, 80.0])
+def test_the_sky_is_symmetric_and_brighter_near_the_sun(zenith_deg: float) -> None:
+    elevation = np.deg2rad([90 - zenith_deg])
+    towards, left, right, away = clear_sky(light(zenith_deg), elevation, np.deg2rad([0, 60, 60, 180])).sum(axis=0)[0]
+    assert left == right
+    assert min(left, away) > 0
+    assert towards > max(left, away)
+
+
+def test_a_high_sun_leaves_a_blue_zenith_and_a_low_sun_is_red() -> None:
+    zenith = clear_sky(light(40), np.array([np.pi / 2]), np.array([0.0]))[:, 0, 0]
+    assert zenith[2] > zenith[1] > zenith[0]
+    noon, evening = sun_color(light(0)), sun_color(light(86))
+    assert np.all(noon > evening)
+    assert evening[0] / evening[2] > 2 * noon[0] / noon[2]
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 200.0])
+def test_the_image_is_brightest_where_the_lamp_shines_from(azimuth_deg: float) -> None:
+    scene = changed(light={"sun_zenith_rad": np.deg2rad(60), "sun_azimuth_rad": np.deg2rad(azimuth_deg)})
+    sky = daylight(scene, scene.camera.height_m).sky.sum(axis=0)
+    row = SKY_SHAPE[0] // 2 + round(SKY_SHAPE[0] * 12 / 180)  # below the clouds, above the haze
+    column = int(np.argmax(np.convolve(np.tile(sky[row], 3), np.ones(65) / 65, "same")[1024:2048]))
+    u = (column + 0.5) / SKY_SHAPE[1]
+    azimuth_rad = -(u - 0.5) * 2 * np.pi  # Blender's equirectangular projection
+    seen = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad)])
+    assert seen @ sun_direction(scene.light)[:2] > 0.999 * np.sin(scene.light.sun_zenith_rad)
+
+
+def test_clouds_follow_their_generator() -> None:
+    first, again, other = (cloud_cover(np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert 0 <= first.min() <= first.max() <= 1
+
+
+HOST = {"bonnet": 0.3, "gray": 0.2, "gloss": 0.5}
+
+
+@pytest.mark.parametrize(
+    "place", [{"right_m": 0.4}, {"yaw_rad": 0.4, "forward_m": 0.5}, {"yaw_rad": -0.3, "right_m": -0.3}]
+)
+def test_the_bonnet_lies_along_the_middle_of_the_host(place):
+    view = resolve(changed(host=HOST, camera={"pitch_rad": 0.0, **place})).view
+    points_host = np.linalg.solve(view.world_from_host, np.eye(4)) @ view.world_from_bonnet
+    points = transform(points_host, bonnet().vertices_world)
+    assert abs(points[:, 0].min() + points[:, 0].max()) < 1e-6
+    assert np.ptp(points[:, 0]) == pytest.approx(1.56)
+    assert points[:, 1].min() == pytest.approx(place.get("forward_m", 0) + 0.02, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("place", "is_seen"),
+    [({}, True), ({"yaw_rad": 1.0}, False), ({"yaw_rad": np.pi}, False), ({"forward_m": 2.0}, False)],
+)
+def test_cameras_that_look_ahead_from_behind_the_windscreen_see_the_bonnet(place, is_seen):
+    assert (resolve(changed(host=HOST, camera=place)).view.world_from_bonnet is not None) == is_seen

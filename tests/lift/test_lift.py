@@ -1,4 +1,4 @@
-"""Lifting a drive over a hill in closed form: ground, lines of sight, lanes, and what is said of their certainty."""
+"""Lifting a drive over a hill in closed form: ground, lines of sight, lanes, and what is said of them."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -8,13 +8,14 @@ import pytest
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.recorded.drives.drive import Drive
+from synth3dlanes.recorded.lift import tracks as lifted_tracks
 from synth3dlanes.recorded.lift.cast import cast, seen_over
 from synth3dlanes.recorded.lift.curves import SeenLine, smooth
 from synth3dlanes.recorded.lift.ground import GroundMap, fit_ground
 from synth3dlanes.recorded.lift.path import path_of
 from synth3dlanes.recorded.lift.precision import NO_ERROR, Precision
 from synth3dlanes.recorded.lift.run import lifted_frames
-from synth3dlanes.recorded.lift.tracks import scans_along
+from synth3dlanes.recorded.lift.tracks import Track, scans_along, unplaced
 from synth3dlanes.system.errors import InputError
 from tests.lift import hill
 
@@ -218,3 +219,23 @@ def test_standard_deviations_hold() -> None:
 def test_a_wrong_precision_is_told() -> None:
     with pytest.raises(InputError, match=r"precision: expected numbers from 0 to 1000 for lanes_px, .*, got pose=1"):
         Precision.of({"pose": 1.0})
+
+
+S = np.arange(0.0, 120.0)
+
+
+def track(name: str, d: np.ndarray) -> Track:
+    return Track(name, S, d, unplaced(len(S)), np.full((len(S), 1), 0.02))
+
+
+@pytest.mark.parametrize(("narrow_m", "has_second"), [(6.0, False), (30.0, True)])
+def test_a_centre_line_is_where_a_lane_is_not_where_lines_meet(narrow_m: float, has_second: bool) -> None:
+    """The right line of a lane leaves after 60 m, and comes near again for some metres."""
+    apart = np.where(S < 60, 3.5, 8.0)
+    apart[(S >= 90) & (90 + narrow_m > S)] = 4.0
+    found = lifted_tracks._between(track("line_0", np.zeros(len(S))), track("line_1", apart), ())
+    assert found is not None
+    np.testing.assert_allclose(found.d, np.where(found.s < 60, 1.75, 2.0))
+    assert found.s[0] == 0
+    assert bool((found.s >= 90).any()) == has_second
+    assert (np.diff(found.s) == 1).sum() == len(found.s) - 1 - has_second

@@ -1,10 +1,70 @@
-"""Only `files.py` opens files to be written, replaces and removes them; all others ask its `Folder`. Libraries write
-into memory: they do not look whether a disk took all."""
+"""What modules load, write and are called, and how many arguments functions take, by their sources."""
 
 import ast
+import re
+import subprocess
+import sys
+from collections import defaultdict
 from pathlib import Path
 
+import pytest
+
+HEAVY = ("bpy", "matplotlib", "pyarrow", "ray", "scipy.interpolate", "scipy.ndimage", "scipy.spatial", "torch")
+PROBE = "import sys, {}; print(*sorted({} & set(sys.modules)))"
+
+
+# Those that load none of the heavy packages, and those that load pyarrow alone.
+LIGHT = ("", "_cli.main", ".roads.network", ".draw.sample", ".truth.ground_truth", ".formats.apollo")
+WITH_TABLES = (".api", ".dataset.read", ".formats.export", ".dataset.scenes", ".production.run")
+
+
+@pytest.mark.parametrize(("modules", "allowed"), [(LIGHT, set()), (WITH_TABLES, {"pyarrow"})], ids=["light", "tables"])
+def test_importing_does_not_load(modules: tuple[str, ...], allowed: set[str]) -> None:
+    """What all of them load together."""
+    command = [sys.executable, "-c", PROBE.format(", ".join(f"synth3dlanes{name}" for name in modules), {*HEAVY})]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout.split()
+    assert set(loaded) <= allowed
+
+
+MOST_ARGUMENTS = 6
+
+
+def test_no_function_of_the_library_takes_more_than_six_arguments():
+    root, found = Path(__file__).parents[1], set()
+    for package in ("synth3dlanes", "baseline_model"):
+        for path in (root / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+                    named = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                    if sum(one.arg not in ("self", "cls") for one in named) > MOST_ARGUMENTS:
+                        name = getattr(node, "name", "lambda")
+                        found.add(f"{path.relative_to(root / package).as_posix()}: {name}")
+    assert found == set()
+
+
 ROOT = Path(__file__).parents[1]
+
+
+def _types(path):
+    """The public classes and type aliases of a module, with what they stand for; type variables are local."""
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name, f"class in {path.relative_to(ROOT)}"
+        elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            name, value = node.targets[0].id, ast.unparse(node.value)
+            if re.fullmatch(r"[A-Z]\w*[a-z]\w*", name) and not value.startswith("TypeVar("):
+                yield name, value
+
+
+def test_no_two_classes_or_types_share_a_name():
+    meanings = defaultdict(set)
+    for package in ("synth3dlanes", "cli", "baseline_model"):
+        for path in (ROOT / package).rglob("*.py"):
+            for name, meaning in _types(path):
+                meanings[name].add(meaning)
+    assert {name: found for name, found in meanings.items() if len(found) > 1} == {}
+
+
 # Calls that write, replace or remove by a path. Figures and pictures are written into streams that files.py opened.
 WRITERS = {"write_text", "write_bytes", "unlink", "mkdir", "rmdir", "rmtree", "symlink_to", "hardlink_to", "touch"}
 WRITERS |= {"rename", "makedirs", "copyfile", "copytree", "copy2", "move", "mkdtemp", "mkstemp", "truncate"}

@@ -1,0 +1,244 @@
+"""The paper's road: its topologies, places, terrain and camera, in words and by formulas."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from synth3dlanes.geometry.frames import project
+from synth3dlanes.roads.paper_roads import smooth_min
+from synth3dlanes.roads.terrain import gradient_at, height_at
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Car, Gaussian, Terrain
+from synth3dlanes.world.camera import img_from_cam
+from synth3dlanes.world.horizon import FarHills
+from synth3dlanes.world.motion import car_at, host_exposure
+from synth3dlanes.world.world import resolve
+from tests.scenes import FLAT, changed
+
+
+def network_of(topology, n=3, **road):
+    return resolve(changed(road={"topology": topology, "n_lanes": n, **road})).network
+
+
+def by_id(network):
+    return {curve.id: curve for curve in network.curves}
+
+
+def x_at(curve, s):
+    return float(curve.xy_world(np.array([s]))[0, 0])
+
+
+def width_m(network):
+    return network.main.lane_width_m
+
+
+def nose_m(network):
+    return network.roads[-1].parting.station(0.0)
+
+
+@pytest.mark.parametrize(
+    ("topology", "expected"),
+    [
+        (2, {("stem_1", "main_1"), ("stem_2", "main_2"), ("stem_3", "main_3"), ("stem_3", "exit_1")}),
+        (3, {("stem_1", "main_1"), ("stem_2", "main_2"), ("stem_2", "main_3"), ("stem_3", "exit_1")}),
+        (4, {("stem_1", "main_1"), ("stem_2", "main_2"), ("stem_2", "exit_1"), ("stem_3", "exit_2")}),
+    ],
+)
+def test_who_leads_where(topology, expected):
+    assert set(network_of(topology).links) == expected
+
+
+@pytest.mark.parametrize(("topology", "n_lines"), [(1, 4), (2, 6), (3, 7), (4, 6)])
+def test_every_painted_line_once(topology, n_lines):
+    lines = [curve for curve in network_of(topology).curves if curve.kind == "delimiter"]
+    assert len(lines) == n_lines
+    solid = {line.id for line in lines if line.marking == "solid"}
+    outer = {1: {"main_line_0", "main_line_3"}}.get(topology)
+    main_after = 2 if topology == 4 else 3
+    exit_lanes = 2 if topology == 4 else 1
+    assert solid == (outer or {"main_line_0", f"main_line_{main_after}", "exit_line_0", f"exit_line_{exit_lanes}"})
+
+
+@pytest.mark.parametrize("topology", [2, 3, 4])
+def test_curves_run_on_without_a_break_through_the_split(topology):
+    network = network_of(topology, n=4, offset_p50_m=9, offset_m50_m=-6)
+    for curve in network.curves:
+        if curve.pieces[0].start_m > -np.inf:
+            continue
+        s = np.linspace(-3, min(3, curve.end_m), 601)
+        steps = np.linalg.norm(np.diff(curve.xy_world(s), axis=0), axis=1)
+        assert steps.max() < 0.45, curve.id
+        across = [network.main.line.project(curve.xy_world(s))[1]]
+        assert np.abs(np.diff(across)).max() < 0.03, f"{curve.id} jumps sideways"
+
+
+def test_the_rounded_minimum_stays_within_two_centimetres_and_has_no_corner():
+    q = np.linspace(2, 5, 3001)
+    value = smooth_min(q, 3.5)
+    assert np.abs(value - np.minimum(q, 3.5)).max() <= 0.0151
+    assert np.abs(np.diff(value, 2)).max() < 2e-5
+
+
+@pytest.mark.parametrize("merge", [False, True])
+def test_the_graph_runs_in_driving_direction(merge):
+    network = network_of(2, flip_lateral=merge)
+    graph = network.graph([curve.id for curve in network.curves])
+    if merge:
+        assert graph.successors["exit_1"] == ("stem_3",)
+        assert {x.id: x.s_start_m for x in graph.segments}["stem_1"] == 0
+    else:
+        assert graph.successors["stem_3"] == ("main_3", "exit_1")
+        assert {x.id: x.s_end_m for x in graph.segments}["stem_1"] == 0
+    stem = next(x for x in graph.segments if x.id == "stem_3")
+    assert set(stem.centerlines) == {"main_3", "exit_1"}, "both paths of a split share their stem"
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("topology", [1, 2, 3, 4])
+def test_what_is_called_left_lies_to_the_left(topology, flip):
+    network = network_of(topology, flip_longitudinal=flip)
+    lines = by_id(network)
+    for curve in lines.values():
+        s = 30.0 if curve.id == "stem_line" else 80.0
+        if curve.id == "stem_line":
+            s = nose_m(network) - 1
+        for is_right, sign in ((False, -1), (True, 1)):
+            side = curve.beside(is_right, s, lines)
+            if side in lines:
+                gap = x_at(lines[side], s) - x_at(curve, s)
+                assert 0 < sign * gap < 1.2 * width_m(network), (curve.id, side)
+
+
+CURVED = {"offset_m100_m": 8.0, "offset_m50_m": -5.0, "offset_p50_m": 6.0, "offset_p100_m": -9.0}
+
+
+def curved(**road):
+    return resolve(changed(road={**CURVED, "topology": 2, **road}))
+
+
+@pytest.mark.parametrize("topology", [2, 3, 4])
+def test_nose_and_ramp_begin_where_the_specification_says(topology):
+    world = curved(topology=topology)
+    w = world.scene.road.lane_width_m
+    branch = world.network.road("exit")
+    q = branch.line.opening
+    assert q(np.array([branch.parting.station(0.0)]))[0] == pytest.approx(w)
+    assert q(np.array([branch.ramp.start_m]))[0] == pytest.approx(w + 2 * w * world.scene.road.shoulder_factor)
+
+
+@pytest.mark.parametrize("exit_offset_m", [0.0, 0.5, 10.0])
+@pytest.mark.parametrize("exit_angle_deg", [0.01, 1, 5])
+def test_a_road_is_as_wide_open_as_asked_where_it_says(exit_angle_deg, exit_offset_m):
+    """At 0.01 degrees without a bend it opens far beyond its curved part."""
+    world = curved(exit_angle_rad=np.radians(exit_angle_deg), exit_offset_m=exit_offset_m)
+    opening = world.network.road("exit").line.opening
+    for q_m in (0.1, 3.6, 20.0):
+        assert opening(np.array([opening.station(q_m)]))[0] == pytest.approx(q_m, rel=1e-12)
+
+
+def test_a_ramp_whose_shoulders_never_separate_inside_the_scene_is_unused():
+    world = curved(exit_angle_rad=np.radians(1), exit_offset_m=0.0)
+    assert world.network.road("exit").ramp is None
+    assert not world.network.road("exit").raised(np.linspace(0, 400, 50)).any()
+
+
+def test_points_are_found_again():
+    world = curved()
+    s = np.linspace(2, 95, 60)
+    for t in (-8.0, 0.0, 11.0):
+        back_s, back_t = world.network.main.line.project(world.network.main.xy(s, t))
+        np.testing.assert_allclose([back_s, back_t], [s, np.full(60, t)], atol=1e-6)
+        back_s, back_t = world.network.road("exit").line.project(world.network.road("exit").xy(s, t / 2), s + 1.0)
+        np.testing.assert_allclose([back_s, back_t], [s, np.full(60, t / 2)], atol=1e-6)
+
+
+def test_stations_are_metres_of_road():
+    network = curved().network
+    for road in network.roads:
+        s = network.stations_along(road, 0.0, np.arange(0.0, 91.0))
+        gaps = np.linalg.norm(np.diff(road.xy(s, 0.0), axis=0), axis=1)
+        np.testing.assert_allclose(gaps, 1.0, atol=2e-3)
+
+
+GAUSSIANS = st.builds(
+    Gaussian,
+    center_m=st.tuples(st.floats(-150, 150), st.floats(-150, 150)),
+    magnitude_m=st.floats(-50, 50),
+    sd_m=st.tuples(st.floats(25, 250), st.floats(25, 250)),
+    orientation_rad=st.floats(0, np.pi / 2),
+)
+TERRAINS = st.builds(Terrain, gaussians=st.lists(GAUSSIANS, min_size=1, max_size=7).map(tuple))
+
+
+@given(TERRAINS, st.floats(-200, 200), st.floats(-200, 200))
+def test_gradient_equals_central_differences(terrain, x, y):
+    step = 1e-3
+    around = np.array([[x + step, y], [x - step, y], [x, y + step], [x, y - step]])
+    z = height_at(terrain, around)
+    differences = [(z[0] - z[1]) / (2 * step), (z[2] - z[3]) / (2 * step)]
+    np.testing.assert_allclose(gradient_at(terrain, np.array([[x, y]]))[0], differences, atol=1e-6)
+
+
+def test_far_hills_rise_behind_all_roads_and_nowhere_else(flat_scene):
+    angles, radii_m = np.meshgrid(np.linspace(0, 2 * np.pi, 90), np.linspace(0, 4000, 161))
+    xy = np.stack([radii_m * np.cos(angles), radii_m * np.sin(angles)], axis=-1)
+    scenes = [flat_scene.model_copy(update={"index": index}) for index in range(20)]
+    heights_m = np.array([FarHills.draw(scene.stream("far_hills")).height(xy) for scene in scenes])
+    assert not heights_m[:, radii_m < 500].any()
+    assert heights_m.min() == 0
+    assert 40 < heights_m.max() < 300
+    assert len({round(float(height.max()), 3) for height in heights_m}) == 20, "every scene has its own"
+    np.testing.assert_array_equal(FarHills.draw(scenes[0].stream("far_hills")).height(xy), heights_m[0])
+
+
+def pixel_of(x, y, z):
+    return project(img_from_cam(FLAT.camera), np.array([[x, y, z]], dtype=float))[0]
+
+
+def test_a_point_to_the_right_projects_right_of_centre_and_one_above_projects_above():
+    assert pixel_of(1, 10, 0)[0] > 240
+    assert pixel_of(0, 10, 1)[1] < 180
+
+
+def test_a_point_behind_the_camera_has_no_pixel():
+    assert np.isnan(pixel_of(0, -1, 0)).all()
+
+
+def test_a_camera_further_right_in_its_lane_stands_further_right():
+    left, right = (resolve(changed(camera={"offset_m": offset})).view.eye_world[0] for offset in (-0.3, 0.3))
+    assert (left, right) == (pytest.approx(-0.3), pytest.approx(0.3))
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_lanes_count_from_the_left_whatever_the_flip(flip):
+    xs = [
+        resolve(changed(road={"topology": 2, "flip_longitudinal": flip}, camera={"lane": lane})).view.world_from_cam[
+            0, 3
+        ]
+        for lane in (1, 2, 3)
+    ]
+    np.testing.assert_allclose(xs, [-3.5, 0, 3.5], atol=1e-9)
+
+
+def car(**values) -> Car:
+    drawn = {"model": 1, "scale": 1.0, "color": (0.5, 0.5, 0.5), "gloss": 0.5, "lane": "stem_1", "s_m": -20.0}
+    return Car(**drawn | values)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_who_passes_the_split_is_in_the_lane_behind_it(flip):
+    network = resolve(changed(road={"topology": 2, "n_lanes": 3, "flip_longitudinal": flip})).network
+    assert [car_at(network, car(lane=f"stem_{n}", speed_m_s=40.0), 1.0).lane for n in (1, 2, 3)] == [
+        "main_1", "main_2", "main_3"
+    ]  # fmt: skip
+
+
+def test_a_host_that_waits_is_sharp_and_one_that_drives_is_blurred_by_its_way():
+    track = ((0.0, 0.0), (1.0, 10.0), (2.0, 20.0), (3.0, 20.0), (4.0, 20.0))
+    shots = [Shot(frame=frame, n_frames=9, fps=2.0, track=track) for frame in (2, 7)]
+    driving, waiting = (host_exposure(shot, 0.5) for shot in shots)
+    assert waiting.driven_m == 0
+    assert waiting.duration_s == driving.duration_s == host_exposure(Shot(), 0.5).duration_s
+    assert np.isclose(driving.driven_m, 10.0 * driving.duration_s)
+    assert host_exposure(Shot(n_frames=2, speed_m_s=10.0), 0.5) == (10.0, 0.05, 0.5)
