@@ -51,19 +51,6 @@ def test_gallery_shows_what_a_query_selects(run: Run, folder: Path, in_tmp_path:
     assert [int(row[4 + 240 + 484 * k]) for k in range(len(wanted))] == [20 * index for index in wanted]
 
 
-@pytest.mark.parametrize(
-    ("query", "expected"),
-    [
-        ("n_lane = 4", "--where n_lane = 4: unknown column n_lane; did you mean n_lanes?"),
-        ("n_lanes > 90", "--where n_lanes > 90: expected a sample of"),
-    ],
-)
-def test_a_query_that_selects_nothing(run: Run, folder: Path, query: str, expected: str) -> None:
-    result = run("gallery", folder, "--where", query)
-    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
-    assert expected in result.stderr
-
-
 def test_pages(run: Run, folder: Path, in_tmp_path: Path) -> None:
     result = run("report", folder, "--samples", 3)
     assert (result.exit_code, result.stdout) == (0, "Page: report.html\n"), result.stderr

@@ -100,31 +100,6 @@ def test_the_scene_of_a_sample_is_checked_against_the_condition() -> None:
     assert "overcast" in origin.fault(edited, "train", 0)
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        ("--where max_grade>9 --tries 3", "--where max_grade>9: expected a scene that fits, got none in 3 tries for "),
-        ("--where grade>0.04", "--where grade>0.04: unknown column grade; did you mean max_grade?"),
-        (
-            "--where n_visible_centerlines>1",
-            "expected columns of scenes and labels, got n_visible_centerlines of",
-        ),
-        ("--where key='0'", "unknown column key"),
-        ("--where n_lanes", "expected a truth value, got a number"),
-        ("--where n_lanes>1 --tries 100001", "--tries: expected 1 to 100000, got 100001"),
-        ("--where n_lanes>1 --like s.json", "--where: expected none beside --like"),
-        ("--tries 3", "--tries: expected none without --where"),
-    ],
-)
-def test_a_condition_that_cannot_be_met_is_one_line(options: str, told: str, in_tmp_path: Path) -> None:
-    Path("s.json").write_text("{}")
-    command = f"generate --n 2 --params tiny --out d --device cpu {options}"
-    done = CliRunner().invoke(main, command.split())
-    assert (done.exit_code, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
-    assert told in done.stderr
-    assert not Path("d").exists()
-
-
 def test_the_share_that_fits_is_said(in_tmp_path: Path) -> None:
     command = ["generate", "--n", "2", "--params", "tiny", "--out", "d", "--device", "cpu", "--dry-run"]
     scenes = Scenes(load_params("tiny"), 0, "train")
