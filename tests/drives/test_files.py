@@ -1,22 +1,25 @@
-"""The other files of a drive: poses, 2D lanes, marks, `drive.yaml`; every form gives the same, bad ones one line."""
+"""The files of a drive: poses, 2D lanes, marks, drive.yaml; bad ones are named in a line."""
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from synth3dlanes.recorded.drives.checks import drive_findings
 from synth3dlanes.recorded.drives.drive import MarkedLane
 from synth3dlanes.recorded.drives.lines import read_lines_of
 from synth3dlanes.recorded.drives.marks import marks_text, read_marks
 from synth3dlanes.recorded.drives.open import open_drive
 from synth3dlanes.recorded.drives.poses import read_kitti_poses, read_pose_feather, read_pose_json, read_tum
 from synth3dlanes.recorded.drives.review import read_review
+from synth3dlanes.recorded.drives.top_view import top_view
 from synth3dlanes.system.errors import FormatError, InputError
 from tests.drives import road as made
-from tests.hostile import files, mutated, refused_or_read
+from tests.hostile import damaged, files, mutated, refused_or_read
 
 OURS_FROM_FLU = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
@@ -257,3 +260,46 @@ def test_what_is_no_drive_is_told_in_one_line(tmp_path, monkeypatch, source):
     with pytest.raises((InputError, FormatError)) as caught:
         open_drive(source)
     assert len(str(caught.value).splitlines()) == 1
+
+
+WRITERS = {
+    "described": made.write_described,
+    "sequence": made.write_sequence,
+    "raw": made.write_raw,
+    "argoverse": made.write_argoverse,
+}
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory) -> dict[str, Path]:
+    short = made.road(4)
+    short.world = short.world[::20]
+    return {name: write(tmp_path_factory.mktemp(name), short) for name, write in WRITERS.items()}
+
+
+def parts(root: Path) -> list[Path]:
+    """One file of each kind: of many scans and images the first."""
+    found = sorted(path for path in root.rglob("*") if path.is_file())
+    return list({(path.parent, path.suffix): path for path in reversed(found)}.values())
+
+
+def read(folder: Path) -> None:
+    drive = open_drive(str(folder))
+    assert all(np.isfinite(frame.world_from_host).all() for frame in drive.frames)
+    assert all("\n" not in line for line in drive_findings(drive))
+    top_view(drive)
+
+
+@pytest.mark.thorough
+@files
+@given(data=st.data(), name=st.sampled_from(list(WRITERS)))
+def test_a_damaged_file_is_refused_or_read(drives, data, name):
+    folder = drives[name]
+    root = folder.parents[1] if name in ("sequence", "raw") else folder
+    path = data.draw(st.sampled_from(parts(root)))
+    good = path.read_bytes()
+    try:
+        path.write_bytes(data.draw(damaged(good)))
+        refused_or_read(lambda: read(folder), str(root), "monday", "frames", error=(FormatError, InputError))
+    finally:
+        path.write_bytes(good)

@@ -36,10 +36,10 @@ SIZE_PX = {
 
 
 # A folder for each frame, and lines of many frames in one file; the others have files of their own for tests.
-FIRST = ("openlane", "tusimple")
+QUICK = ("openlane", "tusimple")
 
 
-@pytest.fixture(scope="module", params=first(len(FIRST), sorted(PINHOLE, key=lambda name: name not in FIRST)))
+@pytest.fixture(scope="module", params=first(len(QUICK), sorted(PINHOLE, key=lambda name: name not in QUICK)))
 def exported(request, dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("exports") / request.param
     seen = []
