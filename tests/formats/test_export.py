@@ -20,6 +20,9 @@ from synth3dlanes.formats.verify import verify
 from synth3dlanes.system import files
 from synth3dlanes.system.errors import ClaimedError, FormatError, InputError
 from tests.formats import closed_form as cf
+from tests.formats.test_segmentation import passes_of
+from tests.power_cut import survive
+from tests.small_files import withstands
 from tests.thorough import first
 
 N_TRAIN, N_TEST = 7, 4
@@ -386,3 +389,33 @@ def test_marks_of_an_export_name_no_file_elsewhere(dataset, tmp_path, place):
     (out / "export.json").write_text("[" * 10_000)
     with pytest.raises(FormatError, match=r"export\.json: expected a JSON document"):
         Export(str(dataset), out, "apollo").write()
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory, write_split):
+    root = tmp_path_factory.mktemp("small")
+    write_split(root, "test", 2, ["road.topology=1", "camera.width_px=480"], passes_of)
+    return root
+
+
+# Cosmos has clips: its writer is that of the others.
+@pytest.mark.parametrize(
+    "format_name",
+    first(2, sorted({*format_names()} - {"cosmos"}, key=lambda name: (name not in ("tusimple", "masks"), name))),
+)
+def test_a_full_disk(small, tmp_path, format_name):
+    from synth3dlanes_cli.main import main
+
+    words = ["export", str(small), "--format", format_name, "--out", str(tmp_path / "out")]
+    (tmp_path / "out").mkdir()
+    withstands(lambda: CliRunner().invoke(main, words), tmp_path / "out")
+
+
+OTHERS = ["tusimple", "openlane", "once", "culane", "curvelanes", "opendrive", "lanelet2"]
+
+
+@pytest.mark.parametrize(("format_name", "n_cuts"), first(1, [("tusimple", 5), *((name, 8) for name in OTHERS)]))
+def test_an_export(dataset, tmp_path, monkeypatch, format_name, n_cuts):
+    # Several chunks, each with its mark.
+    monkeypatch.setattr("synth3dlanes.formats.plan.FRAMES_PER_CHUNK", 3)
+    survive(lambda out: Export(str(dataset), out, format_name).write(), tmp_path, n_cuts)
