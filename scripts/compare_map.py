@@ -24,7 +24,7 @@ import numpy as np
 from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
-from synth3dlanes.roads.maps.given_map import read_map
+from synth3dlanes.roads.maps.read import read_map
 from synth3dlanes.truth.ground_truth import label
 from tests.maps.comparing import Apart, apart, everywhere
 from tests.maps.standard import read
