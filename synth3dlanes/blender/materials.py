@@ -139,7 +139,7 @@ def set_materials(materials: Materials, world: World) -> None:
     ghosts = materials.ghost, materials.removed
     for like_road in (paved_shoulder, *ghosts, *materials.paints):
         like_road.node_tree.nodes["albedo"].image = road.node_tree.nodes["albedo"].image
-    works = scene.road.works if scene.road is not None else None
+    works = scene.roads.works
     contrasts = surface.ghost_lines, works.removed if works is not None else 0.0
     for ghost, contrast in zip(ghosts, contrasts, strict=True):
         set_value(ghost, "shade", ghost_shade(contrast, scene.stream))

@@ -95,7 +95,7 @@ def numbers_of(scene: Scene | None, labels: Labels) -> dict[str, Any]:
     row |= {"n_traffic_elements": len(labels.traffic_elements or ())}
     counts = Counter(thing.kind for thing in scene.things)
     row |= {f"n_{kind}s": counts[kind] for kind in get_args(ThingKind)}
-    works = scene.road.works if scene.road is not None else None
+    works = scene.roads.works
     named = (works.kind, works.lines) if works is not None else ("none", "none")
     return row | dict(zip(("works", "works_lines"), named, strict=True)) | _topology(scene, labels) | _summary(labels)
 

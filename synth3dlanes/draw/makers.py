@@ -7,6 +7,7 @@ from typing import Any
 
 from synth3dlanes.draw.crossing import Crosser
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
+from synth3dlanes.draw.riders import RiderPlaces, places_along_road
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.groups import MotionParams
 from synth3dlanes.params.shots import Shots
@@ -30,8 +31,8 @@ class Roads:
     """The roads of a scene with the host on them. `fields` are the scene's fields that follow: terrain, road or map,
     town, camera, shot. The rest is called in order, with the scene as drawn up to then and its ground: what stands
     beside the roads, what drives on them, the trees that they add to those drawn, and paint that bounds no lane.
-    `has_to_fit` says that trees for which there is no room are an error. `crossers` are the people that the traffic of
-    a clip lets cross, None where it knows of no people."""
+    `has_to_fit` says that trees for which there is no room are an error. `ride` has the places of riders; `crossers`
+    are the people that the traffic of a clip lets cross, None where it knows of no people."""
 
     network: Network
     fields: dict[str, Any]
@@ -40,6 +41,7 @@ class Roads:
     grow: Callable[[Scene, Ground, tuple[Tree, ...]], tuple[Tree, ...]] = lambda scene, ground, trees: trees
     paint: Callable[[Scene, Ground], tuple[Symbol, ...]] = lambda scene, ground: ()
     has_to_fit: bool = True
+    ride: RiderPlaces = places_along_road
     crossers: tuple[Crosser, ...] | None = None
 
 

@@ -14,6 +14,7 @@ from synth3dlanes.draw.draws import SCENE_DECIMALS, DrawsOf
 from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, first_shot
 from synth3dlanes.draw.map_standing import map_trees, stand
 from synth3dlanes.draw.map_terrain import GROUND_GRID_STEP_M, terrain_of
+from synth3dlanes.draw.riders import places_on_map
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.cross_section import CrossSection
@@ -59,7 +60,13 @@ def map_roads(
         speed_m_s = _allowed(network.way, camera.y_m, shot.speed_m_s, shot.duration_s)
         shot = shot.model_copy(update={"speed_m_s": speed_m_s})
     fields = {"terrain": terrain, "road": None, "map": roads, "camera": camera, "shot": shot}
-    return Roads(network, fields, stand, drive=lambda scene, ground: cars_on_map(scene, network, of))
+    return Roads(
+        network,
+        fields,
+        stand,
+        drive=lambda scene, ground: cars_on_map(scene, network, of, roads.links),
+        ride=places_on_map,
+    )
 
 
 class MapPlace(NamedTuple):
@@ -129,17 +136,14 @@ def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
 def red_lines(scene: Scene, network: Network) -> dict[LaneName, float]:
     """Where traffic may not go on, by lanes, as stations of their roads: at the stop lines of signals that are neither
     green nor off, or where the junction begins."""
-    roads = scene.map
-    assert roads is not None, "asked only of maps"
-    lines = {at.lane: at.s_m for at in roads.paint if at.kind == "stop_line" and at.lane is not None}
-    inside = {road.id for road in roads.roads if road.junction is not None}
+    lines = {at.lane: at.s_m for at in scene.roads.paint if at.kind == "stop_line" and at.lane is not None}
     found: dict[LaneName, float] = {}
     for signal in scene.roadside.signals:
         if signal.state_at(0.0) not in ("green", "off"):
             for name in signal.lanes:
                 if name in network.lanes:
                     lane = network.lanes[name]
-                    found[name] = lines.get(name, lane.driven[0] if lane.road in inside else lane.driven[1])
+                    found[name] = lines.get(name, lane.driven[int(lane.junction is None)])
     return found
 
 
@@ -164,14 +168,15 @@ def _allowed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, l
     return round(float(fastest), 3)
 
 
-def cars_on_map(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, ...]:
+def cars_on_map(
+    scene: Scene, network: Network, of: DrawsOf, links: Sequence[tuple[LaneName, LaneName]]
+) -> tuple[Car, ...]:
     """Cars in the lanes as near to the host as stations of `cars.s_m` are to the paper's, which in a clip keep a speed
     through lanes that follow each other and touch nobody; those without room are left out."""
     shot, camera, is_clip = scene.shot, scene.camera, scene.shot.n_frames > 1
     looks, speeds = of("cars", "map_cars"), of("motion", "car_speeds")
     near, chances = _near(scene, network, max(map(abs, extent(of.params.cars.s_m))))
     lines, rng = red_lines(scene, network), looks.rng
-    links = () if scene.map is None else scene.map.links
 
     def own(way: LaneCurve, at_m: float, offset_m: float, size: BodySize) -> Way:
         return lambda driven_m: _footprints(way, at_m + driven_m, offset_m, size)

@@ -61,11 +61,11 @@ class Crosswalk(NamedTuple):
 
 
 def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf, crossers: tuple[Crosser, ...] | None) -> Iterator[Thing]:
-    """The people of a scene on a map: first those at crosswalks, then the others. `crossers` are those that the traffic
-    of a clip knows of, None where it knows of nobody."""
+    """The people of a scene: first those at crosswalks, then those on the walkways of roads that have any.
+    `crossers` are those that the traffic of a clip knows of, None where it knows of nobody."""
     own, looks, network = of("people"), of("people", "people_looks"), bodies.network
     density, n_crossing = own("per_100_m") / 100, own("crossing")
-    if not (density or n_crossing) or scene.map is None:
+    if not (density or n_crossing) or not any(road.sections for road in network.roads):
         return
     walkways = Walkways(network, bodies.host_places, MAX_FROM_HOST_M)
     found = 0
@@ -247,10 +247,9 @@ def _may_cross(
 
 def _crosswalks(scene: Scene, bodies: Bodies) -> Iterator[Crosswalk]:
     """The crosswalks near the host, with the lanes with signals that lead across them."""
-    assert scene.map is not None, "asked only of maps"
     network, places = bodies.network, bodies.host_places
     governed = {lane for signal in scene.roadside.signals for lane in signal.lanes}
-    for paint in scene.map.paint:
+    for paint in scene.roads.paint:
         corners = np.array(paint.outline)
         if paint.kind != "crosswalk" or len(corners) != 4:
             continue

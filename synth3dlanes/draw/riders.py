@@ -1,7 +1,8 @@
 """Cyclists on cycle lanes or beside kerbs and motorcyclists on lanes near the host, with gaps to vehicles. They ride
 along their lane at their speed, and on maps stop before a junction. World frame, metres and seconds."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -49,25 +50,32 @@ class RiderPlace(NamedTuple):
     room_m: float
 
 
-def draw_riders(scene: Scene, bodies: Bodies, of: DrawsOf) -> Iterator[Thing]:
-    """The cyclists and motorcyclists of a scene; on the paper's road there are no cyclists."""
+# The places that riders of a kind may have, to be tried one after the other.
+RiderPlaces = Callable[[Bodies, ThingKind, np.random.Generator, DrawsOf], Iterator[RiderPlace]]
+
+
+def draw_riders(scene: Scene, bodies: Bodies, of: DrawsOf, places: RiderPlaces) -> Iterator[Thing]:
+    """The cyclists and motorcyclists of a scene at such places."""
     own, looks = of("riders"), of("riders", "riders_looks")
     numbers: list[tuple[ThingKind, int]] = [("motorcyclist", own("motorcyclists")), ("cyclist", own("cyclists"))]
     for kind, number in numbers:
         for _ in range(number):
-            thing = _rider(scene, bodies, kind, own, looks, of)
+            thing = _rider(scene, bodies, kind, (own, looks), partial(places, bodies, kind, own.rng, of))
             if thing is not None:
                 yield thing
 
 
-def _rider(scene: Scene, bodies: Bodies, kind: ThingKind, own: Draw, looks: Draw, of: DrawsOf) -> Thing | None:
+def _rider(
+    scene: Scene, bodies: Bodies, kind: ThingKind, draws: tuple[Draw, Draw], places: Callable[[], Iterator[RiderPlace]]
+) -> Thing | None:
     """A rider at the first free place of some; None without any."""
+    own, looks = draws
     models = scene.assets.thing_models(kind)
     number = 1 + int(looks.rng.random() * len(models))
     model, colors = models[number - 1], dressed(models[number - 1], looks.rng)
     speed_m_s, phase = own(f"{kind}_m_s"), round(float(looks.rng.random()), 4)
     times_s = track_times(scene.shot)
-    for place in _places(scene, bodies, kind, own.rng, of):
+    for place in places():
         gone_m = ridden(times_s, speed_m_s, place.room_m)
         if gone_m is None:
             continue
@@ -91,28 +99,27 @@ def ridden(times_s: Scalars, speed_m_s: float, room_m: float) -> Scalars | None:
     )
 
 
-def _places(
-    scene: Scene, bodies: Bodies, kind: ThingKind, rng: np.random.Generator, of: DrawsOf
-) -> Iterator[RiderPlace]:
-    """Places on lanes: on a map near the host, on the paper's road at the stations of its cars."""
-    network = bodies.network
-    if scene.map is not None:
-        lanes = list(map_lanes(network, bodies, kind == "cyclist"))
-        for lane, at, aside in rng.random((TRIES if lanes else 0, 3)).tolist():
-            chosen, offset_m, is_cycle_lane = lanes[int(lane * len(lanes))]
-            # A cycle lane may end where the next section begins.
-            way = network.way_through([chosen] if is_cycle_lane else _onward(network, chosen))
-            own_m = way.pieces[0].end_m
-            start_m = at * own_m
-            by_m = offset_m if kind == "cyclist" else MIDDLE_M * (2 * aside - 1)
-            yield RiderPlace(way, start_m, by_m, way.end_m - LINE_M - start_m)
-    elif kind == "motorcyclist":
-        low, high = extent(of.params.cars.s_m)
-        for _ in range(TRIES):
-            s_m, choice, aside = low + (high - low) * rng.random(), rng.random(), rng.random()
-            here = network.lanes_at(s_m * network.onwards)
-            lane = here[int(choice * len(here))]
-            yield RiderPlace(network.path(lane.id), s_m * network.onwards, MIDDLE_M * (2 * aside - 1), np.inf)
+def places_on_map(bodies: Bodies, kind: ThingKind, rng: np.random.Generator, of: DrawsOf) -> Iterator[RiderPlace]:
+    """Places on lanes near the host."""
+    network, lanes = bodies.network, list(map_lanes(bodies.network, bodies, kind == "cyclist"))
+    for lane, at, aside in rng.random((TRIES if lanes else 0, 3)).tolist():
+        chosen, offset_m, is_cycle_lane = lanes[int(lane * len(lanes))]
+        # A cycle lane may end where the next section begins.
+        way = network.way_through([chosen] if is_cycle_lane else _onward(network, chosen))
+        own_m = way.pieces[0].end_m
+        start_m = at * own_m
+        by_m = offset_m if kind == "cyclist" else MIDDLE_M * (2 * aside - 1)
+        yield RiderPlace(way, start_m, by_m, way.end_m - LINE_M - start_m)
+
+
+def places_along_road(bodies: Bodies, kind: ThingKind, rng: np.random.Generator, of: DrawsOf) -> Iterator[RiderPlace]:
+    """Places of motorcyclists at the stations of cars; there are none of cyclists."""
+    network, (low, high) = bodies.network, extent(of.params.cars.s_m)
+    for _ in range(TRIES if kind == "motorcyclist" else 0):
+        s_m, choice, aside = low + (high - low) * rng.random(), rng.random(), rng.random()
+        here = network.lanes_at(s_m * network.onwards)
+        lane = here[int(choice * len(here))]
+        yield RiderPlace(network.path(lane.id), s_m * network.onwards, MIDDLE_M * (2 * aside - 1), np.inf)
 
 
 def map_lanes(network: Network, bodies: Bodies, for_cyclists: bool) -> Iterator[Ridden]:

@@ -108,11 +108,11 @@ def draw_world(scenes: Scenes, index: int) -> World:
     scene = scene.model_copy(update={"cars": roads.drive(scene, ground)})
     trees = roads.grow(scene, ground, draw_trees(scene, ground, of, roads.has_to_fit))
     scene = scene.model_copy(update={"trees": trees, "symbols": roads.paint(scene, ground)})
-    scene = scene.model_copy(update={"things": draw_things(scene, ground, of, roads.crossers)})
+    scene = scene.model_copy(update={"things": draw_things(scene, ground, of, roads)})
     if scenes.shots.views == 1:
         return world_on(surfaces, scene)
     # The same world as with one view, on a ground that is fine wherever the host may be.
-    views = first_view(scene.camera, roads.network, scene.map is not None, scenes.shots.views)
+    views = first_view(scene.camera, roads.network, scenes.shots.views)
     scene = scene.model_copy(update={"shot": scene.shot.model_copy(update={"views": views})})
     return world_on(surfaces_of(scene, roads.network), scene)
 

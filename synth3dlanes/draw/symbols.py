@@ -25,7 +25,7 @@ def draw_symbols(scene: Scene, network: Network, draw: Draw) -> tuple[Symbol, ..
     asked: dict[SymbolKind, int] = {"crosswalk": draw("crosswalks"), "stop_line": draw("stop_lines")}
     n_arrow_rows, gore = draw("arrow_rows"), draw("gore")
     turns = draw.rng.random(2).tolist()
-    works = None if scene.road is None else scene.road.works
+    works = scene.roads.works
     taken = [] if works is None else [((works.start_m + works.end_m) / 2, works.end_m - works.start_m)]
 
     def place(length_m: float, before_only: bool = False) -> float | None:

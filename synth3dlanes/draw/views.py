@@ -24,9 +24,9 @@ LEFT_M = 60.0
 TRIES = 30
 
 
-def first_view(camera: HostCamera, network: Network, is_map: bool, n: int) -> Views:
+def first_view(camera: HostCamera, network: Network, n: int) -> Views:
     """The first of `n` views: the place that was drawn, around which the world is built."""
-    left_m = network.host_way(camera).end_m - LEFT_M - camera.y_m if is_map else REACH_M
+    left_m = network.way.end_m - LEFT_M - camera.y_m
     reach_m = round(min(REACH_M, max(left_m, 0.0)), SCENE_DECIMALS)
     return Views(view=0, n=n, lane=camera.lane, y_m=camera.y_m, offset_m=camera.offset_m, reach_m=reach_m)
 

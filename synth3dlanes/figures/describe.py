@@ -90,7 +90,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
             else "leftmost line": f"{'double' if scene.markings.left_double else 'single'}, "
             f"{'yellow' if scene.markings.left_yellow else 'white'}",
             "rubbed off, missing": f"{100 * scene.markings.wear:.0f} %, {100 * scene.markings.missing:.0f} %",
-            "symbols": _counted([item.kind for item in (scene.map.paint if scene.map else scene.symbols)]),
+            "symbols": _counted([*(at.kind for at in scene.symbols), *(at.kind for at in scene.roads.paint)]),
         },
         "surface": {
             "road": f"texture {scene.surface.road_texture}, scale {scene.surface.road_texture_scale:.1f}, "

@@ -247,10 +247,9 @@ def _write_lanes(document: _Document, found: Lanelets, borders: Sequence[tuple[P
             ways[id(bound)] = known
         return ways[id(bound)]
 
-    is_town = world.scene.map is not None
     for pieces in found.pieces.values():
         for piece in pieces:
-            tags = {"type": "lanelet", "subtype": "road", "location": "urban" if is_town else "nonurban"}
+            tags = {"type": "lanelet", "subtype": "road", "location": world.scene.roads.location}
             tags |= {"one_way": "yes", "participant:vehicle": "yes", SEGMENT: piece.lane.id}
             if piece.lane.junction is not None:
                 tags["turn_direction"] = _turn(piece.middle)
@@ -272,18 +271,15 @@ def _turn(middle: Polyline3) -> str:
 
 def _write_symbols(document: _Document, world: World) -> Iterator[tuple[str, int]]:
     """Crosswalks, arrows, and stop and give-way lines: of these the lane, where it is known, and the id."""
-    roads = world.scene.map
-    known = set(world.network.lanes)
-    paint = [] if roads is None else [
-        at.lane for at in roads.paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in known)
-    ]  # fmt: skip
+    roads, known = world.scene.roads, world.network.lanes
+    paint = [at.lane for at in roads.paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in known)]
     for i, form in enumerate(world.symbol_shapes):
         if form.kind == "crosswalk":
-            _write_crosswalk(document, form, "urban" if roads is not None else "nonurban")
+            _write_crosswalk(document, form, roads.location)
         elif form.kind in LINES:
             (x0, _), (x1, _) = form.outline.min(axis=0), form.outline.max(axis=0)
             line = document.line(form.points_world(np.array([[x0, 0.0], [x1, 0.0]])), {"type": LINES[form.kind]})
-            if roads is not None and (lane := paint[i]) is not None:
+            if paint and (lane := paint[i]) is not None:
                 yield lane, line
         elif form.kind in ARROWS:
             (_, y0), (_, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
@@ -352,7 +348,7 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
         members += [("way", stops[lane], "ref_line")] if lane in stops else []
         rule(LIGHT, members, [found.pieces[lane][-1]])
     yields = dict[str, list[str]]()
-    for at in () if world.scene.map is None else world.scene.map.junctions:
+    for at in world.scene.roads.junctions:
         for one, other in at.yields:
             if one in found.pieces and other in found.pieces:
                 yields.setdefault(one, []).append(other)
@@ -419,7 +415,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
             elif lanelet.tags.get("subtype") == "crosswalk":
                 crosswalks.append(lanelet)
     segments = {segment.id: segment for segment in truth.labels.graph.segments}
-    known = set(truth.scene.paper_road.segments if truth.scene.map is None else truth.scene.map.lanes)
+    known = truth.scene.roads.driving_lanes
     inner = {name: lanelets for name, lanelets in found.items() if name in segments or name not in known}
     middles = [
         (name, np.concatenate([middle_of(at.left.points, at.right.points) for at in lanelets]))
@@ -464,8 +460,7 @@ def _neighbour_problems(found: Mapping[str, list[Lanelet]], truth: SourceSample)
     Connectors may share one."""
     on_right = {(at.right.way, at.right.is_against): name for name, lanelets in found.items() for at in lanelets}
     for segment in truth.labels.graph.segments:
-        # Of the paper's lanes left and right are the host's.
-        swaps = truth.scene.map is None and segment.s_start_m > segment.s_end_m
+        swaps = truth.scene.roads.sides_are_hosts and segment.s_start_m > segment.s_end_m
         wanted = segment.right if swaps else segment.left
         lefts = [at.left for at in found.get(segment.id, ())]
         got = {on_right[key] for at in lefts if (key := (at.way, at.is_against)) in on_right}

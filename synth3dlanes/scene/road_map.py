@@ -9,7 +9,7 @@ import math
 import operator
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -197,6 +197,11 @@ class RoadMap(DocumentPart):
     source: str = ""
     digest: str = ""
     given_frame: tuple[Coordinate, Coordinate, Number, Number] | None = None
+    # As the paper's numbers have them: its roads have no works, and left and right in the lane graph are those of each
+    # lane's own traffic.
+    works: ClassVar[None] = None
+    location: ClassVar[Literal["urban", "nonurban"]] = "urban"
+    sides_are_hosts: ClassVar[bool] = False
 
     @cached_property
     def road_ids(self) -> frozenset[str]:

@@ -6,7 +6,7 @@ added later; older scenes can still be read and render as before. New ones have 
 
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from synth3dlanes.scene.assets.catalogue import AssetKind, Assets
 from synth3dlanes.scene.host import Bonnet, DrivenTrack, HostCamera, Lidar, Seconds, Shot
 from synth3dlanes.scene.instance_ids import most_of
-from synth3dlanes.scene.road_map import LaneName, RoadMap, Station
+from synth3dlanes.scene.road_map import LaneName, MapJunction, MapPaint, RoadMap, Station
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.settings import JPEG_QUALITY, N_SCENE_NUMBERS
 from synth3dlanes.scene.things import ThingKind
@@ -119,6 +119,11 @@ class PaperRoad(DocumentPart):
     median_m: Annotated[float, Field(ge=0, le=100)] = 0.0
     divider_dashed: bool = False
     works: Annotated[RoadWorks | None, Field(exclude_if=_is_none)] = None
+    # Only maps have these.
+    paint: ClassVar[tuple[MapPaint, ...]] = ()
+    junctions: ClassVar[tuple[MapJunction, ...]] = ()
+    location: ClassVar[Literal["urban", "nonurban"]] = "nonurban"
+    sides_are_hosts: ClassVar[bool] = True
 
     @model_validator(mode="after")
     def _has_room(self) -> "PaperRoad":
@@ -188,6 +193,11 @@ class PaperRoad(DocumentPart):
         stations_m = (-1.0, 1.0) if self.works is None else (-np.inf, self.works.start_m, self.works.end_m)
         ends = (name for s_m in stations_m for name in self.segments_at(s_m))
         return tuple(dict.fromkeys((*ends, *self.oncoming_segments)))
+
+    @property
+    def driving_lanes(self) -> frozenset[str]:
+        """The names of the lanes of traffic, which are its segments."""
+        return frozenset(self.segments)
 
     @property
     def oncoming_segments(self) -> tuple[str, ...]:
@@ -450,6 +460,11 @@ class Scene(DocumentPart):
         return self
 
     @property
+    def roads(self) -> PaperRoad | RoadMap:
+        """What says where its roads are."""
+        return self.map or self.paper_road
+
+    @property
     def paper_road(self) -> PaperRoad:
         """The paper's road, of a scene that has one."""
         assert self.road is not None, "asked only of scenes without a map"
@@ -466,11 +481,8 @@ class Scene(DocumentPart):
     def _governs_its_lanes(self) -> "Scene":
         """Check that the lanes that signals and signs govern exist."""
         beside = self.roadside
-        if self.map is not None:
-            segments, among = self.map.driving_lanes, "the driving lanes of the map"
-        else:
-            segments = frozenset(self.paper_road.segments)
-            among = ", ".join(self.paper_road.segments)
+        segments = self.roads.driving_lanes
+        among = ", ".join(self.road.segments) if self.road else "the driving lanes of the map"
         governed = [
             *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
             *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),

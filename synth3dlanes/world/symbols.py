@@ -95,11 +95,10 @@ def symbol_points(forms: Sequence[SymbolShape], places: Sequence[Polygon]) -> li
 def symbol_shapes(ground: Ground, scene: Scene) -> list[SymbolShape]:
     """The shapes of all paint of a scene that bounds no lane, in the order of its labels. Paint of a map on lanes that
     are not near is left out."""
-    if scene.map is None:
-        return [shape(ground, symbol) for symbol in scene.symbols]
     lanes = ground.network.lanes
-    near = (at for at in scene.map.paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in lanes))
-    return [shape(ground, paint) for paint in near]
+    near = (at for at in scene.roads.paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in lanes))
+    items: list[Symbol | MapPaint] = [*scene.symbols, *near]
+    return [shape(ground, item) for item in items]
 
 
 def shape(ground: Ground, item: Symbol | MapPaint) -> SymbolShape:

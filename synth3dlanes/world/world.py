@@ -262,7 +262,7 @@ class World:
 
     def removed_lines(self, view: View) -> Mesh | None:
         """Lines in whose place road works have others, raised less than paint; None without any."""
-        works = self.scene.road.works if self.scene.road is not None else None
+        works = self.scene.roads.works
         if works is None or not works.removed:
             return None
         return removed_mesh(self.ground, self.scene.markings, view.eye_world)

@@ -399,8 +399,7 @@ def _neighbour_problems(lanes: PiecesOf, truth: SourceSample, halves_m: HalvesOf
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
     for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
         segment, is_oncoming = by_id[name], _is_oncoming(by_id[name])
-        # On a map left and right are those of the lane's traffic.
-        swaps = is_oncoming and truth.scene.map is None
+        swaps = is_oncoming and truth.scene.roads.sides_are_hosts
         sides = (segment.right, segment.left) if swaps else (segment.left, segment.right)
         for side, number, wanted in zip(
             ("left", "right"), (lane.left_neighbor_id, lane.right_neighbor_id), sides, strict=True

@@ -51,10 +51,9 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     return compared.because([*problems, *_link_problems(root)])
 
 
-def _beyond_labels(truth: SourceSample) -> set[str]:
+def _beyond_labels(truth: SourceSample) -> frozenset[str]:
     """The lanes of a scene that its labels do not reach."""
-    lanes = truth.scene.paper_road.segments if truth.scene.map is None else truth.scene.map.lanes
-    return set(lanes) - {segment.id for segment in truth.labels.graph.segments}
+    return truth.scene.roads.driving_lanes - {segment.id for segment in truth.labels.graph.segments}
 
 
 def _segments(root: Element, given: GivenMap) -> dict[str, str]:
