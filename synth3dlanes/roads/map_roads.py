@@ -11,7 +11,7 @@ from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, TableLine, measured
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
-from synth3dlanes.roads.network import Junction, LanePattern, Network
+from synth3dlanes.roads.network import HostLine, Junction, LanePattern, Network
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
@@ -66,11 +66,11 @@ class _Reading:
                 at.id,
                 tuple(road for road in roads.values() if road.junction == at.id),
                 np.array(at.outline, float).reshape(-1, 2),
-                tuple(pair for pair in at.yields if pair[0] in lanes and pair[1] in lanes),
             )
             for at in self.map.junctions
         )
         route = [lanes[name] for name in self.map.route]
+        way = _path(route, courses)
         driven = {id(at): at for at in (roads[lane.road].stretch_of(lane) for lane in route if lane.junction is None)}
         return Network(
             self.terrain,
@@ -79,11 +79,14 @@ class _Reading:
             links=tuple(sorted(links)),
             paths=tuple(bounded(path, beside) for path in paths),
             delimiters=tuple(line for line, _ in drawn),
-            way=_path(route, courses),
+            way=way,
+            host_lines=(HostLine(way),),
+            is_terrain=False,
             # Lanes lie one beside the other across the texture of every road.
             across=LanePattern(route[0].width_m, 0, is_along=False),
             host_stretches=tuple((at, at.start_m, at.end_m) for at in driven.values()),
             junctions=tuple(at for at in junctions if at.roads),
+            yields=tuple(pair for at in self.map.junctions for pair in at.yields),
             courses=courses,
             stretches=table,
         )

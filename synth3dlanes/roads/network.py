@@ -44,13 +44,20 @@ class LanePattern(NamedTuple):
 
 
 class Junction(NamedTuple):
-    """A junction: its connecting roads, the outline of its pavement where it is known, and pairs of lanes, the first of
-    which yields to the second."""
+    """A junction: its connecting roads, and the outline of its pavement where it is known."""
 
     id: str
     roads: tuple[Road, ...]
     outline: Points2
-    yields: tuple[tuple[str, str], ...]
+
+
+class HostLine(NamedTuple):
+    """A centre line on which the host may drive, between two of its stations: of its route or, where it keeps a lane,
+    along that one."""
+
+    line: LaneCurve
+    start_m: float = -np.inf
+    end_m: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +65,10 @@ class Network:
     """Roads with lanes, in the order of the labels, links (lane, lane) as traffic drives, the centre lines of the ways
     through these, painted lines and junctions. A road comes after the one where it begins.
 
-    `way` is the line whose stations, as the host drives, scenes use for the host. If it has lanes, it is the host's
-    route; otherwise the host keeps the lane that its scene says. `host_stretches` are the roads near the host that it
-    drives on, each between two stations, junctions left out. `removed` are the lines that were painted where others
+    `way` is the line whose stations, as the host drives, scenes use for the host, `host_lines` are those that it may
+    drive on, from its left. The surface there `is_terrain`, or what the roads make of it. `host_stretches` are the roads near the host that it
+    drives on, each between two stations, junctions left out. `yields` are pairs of lanes, the first of which yields to
+    the second, None where the roads know of none. `removed` are the lines that were painted where others
     hold now. `courses` are those of lanes that routes may use, and
     `stretches` the roads of one section that all lines are on, if their stations are lengths along them."""
 
@@ -72,8 +80,11 @@ class Network:
     delimiters: tuple[LaneCurve, ...]
     way: LaneCurve
     across: LanePattern
+    host_lines: tuple[HostLine, ...] = ()
+    is_terrain: bool = True
     host_stretches: tuple[tuple[Road, float, float], ...] = ()
     junctions: tuple[Junction, ...] = ()
+    yields: tuple[tuple[str, str], ...] | None = None
     removed: tuple[LaneCurve, ...] = ()
     courses: Mapping[str, Course] = field(default_factory=dict)
     stretches: RoadTable | None = None
@@ -152,14 +163,17 @@ class Network:
 
     # -- the host and the cars
 
+    def host_ways(self, driven_m: float) -> list[LaneCurve]:
+        """The centre lines that the host may drive on at a station as it drives, from its left."""
+        return [at.line for at in self.host_lines if at.start_m <= driven_m * self.onwards < at.end_m]
+
     def host_lane(self, number: int, driven_m: float) -> NetworkLane:
-        """The lane of the host's route at a station as it drives; without one its lane `number` from the left there."""
-        s = driven_m * self.onwards
-        return self.way.lane_at(s) if self.way.lanes else self.lanes_at(s)[number - 1]
+        """The lane of the host at a station as it drives, of those from its left."""
+        return self.host_ways(driven_m)[number - 1].lane_at(driven_m * self.onwards)
 
     def host_way(self, camera: HostCamera) -> LaneCurve:
-        """The centre line that the host drives on: of its route, or of the lane that it keeps."""
-        return self.way if self.way.lanes else self.path(self.host_lane(camera.lane, camera.y_m).id)
+        """The centre line that the host drives on."""
+        return self.host_ways(camera.y_m)[camera.lane - 1]
 
     def host_points(self, camera: HostCamera, ahead_m: AnyScalars) -> AnyPoints3:
         """Points on the host's way, its offset from its lane included, at stations ahead of its place."""
@@ -169,8 +183,8 @@ class Network:
         )
 
     def up(self, camera: HostCamera, foot_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """The unit normal at the host's place: of its route's surface, or of the terrain."""
-        if not self.way.lanes:
+        """The unit normal of the surface at the host's place."""
+        if self.is_terrain:
             ((dx, dy),) = gradient_at(self.terrain, foot_world[None, :2])
             return np.asarray(np.array([-dx, -dy, 1.0]) / np.sqrt(dx * dx + dy * dy + 1))
         s, aside_m = np.full(2, camera.y_m), camera.offset_m + np.array([-ACROSS_M, ACROSS_M])
@@ -179,21 +193,22 @@ class Network:
         normal = cross(right - left, ahead - behind)
         return np.asarray(normal / np.linalg.norm(normal))
 
-    def host_lines(self, camera: HostCamera) -> list[str]:
-        """The centre lines that the host drives along, from its place on."""
-        if not self.way.lanes:
-            return [self.host_way(camera).id]
-        lanes = self.way.lanes[self.way.lane_number_at(camera.y_m) :]
+    def paths_ahead(self, camera: HostCamera) -> list[str]:
+        """The centre lines of lanes that the host drives along, from its place on: a route leads along several."""
+        way = self.host_way(camera)
+        if any(way is path for path in self.paths):
+            return [way.id]
+        lanes = way.lanes[way.lane_number_at(camera.y_m) :]
         return list(dict.fromkeys(self.path(lane.id).id for lane in lanes))
 
     def host_on(self, camera: HostCamera, driven_m: float) -> HostCamera:
         """The host at another station of its way; raise InputError where the lane that it keeps leaves its road."""
-        if self.way.lanes:
-            return camera.model_copy(update={"y_m": driven_m})
-        before, lane = (self.host_way(camera).lane_at(y_m * self.onwards) for y_m in (camera.y_m, driven_m))
-        if lane.road != before.road:
+        s = driven_m * self.onwards
+        numbers = {way.lane_at(s).id: i for i, way in enumerate(self.host_ways(driven_m), 1)}
+        lane = self.host_way(camera).lane_at(s).id
+        if lane not in numbers:
             raise InputError(f"camera.lane: expected a lane that stays on the main road in a clip, got {camera.lane}")
-        return camera.model_copy(update={"y_m": driven_m, "lane": lane.number})
+        return camera.model_copy(update={"y_m": driven_m, "lane": numbers[lane]})
 
     def car_way(self, car: Car) -> tuple[LaneCurve, float]:
         """The centre line that a car drives on, through the lanes of its route or, of lanes without courses, that along
@@ -324,10 +339,8 @@ class Network:
         pairs = [(before, after) for before, after in self.links if before in along and after in along]
         successors = {before: tuple(b for a, b in pairs if a == before) for before, _ in sorted(pairs)}
         starts = [round(float(road.ramp.start_m * self.onwards), 4) + 0.0 for road in self.roads if road.ramp]
-        yields = (pair for at in self.junctions for pair in at.yields if pair[0] in along and pair[1] in along)
-        return LaneGraph(
-            tuple(segments), successors, starts[0] if starts else None, tuple(yields) if self.way.lanes else None
-        )
+        yields = None if self.yields is None else tuple(at for at in self.yields if at[0] in along and at[1] in along)
+        return LaneGraph(tuple(segments), successors, starts[0] if starts else None, yields)
 
     def neighbours(self, segment: Segment) -> tuple[str | None, str | None]:
         """The lanes to the left and the right of one of the lane graph, as its own traffic drives."""

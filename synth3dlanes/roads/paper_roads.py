@@ -13,7 +13,7 @@ import numpy as np
 
 from synth3dlanes.labels.labels import Direction, Marking
 from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, Piece, joined, neighbours
-from synth3dlanes.roads.network import LanePattern, Network
+from synth3dlanes.roads.network import HostLine, LanePattern, Network
 from synth3dlanes.roads.paper_lines import S_END_M, Displaced, Flips, Opening, Quartic
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Parting, Ramp, Road
@@ -316,6 +316,9 @@ class _Plan:
             )
             for line in lines
         )
+        # Where ways part, a lane is that of the first one.
+        path_along = {lane.id: path for path in reversed(paths) for lane in path.lanes}
+        hosts = [lane for lane in main.lanes if lane.direction == "same"]
         whole = (Piece(main, Offset(0.0), -np.inf, np.inf),)
         return Network(
             self.terrain,
@@ -326,6 +329,7 @@ class _Plan:
             delimiters,
             way=LaneCurve("main", "centerline", "main", "none", (), whole, ascends=self.flips.y > 0),
             across=self.texture,
+            host_lines=tuple(HostLine(path_along[lane.id], lane.start_m, lane.end_m) for lane in hosts),
             host_stretches=((main, -HOST_ROAD_M, HOST_ROAD_M),),
             removed=self._removed,
         )

@@ -82,7 +82,7 @@ def label(world: World, view: View) -> Labels:
         for form, (xyz, inside, visible) in zip(forms, parts[len(sampled) :], strict=True)
     )
     named = {lane.id: lane for lane in lanes}
-    hosts = [named[name] for name in network.host_lines(lens) if name in named]
+    hosts = [named[name] for name in network.paths_ahead(lens) if name in named]
     centerlines = [curve.id for curve in world.site.lines if curve.kind == "centerline" and curve.id in known]
     graph = network.graph(centerlines)
     return Labels(
