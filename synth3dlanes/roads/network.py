@@ -66,11 +66,11 @@ class Network:
     through these, painted lines and junctions. A road comes after the one where it begins.
 
     `way` is the line whose stations, as the host drives, scenes use for the host, `host_lines` are those that it may
-    drive on, from its left. The surface there `is_terrain`, or what the roads make of it. `host_stretches` are the roads near the host that it
-    drives on, each between two stations, junctions left out. `yields` are pairs of lanes, the first of which yields to
-    the second, None where the roads know of none. `removed` are the lines that were painted where others
-    hold now. `courses` are those of lanes that routes may use, and
-    `stretches` the roads of one section that all lines are on, if their stations are lengths along them."""
+    drive on, from its left. The surface there `is_terrain`, or what the roads make of it. `host_stretches` are the
+    roads near the host that it drives on, each between two stations, junctions left out. `yields` are pairs of lanes,
+    the first of which yields to the second, None where the roads know of none. `removed` are the lines that were
+    painted where others hold now. `courses` are those of lanes that routes may use, and `stretches` the roads of one
+    section that all lines are on, if their stations are lengths along them."""
 
     terrain: Terrain
     roads: tuple[Road, ...]
