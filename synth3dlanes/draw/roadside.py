@@ -157,7 +157,7 @@ def _edges(network: Network, place: str) -> list[Edge]:
 
 def _stations(ground: Ground, edge: Edge | None = None) -> Scalars:
     """Stations a metre apart in the range of structures, where an edge bounds its place."""
-    low, high = np.sort(ground.network.stations(np.array(ground.range_m(AHEAD_M, BEHIND_M))))
+    low, high = np.sort(ground.network.stations(np.array(ground.way.range_m(AHEAD_M, BEHIND_M))))
     if edge is not None:
         low, high = max(low, edge.low_m), min(high, edge.high_m)
     return np.arange(np.ceil(low), np.floor(high) + 0.5)
@@ -166,10 +166,10 @@ def _stations(ground: Ground, edge: Edge | None = None) -> Scalars:
 def _ahead(ground: Ground, things: Draw, key: str) -> float:
     """A station at a distance ahead of the host where it drives; with `both_ways` ahead or behind."""
     u = things.rng.random()
-    away_m = np.array([things.at(key, u) + ground.driven_m * u])
-    if ground.both_ways and things.rng.random() < 0.5:
-        away_m = ground.driven_m - away_m
-    return round(float(ground.network.stations(ground.near_m + away_m)[0]), MM_DECIMALS)
+    away_m = np.array([things.at(key, u) + ground.way.driven_m * u])
+    if ground.way.both_ways and things.rng.random() < 0.5:
+        away_m = ground.way.driven_m - away_m
+    return round(float(ground.network.stations(ground.way.near_m + away_m)[0]), MM_DECIMALS)
 
 
 def _free(ground: Ground, edge: Edge, s: Scalars, aside_m: float) -> Bool[np.ndarray, " n"]:

@@ -63,7 +63,7 @@ def _exit_sign(ground: Ground, roadside: Roadside, numbers: np.ndarray, own: Dra
     half_m, taken = board_size(SIGN_FACES[kind])[0] / 2, footprints(ground, roadside)
     for before, aside, height in numbers.tolist():
         s_m = exit_road.start_m - network.onwards * own.at("exit_sign_before_m", before)
-        ahead_m = s_m * network.onwards - ground.near_m
+        ahead_m = s_m * network.onwards - ground.way.near_m
         rails = [
             rail
             for rail in roadside.rails
@@ -78,7 +78,7 @@ def _exit_sign(ground: Ground, roadside: Roadside, numbers: np.ndarray, own: Dra
         foot = beside(ground, network.main.id, side, s, aside_m)
         is_free = taken.clear(foot, ROOM_M)[0] and ground.clearance(foot)[0] > aside_m - 0.02
         is_apart = all(abs(crossing.s_m - s_m) > crossing.width_m / 2 + APART_M for crossing in roadside.crossings)
-        if is_free and is_apart and AHEAD_OF_HOST_M[0] < ahead_m < AHEAD_OF_HOST_M[1] + ground.driven_m:
+        if is_free and is_apart and AHEAD_OF_HOST_M[0] < ahead_m < AHEAD_OF_HOST_M[1] + ground.way.driven_m:
             (frame,) = frames_beside(ground, network.main.id, side, s, aside_m)
             sign = TrafficSign(
                 x_m=round(float(foot[0, 0]), MM_DECIMALS),

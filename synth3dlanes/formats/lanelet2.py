@@ -191,7 +191,7 @@ def _borders(world: World) -> Iterator[tuple[Polyline3, str]]:
     """What bounds the pavement, by its type: edges, with kerbs where the ground beside is higher, and rails."""
     ground = world.ground
     host = world.network.host_points(world.scene.camera, np.zeros(1))[0, :2]
-    for points in ground.pavement_edges(host, REACH_M):
+    for points in ground.paved.edges(host, REACH_M):
         if np.allclose(points[0], points[-1]) and shapely.Polygon(points[:, :2]).area < LEAST_AREA_M2:
             continue
         along = np.gradient(points[:, :2], axis=0)

@@ -311,7 +311,7 @@ def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: 
             if _in_area(quad_ego, behind_m).all():
                 yield {"id": index, "category": PEDESTRIAN_CROSSING, "points": _rounded(quad_ego)}
                 index += 1
-    for edge_world in world.ground.pavement_edges(world_from_ego[:2, 3], REACH_M):
+    for edge_world in world.ground.paved.edges(world_from_ego[:2, 3], REACH_M):
         edge_ego = transform(ego_from_world, edge_world)
         for first, end in stretches(_in_area(edge_ego, behind_m)):
             run = edge_ego[first:end]

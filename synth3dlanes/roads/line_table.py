@@ -1,7 +1,7 @@
 """Lines on roads of one section, whose stations are lengths along them, as arrays: answers for places on many lines in
 one call. World frame, metres. What a call tells of a line is what the `LaneCurve` of that number tells of it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve, Piece, TableLine
+from synth3dlanes.roads.road_lines import APART_M, HostPlace
 from synth3dlanes.roads.road_table import Indices, Ragged, RoadTable
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 
-# Distance between points of labels along each line from its beginning. One within APART_M of the end is left out: two
-# coinciding points have no direction.
-POINTS_STEP_M, APART_M = 1.0, 0.01
+# Distance between points of labels along each line from its beginning.
+POINTS_STEP_M = 1.0
 
 
 class _Samples(NamedTuple):
@@ -118,20 +118,45 @@ class LineTable:
             known |= {i: (lengths[i], at) for i, at in zip(lengths, places, strict=True)}
         return _Samples.of([known[i] for i in numbers])
 
-    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points on the road surface at lengths along lines, one line after the other."""
-        counts = [len(s) for s in stations.values()]
+    def _numbered(self, curves: Iterable[LaneCurve], counts: Sequence[int]) -> Indices:
+        """The number of each of some lines, as often as it is asked for."""
+        return np.repeat([self.numbers[curve.id] for curve in curves], counts)
+
+    def xy_along(
+        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> list[Float[np.ndarray, "_ 2"]]:
+        """World (x, y) of each of some lines at lengths along it."""
+        counts = [len(s) for s in stations]
         if not counts:
             return []
-        number = np.repeat([self.numbers[curve.id] for curve in stations], counts)
-        return np.split(self.points_on(number, np.concatenate(list(stations.values()))), np.cumsum(counts)[:-1])
+        return np.split(self.xy_on(self._numbered(curves, counts), np.concatenate(stations)), np.cumsum(counts)[:-1])
 
-    def in_range(
-        self, foot_world: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"], lengths_m: Scalars
-    ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
+        """Points on the road surface at lengths along lines, one line after the other."""
+        nothing = [np.zeros(1)] * len(stations)
+        return [at[:, 0] for at in self.points_beside(list(stations), list(stations.values()), nothing)]
+
+    def points_beside(
+        self,
+        curves: Sequence[LaneCurve],
+        stations: Sequence[Float[np.ndarray, " _"]],
+        offsets: Sequence[Float[np.ndarray, " _"]],
+    ) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """Points on the road surface along each of some lines: at each of its lengths those at all of these offsets to
+        its right."""
+        if not curves:
+            return []
+        s = [np.repeat(at, len(t)) for at, t in zip(stations, offsets, strict=True)]
+        t = np.concatenate([np.tile(t, len(at)) for at, t in zip(stations, offsets, strict=True)])
+        counts = list(map(len, s))
+        points = self.points_on(self._numbered(curves, counts), np.concatenate(s), t)
+        each = zip(np.split(points, np.cumsum(counts)[:-1]), stations, offsets, strict=True)
+        return [own.reshape(len(at), len(t), 3) for own, at, t in each]
+
+    def in_range(self, at: HostPlace, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of every line's points from the least of these lengths (negative: behind a place) to the
         greatest, with those between them, in the line's order."""
-        near, numbers, samples = self._near(foot_world, forward, lengths_m)
+        near, numbers, samples = self._near(at, lengths_m)
         found = {}
         for number, (first, end) in zip(numbers, pairwise(samples.starts), strict=True):
             inside = np.flatnonzero(near[first:end])
@@ -139,27 +164,24 @@ class LineTable:
                 found[self.curves[number]] = samples.s[first + inside[0] : first + inside[-1] + 1]
         return found
 
-    def known(
-        self, foot_world: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"], lengths_m: Scalars
-    ) -> set[str]:
-        """The ids of the lines with more than one such point."""
-        near, numbers, samples = self._near(foot_world, forward, lengths_m)
-        if not numbers:
-            return set()
-        is_seen = np.add.reduceat(near.astype(int), samples.starts[:-1]) > 1
-        return {self.curves[number].id for number, is_one in zip(numbers, is_seen, strict=True) if is_one}
+    def known(self, places: Sequence[HostPlace], lengths_m: Scalars) -> set[str]:
+        """The ids of the lines with more than one such point at any of some places."""
+        found = set[str]()
+        for at in places:
+            near, numbers, samples = self._near(at, lengths_m)
+            is_seen = np.add.reduceat(near.astype(int), samples.starts[:-1]) > 1 if numbers else ()
+            found |= {self.curves[number].id for number, is_one in zip(numbers, is_seen, strict=True) if is_one}
+        return found
 
-    def _near(
-        self, foot_world: Float[np.ndarray, "2"], forward: Float[np.ndarray, "2"], lengths_m: Scalars
-    ) -> tuple[Bool[np.ndarray, " _"], list[int], _Samples]:
+    def _near(self, at: HostPlace, lengths_m: Scalars) -> tuple[Bool[np.ndarray, " _"], list[int], _Samples]:
         """Which samples of lines are in range of a place, the numbers of these lines, and the samples."""
-        reach_m = float(lengths_m[-1])
+        foot_world, forward, reach_m = at.foot_world, at.forward, float(lengths_m[-1])
         numbers = np.flatnonzero(self.which_come(partial(_is_within, foot_world, reach_m + KNOT_M))).tolist()
         samples = self._samples(numbers)
         to = samples.xy_world - foot_world
         return (to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= reach_m), numbers, samples
 
-    def xy_along(
+    def xy_in(
         self, lines: Sequence[TableLine], stations: Sequence[Float[np.ndarray, " _"]]
     ) -> list[Float[np.ndarray, "_ 2"]]:
         """World (x, y) of each of some lines of the table at stations of its road."""

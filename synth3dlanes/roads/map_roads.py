@@ -86,6 +86,7 @@ class _Reading:
             across=LanePattern(route[0].width_m, 0, is_along=False),
             host_stretches=tuple((at, at.start_m, at.end_m) for at in driven.values()),
             junctions=tuple(at for at in junctions if at.roads),
+            islands=self.map.islands,
             yields=tuple(pair for at in self.map.junctions for pair in at.yields),
             courses=courses,
             stretches=table,

@@ -1,22 +1,24 @@
 """Roads as a network: roads, their lanes, the links between these, the lines along them, and the way of the host. World
 frame, metres; the rules are in docs/network.md."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
-from synth3dlanes.roads.line_table import APART_M, LineTable
+from synth3dlanes.roads.line_table import LineTable
+from synth3dlanes.roads.road_lines import HostPlace, RoadLines
 from synth3dlanes.roads.road_table import RoadIndex, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.host import HostCamera
+from synth3dlanes.scene.road_map import MapIsland
 from synth3dlanes.scene.scene import Car, Terrain
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.system.errors import InputError
@@ -26,8 +28,8 @@ GRAPH_END_M, LAST_LANE_M = 100.0, 10.0
 # Distance between points of the middle and the edges of lanes, and the least gap behind the point where a lane begins
 # at the end of another road's.
 LINES_STEP_M, LEAST_GAP_M = 0.5, 0.25
-# On a route, the surface's normal and the host's direction are measured over these lengths to both sides.
-ACROSS_M, TANGENT_M = 0.5, 0.01
+# The normal of a surface that roads make is measured over this length to both sides.
+ACROSS_M = 0.5
 # Ratio of the search radius to a reach along roads: roads turn.
 SEARCH_RATIO = 2.0
 
@@ -85,6 +87,7 @@ class Network:
     host_stretches: tuple[tuple[Road, float, float], ...] = ()
     junctions: tuple[Junction, ...] = ()
     yields: tuple[tuple[str, str], ...] | None = None
+    islands: tuple[MapIsland, ...] = ()
     removed: tuple[LaneCurve, ...] = ()
     courses: Mapping[str, Course] = field(default_factory=dict)
     stretches: RoadTable | None = None
@@ -135,6 +138,13 @@ class Network:
     def branches(self, road: Road) -> list[Road]:
         """The roads that begin beside a road."""
         return [other for other in self.roads if other.parting is not None and other.parting.road is road]
+
+    def is_on_other(self, road: Road, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """Which points lie on the pavement of another road."""
+        found = np.zeros(len(xy_world), dtype=bool)
+        for other in self.roads:
+            found |= other is not road and other.outside(*other.line.project(xy_world)) <= 0
+        return found
 
     def stations(self, s: AnyScalars) -> AnyScalars:
         """Stations of stations as the host drives, and vice versa."""
@@ -240,31 +250,10 @@ class Network:
         ends = [abs(s) for lane in self.lanes.values() for s in lane.driven if np.isfinite(s)]
         return max(GRAPH_END_M, max(ends, default=0.0) + LAST_LANE_M)
 
-    def in_range(self, camera: HostCamera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
-        """The stations of the points of every line in range of the host. Lines that share the stations of roads have
-        them at these lengths of their road ahead of the host, and at their ends between these, in driving order; others
-        as `LineTable.in_range` says."""
-        if self.stretches is not None:
-            ((foot, forward),) = self._host_at(camera, np.array([camera.y_m]))
-            return self.line_table.in_range(foot, forward, lengths_m)
-        roads = {curve.road: self.road(curve.road) for curve in self.curves}
-        driven_m = {name: self.stations_along(road, camera.y_m, lengths_m) for name, road in roads.items()}
-        return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
-
-    def known(self, camera: HostCamera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
-        """The ids of the lines that are in range of the host at any of some stations, each ahead of the one before."""
-        if self.stretches is not None:
-            seen = (self.line_table.known(*at, lengths_m) for at in self._host_at(camera, places_m))
-            return set[str]().union(*seen)
-        # Along a road a line comes into range or is passed, never both.
-        ends = [camera.model_copy(update={"y_m": y_m}) for y_m in (float(places_m[0]), float(places_m[-1]))]
-        return {line.id for at in ends for line, s in self.in_range(at, lengths_m).items() if len(s) > 1}
-
-    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points on the road surface at stations of lines, one line after the other."""
-        if self.stretches is not None:
-            return self.line_table.points_along(stations)
-        return [curve.points_world(s) for curve, s in stations.items()]
+    @cached_property
+    def lines(self) -> LineTable | RoadLines:
+        """What answers for many of its lines at once."""
+        return RoadLines(self.curves, self._road_of, self.onwards) if self.stretches is None else self.line_table
 
     @cached_property
     def line_table(self) -> LineTable:
@@ -277,46 +266,23 @@ class Network:
     ) -> list[Float[np.ndarray, "_ 2"]]:
         """World (x, y) of the middle of each of some lanes with courses at stations of its road."""
         lines = [line for lane in lanes if (line := self.courses[lane.id].on_table) is not None]
-        return self.line_table.xy_along(lines, stations)
+        return self.line_table.xy_in(lines, stations)
 
-    def _host_at(
-        self, camera: HostCamera, places_m: Scalars
-    ) -> Iterator[tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]]:
-        """The place of the host and the unit vector of its way, from above, at stations as it drives."""
-        steps = np.array([-TANGENT_M, TANGENT_M])
-        feet = self.host_points(camera, places_m - camera.y_m)[:, :2]
-        for foot, y_m in zip(feet, places_m.tolist(), strict=True):
-            behind, ahead = self.host_points(camera, y_m - camera.y_m + steps)[:, :2]
-            yield foot, (ahead - behind) / np.linalg.norm(ahead - behind)
+    def in_range(self, camera: HostCamera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+        """The stations of the points of every line in range of the host, up to the greatest of these lengths ahead of
+        it and the least, if that is negative, behind it."""
+        return self.lines.in_range(self._host_at(camera, camera.y_m), lengths_m)
 
-    def _points_of(self, curve: LaneCurve, driven_m: Scalars) -> Float[np.ndarray, " m"]:
-        s = self.stations(driven_m)
-        low, high = min(s[0], s[-1]), max(s[0], s[-1])
-        ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])
-        kept = s[curve.has(s)]
-        kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
-        return np.sort(np.concatenate([kept, ends]))[:: int(self.onwards)]
+    def known(self, camera: HostCamera, places_m: Scalars, lengths_m: Float[np.ndarray, " _"]) -> set[str]:
+        """The ids of the lines that are in range of the host at any of some stations, each ahead of the one before."""
+        return self.lines.known([self._host_at(camera, y_m) for y_m in places_m.tolist()], lengths_m)
 
-    def stations_along(self, road: Road, driven_m: float, lengths_m: AnyScalars) -> AnyScalars:
-        """Stations as the host drives, at the given lengths of a road ahead of `driven_m`; sorted lengths, negative
-        behind it."""
-        if lengths_m[0] < 0:
-            behind, ahead = lengths_m[lengths_m < 0], lengths_m[lengths_m >= 0]
-            before = self._along(road, driven_m, -behind[::-1], -1)[::-1]
-            return np.concatenate([before, self._along(road, driven_m, ahead)])
-        return self._along(road, driven_m, lengths_m)
+    def _host_at(self, camera: HostCamera, driven_m: float) -> HostPlace:
+        return HostPlace(driven_m, lambda ahead_m: self.host_points(camera, driven_m - camera.y_m + ahead_m))
 
-    def _along(
-        self, road: Road, driven_m: float, lengths_m: AnyScalars, sign: int = 1, reach: float = 1.05
-    ) -> AnyScalars:
-        """Stations at lengths ahead of `driven_m`, or behind it with the sign -1."""
-        grid = driven_m + sign * np.linspace(0, reach * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
-        speed = road.speed(self.stations((grid[1:] + grid[:-1]) / 2))
-        arc = np.concatenate([[0.0], np.cumsum(speed * np.abs(np.diff(grid)))])
-        # On the inside of a bend a road is shorter than its stations.
-        if arc[-1] < lengths_m[-1]:
-            return self._along(road, driven_m, lengths_m, sign, 1.5 * reach)
-        return np.interp(lengths_m, arc, grid)
+    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
+        """Points on the road surface at stations of lines, one line after the other."""
+        return self.lines.points_along(stations)
 
     def graph(self, centerlines: Sequence[str]) -> LaneGraph:
         """The lane graph of the labels: the lanes of the given centre lines."""
@@ -391,7 +357,9 @@ class Network:
         middle, low, high = (line[:: 1 if lane.ascends else -1] for line in lines)
         return (middle, low, high) if lane.ascends != road.line.is_mirrored else (middle, high, low)
 
-    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> dict[LaneCurve, Scalars]:
+    def delimiters_near(
+        self, xy_world: Float[np.ndarray, "2"], reach_m: float
+    ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of places along the painted lines that come within about `reach_m` of a place of the host; of a
         line without ends, those within this distance."""
         places = ((at, self.stations_between(at.start_m, at.end_m, xy_world, reach_m)) for at in self.delimiters)

@@ -75,7 +75,7 @@ def check_sky(evidence: Evidence) -> Iterator[Result]:
     rays = evidence.camera.rays(np.column_stack([columns, rows]) + 0.5) @ evidence.camera.world_from_cam[:3, :3].T
     down = rays[:, 2] < 0
     rows, columns, rays = rows[down], columns[down], rays[down]
-    xs, ys = evidence.world.ground.mesh_axes
+    xs, ys = evidence.world.ground.paved.grid.axes
     eye_world, last = evidence.camera.world_from_cam[:3, 3], np.array([[xs[0], ys[0]], [xs[-1], ys[-1]]])
     with np.errstate(divide="ignore"):
         way_m = np.abs((last[(rays[:, :2] > 0).astype(int), [0, 1]] - eye_world[:2]) / rays[:, :2]).min(axis=1)

@@ -130,8 +130,8 @@ def check_sharpness(evidence: Evidence) -> Iterator[Result]:
 def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree hides it."""
     world, camera, ground = evidence.world, evidence.camera, evidence.world.ground
-    away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.both_ways else AHEAD_M
-    xy = ground.beside_pavement(world.view.camera.y_m + away_m, ASIDE_M)
+    away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.way.both_ways else AHEAD_M
+    xy = ground.paved.places_beside(world.view.camera.y_m + away_m, ASIDE_M)
     xy = xy[ground.clearance(xy) > CLEAR_M]
     points_world = np.column_stack([xy, ground.height(xy)])
     eye_world = camera.world_from_cam[:3, 3]

@@ -18,9 +18,10 @@ from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world import meshes
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.map_ground import MapGround
 from synth3dlanes.world.map_meshes import SURFACES
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
+from synth3dlanes.world.paved_areas import PavedAreas
+from synth3dlanes.world.verges import Verges
 
 # Points are projected onto a road that parts from another up to this far before that and this far left of its lanes.
 BEHIND_M, ASIDE_M = 20.0, 1.0
@@ -45,28 +46,28 @@ IDS = {ROAD: SEMANTIC_IDS["road"], SHOULDER: SEMANTIC_IDS["shoulder"], MEDIAN: S
 class RoadPlaces:
     """Points by station and offset on every road; NaN where one that parts from another is not near."""
 
-    ground: Ground
+    paved: Verges
     xy_world: Points2
     on: dict[str, tuple[Scalars, Scalars]]
 
     @property
     def s(self) -> Scalars:
         """Stations on the host's road."""
-        return self.on[self.ground.network.main.id][0]
+        return self.on[self.paved.network.main.id][0]
 
     @property
     def t(self) -> Scalars:
         """Offsets on the host's road."""
-        return self.on[self.ground.network.main.id][1]
+        return self.on[self.paved.network.main.id][1]
 
     def at(self, which: Bool[np.ndarray, " n"]) -> "RoadPlaces":
         """The selected points."""
         on = {road: (s[which], t[which]) for road, (s, t) in self.on.items()}
-        return RoadPlaces(self.ground, self.xy_world[which], on)
+        return RoadPlaces(self.paved, self.xy_world[which], on)
 
     def outside(self) -> Scalars:
         """Distance from the nearest pavement, negative on it."""
-        return np.fmin.reduce([self.outside_of(road) for road in self.ground.network.roads])
+        return np.fmin.reduce([self.outside_of(road) for road in self.paved.network.roads])
 
     def off_carriageways(self) -> Scalars:
         """The same; infinite where none is near."""
@@ -83,17 +84,17 @@ class RoadPlaces:
     def raised(self) -> Scalars:
         """Height of the pavement over the terrain."""
         raised = np.zeros(self.s.shape)
-        for road in self.ground.network.roads:
+        for road in self.paved.network.roads:
             on_it = self._on_branch(road, CUT_M)
             if road.ramp is not None and on_it.any():
-                rows = np.sort(self.ground.network.stations(self.ground.rows_driven_m))
+                rows = np.sort(self.paved.network.stations(self.paved.rows_driven_m))
                 raised[on_it] = np.interp(self.on[road.id][0][on_it], rows, road.raised(rows))
         return raised
 
     def on_slope(self) -> Bool[np.ndarray, " n"]:
         """Which points are on a ramp where it rises."""
         raised = self.raised()
-        tops_m = [road.ramp.height_m for road in self.ground.network.roads if road.ramp]
+        tops_m = [road.ramp.height_m for road in self.paved.network.roads if road.ramp]
         return (raised > 0) & (raised < min(tops_m, default=0.0))
 
     def is_firm(self) -> Bool[np.ndarray, " n"]:
@@ -103,13 +104,13 @@ class RoadPlaces:
     def is_fine(self, row_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are where rows are closer than this. Far behind a host without rear cameras they are not, and
         the pavement is straight between them."""
-        rows = np.sort(self.ground.network.stations(self.ground.rows_driven_m))
+        rows = np.sort(self.paved.network.stations(self.paved.rows_driven_m))
         before = np.searchsorted(rows, self.s) - 1
         return np.asarray(np.diff(rows)[np.clip(before, 0, len(rows) - 2)] < row_m)
 
     def slope(self) -> Points2:
         """Rise of the terrain along world x and y."""
-        return gradient_at(self.ground.network.terrain, self.xy_world)
+        return gradient_at(self.paved.network.terrain, self.xy_world)
 
     def right_of(self, curve: LaneCurve) -> Scalars:
         """Distance beside a curve, as t grows; infinite where it is not near."""
@@ -126,20 +127,20 @@ class RoadPlaces:
 
     def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
         """Semantic id of road or shoulder where only one is possible, given a margin; 0 elsewhere."""
-        main = self.ground.network.main
+        main = self.paved.network.main
         right = main.right(self.s) - main.shoulder_m
         beyond = np.maximum(main.carriageways[0].left_m - self.t, self.t - right)
         for low_m, high_m in main.medians:
             beyond = np.where((self.t > low_m) & (self.t < high_m), np.fmin(self.t - low_m, high_m - self.t), beyond)
         known = (self.outside_of(main) < 0) & ~self._on_grass(margin_m)
-        for road in self.ground.network.branches(main):
+        for road in self.paved.network.branches(main):
             _, t = self.on[road.id]
             lanes = np.maximum(road.carriageways[0].left_m - t, t - road.carriageways[-1].right_m)
             is_covered = (self.s > road.start_m - BEHIND_M) & (lanes < COVER_M)
             beyond = np.where((self.t > right - margin_m) & is_covered, 0.0, beyond)
             on_it = (self.outside_of(main) > CUT_M) & (self.outside_of(road) < 0)
             beyond, known = np.where(on_it, lanes, beyond), known | on_it
-        paved_m = self.ground.under_paint_m(main) + margin_m
+        paved_m = self.paved.under_paint_m(main) + margin_m
         road_id, shoulder_id = SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]
         return np.where(known & (beyond < -margin_m), road_id, np.where(known & (beyond > paved_m), shoulder_id, 0))
 
@@ -161,7 +162,7 @@ class RoadPlaces:
     def _on_grass(self, margin_m: float) -> Bool[np.ndarray, " n"]:
         """Which points may be on the grass of a median."""
         found = np.zeros(self.t.shape, dtype=bool)
-        for low_m, high_m in self.ground.grass_in_medians(self.ground.network.main):
+        for low_m, high_m in self.paved.grass_in_medians(self.paved.network.main):
             found |= (self.t > low_m - margin_m) & (self.t < high_m + margin_m)
         return found
 
@@ -171,13 +172,14 @@ class MapPlaces:
     """Points on the ground of a map, by the questions that `RoadPlaces` answers for the paper's roads; `known` has
     their places beside curves by the ids of these."""
 
-    ground: MapGround
+    ground: Ground
+    paved: PavedAreas
     xy_world: Points2
     known: dict[str, tuple[Scalars, Scalars]] = field(default_factory=dict)
 
     def at(self, which: Bool[np.ndarray, " n"]) -> "MapPlaces":
         """The selected points."""
-        return MapPlaces(self.ground, self.xy_world[which])
+        return MapPlaces(self.ground, self.paved, self.xy_world[which])
 
     def outside(self) -> Scalars:
         """Distance from the nearest pavement, negative on it."""
@@ -185,7 +187,7 @@ class MapPlaces:
 
     def off_carriageways(self) -> Scalars:
         """Distance from the nearest pavement of traffic, negative on it."""
-        return self.ground.off_carriageways(self.xy_world)
+        return self.paved.off_carriageways(self.xy_world)
 
     @cached_property
     def _raised(self) -> Scalars:
@@ -262,7 +264,7 @@ class MapPlaces:
     def surface(self, margin_m: float) -> Int[np.ndarray, " n"]:
         """Semantic id of what a lane is paved with, given a margin, on roads outside junctions; 0 elsewhere."""
         found, taken = np.zeros((2, len(self.xy_world)), dtype=int)
-        inner = {road.id for road in self.ground.outside}
+        inner = {road.id for road in self.paved.outside}
         near, roads = self.ground.network.index.nearby(self.xy_world, np.full(len(self.xy_world), 0.5))
         rows = np.flatnonzero(near)
         for road, which, s, t in roads:
@@ -287,9 +289,8 @@ AnyPlaces = RoadPlaces | MapPlaces
 
 def places(ground: Ground, xy_world: Points2) -> AnyPlaces:
     """Project points near a road onto it."""
-    # Nothing else asks for the kind of a ground.
-    if isinstance(ground, MapGround):
-        return MapPlaces(ground, xy_world)
+    if isinstance(ground.paved, PavedAreas):
+        return MapPlaces(ground, ground.paved, xy_world)
     on: dict[str, tuple[Scalars, Scalars]] = {}
     for road in ground.network.roads:
         if road.parting is None:
@@ -302,4 +303,4 @@ def places(ground: Ground, xy_world: Points2) -> AnyPlaces:
         found = np.full((2, len(s)), np.nan)
         found[:, near] = road.line.project(xy_world[near], np.maximum(s[near], road.start_m))
         on[road.id] = found[0], found[1]
-    return RoadPlaces(ground, xy_world, on)
+    return RoadPlaces(ground.paved, xy_world, on)

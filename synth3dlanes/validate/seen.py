@@ -27,8 +27,9 @@ from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.standing import mesh_height, terrain_height
 from synth3dlanes.world.camera import project
-from synth3dlanes.world.ground import EMBANKMENT_SLOPE, VERGE_M
 from synth3dlanes.world.solids import SURFACES
+from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE
+from synth3dlanes.world.verges import VERGE_M
 
 # In 2,000 random scenes the meshes are within 8 mm of the formulas up to RANGE_M, and their edges within 2 mm.
 RANGE_M, MAX_GAP_M, MAX_ASIDE_M = 110.0, 0.015, 0.01
@@ -235,7 +236,7 @@ def _plan(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 def _hills(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     ground, xy = evidence.world.ground, seen.points_world[:, :2]
     raised_m = EMBANKMENT_SLOPE * max([road.ramp.height_m for road in ground.network.roads if road.ramp], default=0.0)
-    is_open = ground.clearance(xy) > VERGES * VERGE_M * ground.cell_scale(xy) + raised_m
+    is_open = ground.clearance(xy) > VERGES * VERGE_M * ground.paved.grid.cell_scale(xy) + raised_m
     slope = gradient_at(evidence.scene.terrain, xy[is_open])
     above_m = seen.points_world[is_open, 2] - terrain_height(ground, xy[is_open])
     yield PartSeen("terrain", above_m / np.sqrt(1 + (slope**2).sum(axis=1)))
@@ -244,7 +245,7 @@ def _hills(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 def _through(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Below a deck, and over a tunnel, the ground goes on."""
     ground, xy = evidence.world.ground, seen.points_world[:, :2]
-    may_be = ground.is_grass(xy, INSIDE_M) | ground.is_stacked(xy)
+    may_be = ground.paved.is_grass(xy, INSIDE_M) | ground.is_stacked(xy)
     yield PartSeen("terrain", np.where(may_be, 0, np.maximum(-ground.clearance(xy), 0)))
 
 

@@ -110,7 +110,7 @@ def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Scalars
 
 def terrain_height(ground: Ground, xy: Points2) -> Scalars:
     """Height of the terrain mesh, interpolated bilinearly in its cells."""
-    xs, ys = ground.mesh_axes
+    xs, ys = ground.paved.grid.axes
     j = np.clip(np.searchsorted(xs, xy[:, 0]) - 1, 0, len(xs) - 2)
     i = np.clip(np.searchsorted(ys, xy[:, 1]) - 1, 0, len(ys) - 2)
     corners = np.stack([xs[[j, j + 1, j, j + 1]], ys[[i, i, i + 1, i + 1]]], axis=-1)

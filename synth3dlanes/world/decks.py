@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads.cross_section import KERB_M
 from synth3dlanes.system.arrays import Points3, Scalars
-from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.paved_areas import PavedAreas
 from synth3dlanes.world.solids import SINK_M, Body, GroundFrame, Quads
 from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M, WALL_M, Span
 
@@ -30,9 +31,9 @@ PORTAL_M, COPING_M, PORTAL_SLOPE = 8.0, 0.5, 0.6
 CONCRETE, DARK = (0.4, 0.39, 0.37), (0.24, 0.235, 0.225)
 
 
-def span_bodies(ground: MapGround) -> list[Body]:
-    """The bodies of all decks and tunnels, in the order of `MapGround.spans`."""
-    return [_tunnel(ground, span) if span.is_tunnel else _deck(ground, span) for span in ground.spans]
+def span_bodies(ground: Ground, paved: PavedAreas) -> list[Body]:
+    """The bodies of all decks and tunnels, in the order of `PavedAreas.spans`."""
+    return [_tunnel(paved, span) if span.is_tunnel else _deck(ground, paved, span) for span in paved.spans]
 
 
 def _points(span: Span, s: Scalars, t: Scalars, up_m: Scalars | float) -> Points3:
@@ -43,13 +44,13 @@ def _points(span: Span, s: Scalars, t: Scalars, up_m: Scalars | float) -> Points
     return np.column_stack([road.xy(s, t), z])
 
 
-def _deck(ground: MapGround, span: Span) -> Body:
+def _deck(ground: Ground, paved: PavedAreas, span: Span) -> Body:
     """A slab with parapets where its edges are free, on abutments and piers."""
     quads, road, s = Quads("bridge", "bridge"), span.road, span.rows(ROW_M)
     left, right = road.left(s), road.right(s)
     quads.sweep(_rows(span, s, [(left - SIDE_M, -DECK_M), (right + SIDE_M, -DECK_M)]), DARK)
     for edge, out in ((left, -1.0), (right, 1.0)):
-        free = _is_free(ground, span, s, edge + out * BESIDE_M)
+        free = _is_free(paved, span, s, edge + out * BESIDE_M)
         top = PARAPET_M + road.kerb(s, edge - out * KERB_M)
         for first, end in stretches(free):
             on = slice(first, end)
@@ -62,8 +63,8 @@ def _deck(ground: MapGround, span: Span) -> Body:
             outer = edge[on] + out * SIDE_M
             quads.sweep(_rows(span, s[on], [(outer, -DECK_M), (outer, -0.08), (edge[on], -0.08)]), DARK)
     for end_m, outward in ((span.from_m, -1.0), (span.to_m, 1.0)):
-        _abutment(quads, ground, span, end_m, outward)
-    _piers(quads, ground, span)
+        _abutment(quads, paved, span, end_m, outward)
+    _piers(quads, paved, span)
     feet = _points(span, s, (left + right) / 2, 0.0)
     quads.feet.append(np.column_stack([feet[:, :2], ground.height(feet[:, :2])]))
     return quads.body()
@@ -74,10 +75,10 @@ def _rows(span: Span, s: Scalars, section: Sequence[tuple[Scalars, Scalars | flo
     return np.stack([_points(span, s, t, up) for t, up in section], axis=1)
 
 
-def _is_free(ground: MapGround, span: Span, s: Scalars, t: Scalars) -> Bool[np.ndarray, " n"]:
+def _is_free(paved: PavedAreas, span: Span, s: Scalars, t: Scalars) -> Bool[np.ndarray, " n"]:
     """At which stations no other pavement is beside the edge of a deck, about as high."""
     points = _points(span, s, t, 0.0)
-    near, roads = ground.network.index.nearby(points[:, :2], np.full(len(s), BESIDE_M))
+    near, roads = paved.network.index.nearby(points[:, :2], np.full(len(s), BESIDE_M))
     taken, rows = np.zeros(len(s), dtype=bool), np.flatnonzero(near)
     for road, which, at_s, at_t in roads:
         if road is span.road:
@@ -89,7 +90,7 @@ def _is_free(ground: MapGround, span: Span, s: Scalars, t: Scalars) -> Bool[np.n
     return ~taken
 
 
-def _abutment(quads: Quads, ground: MapGround, span: Span, end_m: float, outward: float) -> None:
+def _abutment(quads: Quads, paved: PavedAreas, span: Span, end_m: float, outward: float) -> None:
     """A wall below the end of a deck, with wings into the bank; none where the road goes on from there on a deck."""
     road, n = span.road, 7
     at = np.full(n, end_m)
@@ -98,7 +99,7 @@ def _abutment(quads: Quads, ground: MapGround, span: Span, end_m: float, outward
     along = road.xy(at[:1], np.zeros(1)) - road.xy(at[:1] - 0.5 * outward, np.zeros(1))
     along = along[0] / np.linalg.norm(along)
     face, ways = line - 0.05 * along, line[[0, -1]][:, None] + np.array([-0.05, WING_M])[:, None] * along
-    graded_m = ground.graded(np.concatenate([line + along, line - along, face, *ways]))
+    graded_m = paved.graded(np.concatenate([line + along, line - along, face, *ways]))
     behind, before, at_face, *feet = np.split(graded_m, np.cumsum([n, n, n, 2]))
     top = _points(span, at, t, 0.0)[:, 2]
     if (top - behind).min() > BANK_M:
@@ -111,7 +112,7 @@ def _abutment(quads: Quads, ground: MapGround, span: Span, end_m: float, outward
         quads.sweep(np.stack([np.column_stack([way, np.full(2, at_z)]) for at_z in ends], axis=1), CONCRETE)
 
 
-def _piers(quads: Quads, ground: MapGround, span: Span) -> None:
+def _piers(quads: Quads, paved: PavedAreas, span: Span) -> None:
     """Pairs of columns below a deck, clear of pavement."""
     road = span.road
     n = int((span.to_m - span.from_m) / PIERS_M)
@@ -119,9 +120,9 @@ def _piers(quads: Quads, ground: MapGround, span: Span) -> None:
     s = np.repeat(np.clip(middles_m[:, None] + TRIED_M, span.from_m + 1, span.to_m - 1).ravel(), 2)
     left, right = road.left(s), road.right(s)
     top = _points(span, s, left + (right - left) * np.tile([0.22, 0.78], len(s) // 2), -DECK_M)
-    low = ground.graded(top[:, :2])
+    low = paved.graded(top[:, :2])
     rise_m = top[:, 2] - low
-    has_room = (rise_m >= LEAST_PIER_M) & ground.is_off_ground_pavement(top[:, :2], CLEAR_M)
+    has_room = (rise_m >= LEAST_PIER_M) & paved.is_off_ground_pavement(top[:, :2], CLEAR_M)
     pairs = has_room.reshape(n, len(TRIED_M), 2).all(axis=2)
     for i in np.flatnonzero(pairs.any(axis=1)).tolist():
         first = 2 * (i * len(TRIED_M) + int(pairs[i].argmax()))
@@ -131,7 +132,7 @@ def _piers(quads: Quads, ground: MapGround, span: Span) -> None:
             quads.box(frame, (-PIER_M, -PIER_M, -SINK_M), (PIER_M, PIER_M, float(rise_m[at]) + 0.05), CONCRETE)
 
 
-def _tunnel(ground: MapGround, span: Span) -> Body:
+def _tunnel(paved: PavedAreas, span: Span) -> Body:
     """Walls and a ceiling, and walls around both portals."""
     quads, road, s = Quads("tunnel", "bridge"), span.road, span.rows(ROW_M)
     left, right = road.left(s), road.right(s)
@@ -140,7 +141,7 @@ def _tunnel(ground: MapGround, span: Span) -> Body:
     quads.sweep(_rows(span, s, section), CONCRETE)
     for edge in (left - WALL_M, right + WALL_M):
         xy = road.xy(s, edge)
-        top, low = ground.beside_tunnels(xy, is_over=True), ground.beside_tunnels(xy, is_over=False)
+        top, low = paved.beside_tunnels(xy, is_over=True), paved.beside_tunnels(xy, is_over=False)
         wall = [np.column_stack([xy, np.minimum(low, top) - SINK_M]), np.column_stack([xy, top + 0.05])]
         quads.sweep(np.stack(wall, axis=1), DARK)
     for end_m in (span.from_m, span.to_m):

@@ -56,7 +56,7 @@ def blades(
 
 def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
     """Points of all lane curves around the host, spaced as those of the labels, up to RANGE_M."""
-    s = ground.network.stations(np.arange(*ground.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M))
+    s = ground.network.stations(np.arange(*ground.way.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M))
     return np.concatenate(
         [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
     )
@@ -64,18 +64,18 @@ def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
 
 def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points3, Scalars]:
     """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
-    network, last_m = ground.network, ground.near_m + ground.driven_m
+    network, last_m = ground.network, ground.way.near_m + ground.way.driven_m
     n_edges = max(LEAST_EDGES, 2 * len(network.roads))
     draws = rng.random((4, n_edges, PER_EDGE))
     driven_m = last_m + _away(draws[0])
-    if ground.driven_m:
-        more = rng.random((4, n_edges, int(PER_M * ground.driven_m)))
+    if ground.way.driven_m:
+        more = rng.random((4, n_edges, int(PER_M * ground.way.driven_m)))
         draws = np.concatenate([draws, more], axis=2)
-        driven_m = np.concatenate([driven_m, ground.near_m + AHEAD_M[0] + ground.driven_m * more[0]], axis=1)
-    if ground.both_ways:
+        driven_m = np.concatenate([driven_m, ground.way.near_m + AHEAD_M[0] + ground.way.driven_m * more[0]], axis=1)
+    if ground.way.both_ways:
         more = rng.random((4, n_edges, PER_EDGE))
         draws = np.concatenate([draws, more], axis=2)
-        driven_m = np.concatenate([driven_m, ground.near_m - _away(more[0])], axis=1)
+        driven_m = np.concatenate([driven_m, ground.way.near_m - _away(more[0])], axis=1)
     beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
     s, xy = network.stations(driven_m), list[Points2]()
     for road in network.roads:

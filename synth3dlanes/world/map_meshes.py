@@ -19,8 +19,9 @@ from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.world.areas import clipped, contains, difference, intersection, outset, union, valid
 from synth3dlanes.world.cells import beside, cut_cells, merged
 from synth3dlanes.world.decks import span_bodies
-from synth3dlanes.world.map_ground import GroundArea, MapGround
-from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, Surfaces, grid, with_crease
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, with_crease
+from synth3dlanes.world.paved_areas import GroundArea, PavedAreas
 from synth3dlanes.world.solids import Body
 
 # Faces of lanes are no wider than this; cells of junctions, by how far these are from the host.
@@ -39,21 +40,22 @@ AREA_SURFACES = {"road": ROAD, "walkway": SHOULDER, "paved": SHOULDER, "grass": 
 
 
 @dataclass(frozen=True, eq=False)
-class MapSurfaces(Surfaces):
-    """What of the ground of a map is built."""
+class AreaSurfaces:
+    """What of a ground with paved areas is built, as `Surfaces` has it."""
 
-    ground: MapGround
+    ground: Ground
+    paved: PavedAreas
 
     @cached_property
     def pavement(self) -> list[Mesh]:
         """The strips of all roads outside junctions, and the areas of junctions and islands."""
-        found, ground = list[Mesh](), self.ground
-        for road in ground.outside:
+        found, paved = list[Mesh](), self.paved
+        for road in paved.outside:
             for stretch in road.stretches:
                 if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
-                    found += _strips(ground, stretch, (stretch is road.stretches[0], stretch is road.stretches[-1]))
-        found += _area_meshes(ground)
-        near = (_near(ground, mesh) for mesh in found)
+                    found += _strips(paved, stretch, (stretch is road.stretches[0], stretch is road.stretches[-1]))
+        found += _area_meshes(paved)
+        near = (_near(paved, mesh) for mesh in found)
         return [mesh for mesh in near if len(mesh.faces)]
 
     @property
@@ -66,21 +68,22 @@ class MapSurfaces(Surfaces):
         """A grid with fine cells near the host, which grow to the horizon. It is one surface: it goes on below the
         pavement, a little lower at its edges and deeper inside, so that no gap shows the sky. Over tunnels it is the
         ground there, which ends in steps at their edges."""
-        ground = self.ground
-        xs, ys = ground.mesh_axes
-        near = shapely.box(*ground.way_box(REACH_M - 20.0))
+        ground, paved = self.ground, self.paved
+        xs, ys = paved.grid.axes
+        near = shapely.box(*paved.way.box(REACH_M - 20.0))
         # Where below the pavement its border lies exactly, nobody sees.
-        bed = valid(shapely.simplify(intersection(outset(ground.graded_pavement, -UNDER_M), near), UNDER_M / 5))
-        over = difference(intersection(union(span.area for span in ground.tunnels), near), bed)
+        bed = valid(shapely.simplify(intersection(outset(paved.graded_pavement, -UNDER_M), near), UNDER_M / 5))
+        over = difference(intersection(union(span.area for span in paved.tunnels), near), bed)
         for area in (bed, over):
             shapely.prepare(area)
         corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
         xs, ys = (beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
         xy = np.stack(np.meshgrid(xs, ys), -1)
         z, inside = np.zeros(xy.shape[:2]), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
-        z[inside], z[~inside] = ground.bed_height(xy[inside]), ground.mesh_heights(xy[~inside])
+        z[inside] = paved.inner_bed_height(xy[inside]) + ground.hills.height(xy[inside])
+        z[~inside] = ground.mesh_heights(xy[~inside])
         inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
-        z[inside] = ground.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
+        z[inside] = paved.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
         whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
         cells = [cut_cells(xs, ys, area) for area in (bed, over)]
         free = cells[0] if over.is_empty else cut_cells(xs, ys, union([bed, over]))
@@ -96,7 +99,7 @@ class MapSurfaces(Surfaces):
             is_corner = (xs[at[0]] == places[:, 0]) & (ys[at[1]] == places[:, 1])
             number, new = at[1] * len(xs) + at[0], places[~is_corner]
             number[~is_corner] = sum(map(len, vertices)) + np.arange(len(new))
-            heights = ground.beside_tunnels(new, is_over) + ground.hills.height(new)
+            heights = paved.beside_tunnels(new, is_over) + ground.hills.height(new)
             vertices.append(np.column_stack([new, heights]))
             faces.append(number[quads])
         points, quads = np.concatenate(vertices), np.concatenate(faces)
@@ -105,19 +108,19 @@ class MapSurfaces(Surfaces):
     @cached_property
     def bodies(self) -> list[Body]:
         """The decks and tunnels."""
-        return span_bodies(self.ground)
+        return span_bodies(self.ground, self.paved)
 
 
-def _near(ground: MapGround, mesh: Mesh) -> Mesh:
+def _near(paved: PavedAreas, mesh: Mesh) -> Mesh:
     """The mesh without the faces beyond REACH_M."""
-    kept = (ground.away_at(mesh.vertices_world[:, :2]) < REACH_M)[mesh.faces].all(axis=1)
+    kept = (paved.way.away_at(mesh.vertices_world[:, :2]) < REACH_M)[mesh.faces].all(axis=1)
     return mesh if kept.all() else replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _strips(ground: MapGround, stretch: Road, is_end: tuple[bool, bool]) -> list[Mesh]:
+def _strips(paved: PavedAreas, stretch: Road, is_end: tuple[bool, bool]) -> list[Mesh]:
     """The lanes of a stretch of a road, raised ones with kerbs on all sides. Others have upright faces on the sides of
     the road and at its ends, where what follows may be narrower."""
-    s, (section,) = ground.stretch_rows(stretch), stretch.sections
+    s, (section,) = paved.stretch_rows(stretch), stretch.sections
     edges, first, last = section.edges(s), *section.paved
     found, i = [], first
     while i < last:
@@ -129,7 +132,7 @@ def _strips(ground: MapGround, stretch: Road, is_end: tuple[bool, bool]) -> list
             n = max(int(np.ceil((edges[k + 1] - edges[k]).mean() / COLUMN_M)), 1)
             share = np.linspace(0, 1, n + 1)[0 if k == i else 1 :]
             columns += [edges[k] + (edges[k + 1] - edges[k]) * at for at in share]
-            across += ((k + share) * ground.network.across.width_m).tolist()
+            across += ((k + share) * paved.network.across.width_m).tolist()
             surfaces += [SURFACES.get(section.lanes[k].kind, ROAD)] * n
         t = np.stack(columns, axis=1)
         vertices = stretch.base_points(np.broadcast_to(s[:, None], t.shape), t)
@@ -168,14 +171,14 @@ class _AreaFaces(NamedTuple):
     rings: list[Float[np.ndarray, "_ 2"]]
 
 
-def _area_meshes(ground: MapGround) -> list[Mesh]:
+def _area_meshes(paved: PavedAreas) -> list[Mesh]:
     """All areas, with kerbs around them where they are raised. One that is not goes on a little below what lies beside
     it."""
-    flat = [_area_faces(ground, area) for area in ground.areas if not area.polygon.is_empty]
+    flat = [_area_faces(paved, area) for area in paved.areas if not area.polygon.is_empty]
     # Heights of all together, and below what lies beside them.
-    heights = ground.area_heights([(at.area, np.concatenate([at.xy, *at.rings])) for at in flat])
+    heights = paved.area_heights([(at.area, np.concatenate([at.xy, *at.rings])) for at in flat])
     beside = [at.xy[at.is_beside] for at in flat]
-    under = np.split(ground.under(np.concatenate([*beside, np.zeros((0, 2))])), np.cumsum(list(map(len, beside)))[:-1])
+    under = np.split(paved.under(np.concatenate([*beside, np.zeros((0, 2))])), np.cumsum(list(map(len, beside)))[:-1])
     found = []
     for at, heights_m, under_m in zip(flat, heights, under, strict=False):
         z, *tops = np.split(heights_m, np.cumsum([len(at.xy), *map(len, at.rings)])[:-1])
@@ -186,16 +189,16 @@ def _area_meshes(ground: MapGround) -> list[Mesh]:
     return found
 
 
-def _area_faces(ground: MapGround, area: GroundArea) -> _AreaFaces:
+def _area_faces(paved: PavedAreas, area: GroundArea) -> _AreaFaces:
     """The faces of an area: a grid of cells, cut at its border."""
     wide = area.polygon
     if not area.raised_m:
         shapely.prepare(area.polygon)
         beyond = outset(area.polygon, SEAM_M)
         x0, y0, x1, y1 = shapely.bounds(beyond).tolist()
-        wide = union([area.polygon, intersection(beyond, clipped(ground.pavement, (x0, y0, x1, y1)))])
+        wide = union([area.polygon, intersection(beyond, clipped(paved.pavement, (x0, y0, x1, y1)))])
     x0, y0, x1, y1 = shapely.bounds(wide)
-    away_m = float(ground.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
+    away_m = float(paved.way.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
     cell_m = CELLS_M[int(np.searchsorted(CELLS_TO_M, away_m))]
     wide_corners = shapely.get_coordinates(wide)
     xs, ys = (

@@ -11,17 +11,11 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.roads.roads import Road, Side
 from synth3dlanes.system.arrays import Scalars
-from synth3dlanes.world.ground import (
-    EMBANKMENT_SLOPE,
-    GRASS_FROM_M,
-    HORIZON_M,
-    VERGE_M,
-    Ground,
-    embankment_width,
-    profile,
-)
+from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import far_dam
 from synth3dlanes.world.solids import Body
+from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE, HORIZON_M
+from synth3dlanes.world.verges import GRASS_FROM_M, VERGE_M, Verges, embankment_width, profile
 
 # Where a road begins beside another, its inner edge extends a little below that one or its own verge. Their rows
 # differ, so a gap would show the ground otherwise.
@@ -48,29 +42,30 @@ class Surfaces:
     """What of a ground is built; each part is made on first access and kept."""
 
     ground: Ground
+    paved: Verges
 
     @cached_property
     def pavement(self) -> list[Mesh]:
         """The pavement of every road, of one that begins beside another outside that one's pavement."""
-        ground = self.ground
-        return [over_terrain(_pavement(ground, road, _rows(ground, road))) for road in ground.network.roads]
+        paved = self.paved
+        return [over_terrain(_pavement(paved, road, _rows(paved, road))) for road in paved.network.roads]
 
     @cached_property
     def verges(self) -> list[Mesh]:
         """Verges and embankments along every edge of the pavement, down to below the terrain mesh."""
-        meshes, ground = [], self.ground
-        for road in ground.network.roads:
-            s = _rows(ground, road)
+        meshes, paved = [], self.paved
+        for road in paved.network.roads:
+            s = _rows(paved, road)
             free = np.full(s.shape, np.inf)
             left_m = free if road.parting is None else _gap(road, s)
-            right_m = np.where(_is_continued(ground, road, s), 0.0, np.inf)
-            meshes += [_verge(ground, road, "left", s, left_m), _verge(ground, road, "right", s, right_m)]
+            right_m = np.where(_is_continued(paved, road, s), 0.0, np.inf)
+            meshes += [_verge(paved, road, "left", s, left_m), _verge(paved, road, "right", s, right_m)]
         return [mesh for mesh in map(over_terrain, meshes) if len(mesh.faces)]
 
     @cached_property
     def terrain(self) -> Mesh:
         """A grid with cells of CELL_M near the road, which grow outwards to the horizon and its hills."""
-        xs, ys = self.ground.mesh_axes
+        xs, ys = self.paved.grid.axes
         xy = np.stack(np.meshgrid(xs, ys), -1)
         vertices = np.concatenate([xy, self.ground.mesh_heights(xy)[..., None]], -1)
         return grid(vertices, xy, np.zeros(len(xs) - 1, dtype=int))
@@ -81,9 +76,9 @@ class Surfaces:
         return []
 
 
-def _rows(ground: Ground, road: Road) -> Scalars:
+def _rows(paved: Verges, road: Road) -> Scalars:
     """Stations of a road's rows as the host drives; of a road that begins or ends somewhere, as s grows."""
-    s = ground.network.stations(ground.rows_driven_m)
+    s = paved.network.stations(paved.rows_driven_m)
     inside = (s >= road.start_m) & (s <= road.end_m)
     return s if inside.all() else np.sort(s[inside])
 
@@ -131,16 +126,16 @@ def over_terrain(mesh: Mesh) -> Mesh:
     return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _columns(ground: Ground, road: Road) -> tuple[Scalars, Int[np.ndarray, " m"]]:
+def _columns(paved: Verges, road: Road) -> tuple[Scalars, Int[np.ndarray, " m"]]:
     """Offsets across a road where it begins, and the material of each column of faces."""
     parts = road.carriageways
-    paved_m = ground.under_paint_m(road)
+    paved_m = paved.under_paint_m(road)
     shoulder = np.linspace(paved_m, road.shoulder_m, SHOULDER_COLUMNS + 1)[::-1]
     offsets, material = [parts[0].left_m - shoulder], [np.full(SHOULDER_COLUMNS, SHOULDER), np.full(1, ROAD)]
     for i, part in enumerate(parts):
         across = np.linspace(part.left_m, part.right_m, part.n_lanes * LANE_COLUMNS + 1)
         if i > 0:
-            median, surface = _median_columns(ground, road, *road.medians[i - 1])
+            median, surface = _median_columns(paved, road, *road.medians[i - 1])
             # Without a median both carriageways share a column.
             across = across if len(median) else across[1:]
             offsets.append(median)
@@ -152,22 +147,22 @@ def _columns(ground: Ground, road: Road) -> tuple[Scalars, Int[np.ndarray, " m"]
     return np.concatenate(offsets), np.concatenate(material)
 
 
-def _median_columns(ground: Ground, road: Road, left_m: float, right_m: float) -> tuple[Scalars, Int[np.ndarray, " m"]]:
+def _median_columns(paved: Verges, road: Road, left_m: float, right_m: float) -> tuple[Scalars, Int[np.ndarray, " m"]]:
     """Offsets inside a median between the inner lane boundaries, and the material of each column of faces there."""
     width_m = right_m - left_m
     if width_m < LEAST_MEDIAN_M:
         return np.zeros(0), np.zeros(0, dtype=int)
-    paved_m, inner_m = ground.beside_median_m(road, width_m)
+    paved_m, inner_m = paved.beside_median_m(road, width_m)
     across = np.array([paved_m, inner_m, width_m / 2, width_m - inner_m, width_m - paved_m])
     middle = MEDIAN if width_m >= GRASS_FROM_M else SHOULDER
     return left_m + across, np.array([ROAD, SHOULDER, middle, middle, SHOULDER, ROAD])
 
 
-def _pavement(ground: Ground, road: Road, s: Scalars) -> Mesh:
-    k, network = SHOULDER_COLUMNS, ground.network
-    t, column_material = _columns(ground, road)
+def _pavement(paved: Verges, road: Road, s: Scalars) -> Mesh:
+    k, network = SHOULDER_COLUMNS, paved.network
+    t, column_material = _columns(paved, road)
     right = road.right(s)[:, None]
-    lanes = np.minimum(t[:-k], right - road.shoulder_m + ground.under_paint_m(road))
+    lanes = np.minimum(t[:-k], right - road.shoulder_m + paved.under_paint_m(road))
     offsets = np.concatenate([lanes, t[-k:] - road.right.base_m + right], axis=1)
     if road.parting is not None:
         inner = _inner_edge(road, s)[:, None]
@@ -181,7 +176,7 @@ def _pavement(ground: Ground, road: Road, s: Scalars) -> Mesh:
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         guess = np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2])
         material[:, -k:][branch.in_lanes(*branch.line.project(middle, guess))] = ROAD
-    vertices = ground.lift_far(xy, road.raised(stations) + far_dam(stations), stations)
+    vertices = paved.lift_far(xy, road.raised(stations) + far_dam(stations), stations)
     if road.parting is not None:
         vertices[:, 0, 2] -= SEAM_FALL_M
     return grid(vertices, np.stack([offsets, stations], -1) * [network.rightward, network.onwards], material)
@@ -193,10 +188,10 @@ def _inner_edge(road: Road, s: Scalars) -> Scalars:
     return np.clip(_crossing(road, s, road.right(s)), road.left(s), road.right(s))
 
 
-def _is_continued(ground: Ground, road: Road, s: Scalars) -> Bool[np.ndarray, " n"]:
+def _is_continued(paved: Verges, road: Road, s: Scalars) -> Bool[np.ndarray, " n"]:
     """Where another road's pavement goes on beyond a road's right edge. A verge would show through the seam."""
     found = np.zeros(s.shape, bool)
-    for branch in ground.network.branches(road):
+    for branch in paved.network.branches(road):
         at, t = branch.line.project(road.xy(s, road.right(s)), s)
         found |= (at > branch.start_m) & (branch.outside(at, t) < -SEAM_M)
     return found
@@ -223,19 +218,19 @@ def _crossing(road: Road, s: Scalars, high: Scalars) -> Scalars:
     return np.asarray(above)
 
 
-def _verge(ground: Ground, road: Road, side: Side, s: Scalars, room_m: Scalars) -> Mesh:
+def _verge(paved: Verges, road: Road, side: Side, s: Scalars, room_m: Scalars) -> Mesh:
     """A strip outwards from an edge, with a row per station.
 
     Faces without room are dropped: single pixels of them would show through the pavement.
     """
     raised = road.raised(s) + far_dam(s)
-    scale = ground.cell_scale(road.xy(s, road.edge(side, s)))
+    scale = paved.grid.cell_scale(road.xy(s, road.edge(side, s)))
     foot = EMBANKMENT_SLOPE * raised
     columns = [0.0 * foot, 0.5 * foot, foot] + [foot + VERGE_M * scale * share for share in (0.33, 0.66, 1.0)]
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([road.xy(s, road.edge(side, s, column * squeeze)) for column in columns], axis=1)
-    vertices = ground.lift_far(xy, profile(distance, raised[:, None], scale[:, None]), s[:, None])
+    vertices = paved.lift_far(xy, profile(distance, raised[:, None], scale[:, None]), s[:, None])
     mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
     is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)
     return replace(mesh, faces=mesh.faces[is_open], material=mesh.material[is_open])

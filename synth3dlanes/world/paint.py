@@ -75,7 +75,7 @@ def paint_meshes(
 ) -> dict[str, Mesh]:
     """The paint of every delimiter in `lines`, by id, corrected for parallax so that it looks in place from the eye.
     Meshes of lines out of what is `seen` may be empty."""
-    drawn = ground.drawn([line for line in lines if line.kind == "delimiter"], seen)
+    drawn = ground.paved.drawn([line for line in lines if line.kind == "delimiter"], seen)
     found = dict.fromkeys((line.id for line in drawn), NO_PAINT)
     return found | _paint(ground, [line for line, own in drawn.items() if own], eye_world, streams)
 
@@ -141,7 +141,7 @@ def _paint(
         np.where(own.s + ALONG_M > curve.end_m, -ALONG_M, ALONG_M) for curve, own in zip(lines, rows, strict=True)
     ]
     stations = [np.concatenate([own.s, own.s + step_m]) for own, step_m in zip(rows, steps_m, strict=True)]
-    points, meshes = ground.points_beside(lines, stations, offsets), dict[str, list[Mesh]]()
+    points, meshes = ground.paved.points_beside(lines, stations, offsets), dict[str, list[Mesh]]()
     for curve, own, step_m, offset, at in zip(lines, rows, steps_m, offsets, points, strict=True):
         sides, beside = at.reshape(2, -1, 2, 3)
         along = np.sign(step_m)[:, None] * (beside - sides).mean(axis=1)
@@ -167,7 +167,7 @@ def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     aside = curve.shifted(road.lane_width_m / LANE_COLUMNS / 2).xy_world(s) - xy
     over_m = (height_at(terrain, xy + aside) + height_at(terrain, xy - aside)) / 2 - height_at(terrain, xy)
     hidden = over_m > HOLLOW_M
-    hidden[hidden] = ground.is_on_other(road, xy[hidden])
+    hidden[hidden] = ground.network.is_on_other(road, xy[hidden])
     return np.where(hidden, over_m, 0.0)
 
 
@@ -198,7 +198,7 @@ def towards_eye(
     slope = gradient_at(ground.network.terrain, points_world[:, :2])
     to_eye = eye_world - points_world
     eye_over_road_m = np.clip(to_eye[:, 2] - (to_eye[:, :2] * slope).sum(axis=1), 0, None)
-    lift_m = share_of_lift * np.interp(ground.away_at(points_world[:, :2]), PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    lift_m = share_of_lift * np.interp(ground.way.away_at(points_world[:, :2]), PAINT_LIFT_AT_M, PAINT_LIFT_M)
     # lift / height, which falls to 0 where the eye is near the road's plane or below it
     share = lift_m * eye_over_road_m / (eye_over_road_m**2 + (lift_m / MAX_SHARE) ** 2)
     return np.asarray(points_world + share[:, None] * to_eye)
@@ -218,15 +218,15 @@ def painted_rows(ground: Ground, stripes: Sequence[tuple[LaneCurve, Marking]], s
     """Rows of stripes of lines, each with its pattern, with a row at every end of paint. Lengths are measured along a
     line from station 0, so that dashes and gaps do not move with the camera."""
     curves = [curve for curve, _ in stripes]
-    given = [_within(curve, rows) for curve, rows in zip(curves, ground.curve_rows(curves), strict=True)]
-    near = [_near(*at) for at in zip(given, ground.away_on(curves, given), strict=True)]
+    given = [_within(curve, rows) for curve, rows in zip(curves, ground.paved.curve_rows(curves), strict=True)]
+    near = [_near(*at) for at in zip(given, ground.way.away_on(curves, given), strict=True)]
     rows = {curve: at.rows for curve, at in zip(curves, near, strict=True)}
     points = dict(zip(rows, ground.network.points_along(rows), strict=True))
     drawn = [
         _painted(ground.markings, *stripe, at, points[stripe[0]], streams)
         for stripe, at in zip(stripes, near, strict=True)
     ]
-    away = ground.away_on(curves, [at.s for at in drawn])
+    away = ground.way.away_on(curves, [at.s for at in drawn])
     return [_narrowed(ground.markings, *at) for at in zip(stripes, drawn, away, strict=True)]
 
 

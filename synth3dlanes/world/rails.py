@@ -31,7 +31,7 @@ def rail_stations(ground: Ground, rail: Rail) -> Scalars:
     low, high = sorted((rail.from_m, rail.to_m))
     rows = [low]
     while rows[-1] < high:
-        (away_m,) = ground.away_along(ground.network.road(rail.road), np.array(rows[-1:]))
+        (away_m,) = ground.way.away_along(ground.network.road(rail.road), np.array(rows[-1:]))
         step = next(step for reach, step in PIECES_M if away_m < reach)
         rows.append(min(rows[-1] + step, high))
     return np.array(rows)
@@ -137,7 +137,7 @@ class RailPosts(NamedTuple):
 def _posts(quads: Quads, ground: Ground, rail: Rail, posts: RailPosts, color: Sequence[float]) -> None:
     first_m = rail.from_m + posts.from_ends_m
     s = np.arange(first_m, rail.to_m - (first_m - rail.from_m) + 0.01, POSTS_M)
-    away = ground.away_along(ground.network.road(rail.road), s)
+    away = ground.way.away_along(ground.network.road(rail.road), s)
     s = s[(away < FAR_POSTS_M) | (np.arange(len(s)) % round(POSTS_FAR_M / POSTS_M) == 0)]
     foot = _foot_height(ground, rail, s, posts.across_m)
     top = foot if rail.kind == "noise_wall" else _edge_height(ground, rail, s)

@@ -171,7 +171,7 @@ def _mesh(ground: Ground, traces: list[tuple[Road, Trace]], eye_world: Float[np.
             places.append(corners)
             points.append(road.points(corners[..., 0], corners[..., 1]))
     xyz, st = np.concatenate(points), np.concatenate(places)
-    is_near = ground.away_at(xyz[:, 0, :2]) < SEEN_M
+    is_near = ground.way.away_at(xyz[:, 0, :2]) < SEEN_M
     if not is_near.any():
         return None
     xyz, st = xyz[is_near].reshape(-1, 3), st[is_near].reshape(-1, 2)

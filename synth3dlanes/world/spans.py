@@ -16,7 +16,7 @@ from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.areas import intersection, polygon_between
-from synth3dlanes.world.ground import EMBANKMENT_SLOPE
+from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE
 
 # Height above another road from which a road passes over it, the thickness of its deck, and the step of the first
 # search along roads.

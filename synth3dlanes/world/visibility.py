@@ -25,7 +25,7 @@ def seen_over_ground(
         asked = np.flatnonzero(some & seen[ray])
         hidden = ground.is_in(sight[asked] + np.array([0.0, 0.0, TOLERANCE_M]))
         seen[ray[asked[hidden]]] = False
-    for crest in ground.crests():
+    for crest in ground.paved.crests():
         seen[seen] = ~_behind_crest(eye_world, to[seen], crest)
     return seen
 

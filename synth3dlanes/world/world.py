@@ -26,19 +26,22 @@ from synth3dlanes.world.elements import TrafficElement, traffic_elements
 from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
-from synth3dlanes.world.map_ground import MapGround
-from synth3dlanes.world.map_meshes import MapSurfaces
+from synth3dlanes.world.host_way import HostWay
+from synth3dlanes.world.map_meshes import AreaSurfaces
 from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things
 from synth3dlanes.world.paint import paint_meshes
+from synth3dlanes.world.paved_areas import PavedAreas
 from synth3dlanes.world.placement import tree_poses, tree_positions
 from synth3dlanes.world.seams import ghost_mesh, removed_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.symbols import SymbolShape, symbol_meshes, symbol_shapes
+from synth3dlanes.world.verges import Verges
 
 # Greatest distance from the host's middle, along it, of cameras that look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
+AnySurfaces = Surfaces | AreaSurfaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +145,7 @@ class Site:
     """What does not move: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
     instant, so all views of a world share it. Values are computed on first access and kept."""
 
-    surfaces: Surfaces
+    surfaces: AnySurfaces
     trees: tuple[Tree, ...]
     roadside: Roadside
 
@@ -281,24 +284,25 @@ def resolve(scene: Scene) -> World:
     return world_on(surfaces_of(scene, scene_network(scene)), scene)
 
 
-def world_on(surfaces: Surfaces, scene: Scene) -> World:
+def world_on(surfaces: AnySurfaces, scene: Scene) -> World:
     """The world of a scene whose surfaces are known."""
     return World(scene, Site(surfaces, scene.trees, scene.roadside))
 
 
-def surfaces_of(scene: Scene, network: Network) -> Surfaces:
+def surfaces_of(scene: Scene, network: Network) -> AnySurfaces:
     """The surfaces of a scene around its host, whatever stands and drives there."""
     shot, camera = scene.shot, scene.start
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     driven_m = driven_m if shot.views is None else shot.views.reach_m
-    place = driven_m, shot.behind_m > 0
-    # Nothing else asks for the kind of a ground.
-    if scene.map is not None:
+    way = HostWay(network, camera.y_m, driven_m, shot.behind_m > 0)
+    # Nothing else asks how roads are given.
+    if network.stretches is not None:
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
-        around = network, camera.y_m, scene.markings, replace(hills, center_world=(x, y))
-        return MapSurfaces(MapGround(*around, *place, islands=scene.map.islands))
-    return Surfaces(Ground(network, camera.y_m, scene.markings, hills, *place))
+        areas = PavedAreas(way)
+        return AreaSurfaces(Ground(way, areas, scene.markings, replace(hills, center_world=(x, y))), areas)
+    verges = Verges(way, scene.markings, hills)
+    return Surfaces(Ground(way, verges, scene.markings, hills), verges)
 
 
 def scene_network(scene: Scene) -> Network:

@@ -105,7 +105,7 @@ def map_files(world: World, graph: LaneGraph) -> tuple[MapFiles, int]:
     """The files of the map of a world, and how many lane segments are in it."""
     place, shot = world.view.world_from_host[:3, 3], world.scene.shot
     reach_m = REACH_M + host_driven(shot, shot.duration_s)
-    strips = [np.stack(edges, axis=1) for edges in world.ground.pavement_strips(place[:2], reach_m)]
+    strips = [np.stack(edges, axis=1) for edges in world.ground.paved.strips(place[:2], reach_m)]
     lanes = list(lane_segments(world, graph.segments, place, reach_m))
     rows = list(_lanes(lanes, graph, world))
     vectors = {
@@ -229,7 +229,7 @@ def _heights(
     columns, rows = np.ceil((high - low) / CELL_M).astype(int)
     x, y = (start + (np.arange(n) + 0.5) * CELL_M for start, n in zip(low, (columns, rows), strict=True))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    near = world.ground.is_within(xy, MARGIN_M)
+    near = ~world.ground.is_clear(xy, MARGIN_M)
     heights = np.full(len(xy), np.nan, np.float32)
     heights[near] = world.ground.height(xy[near])
     return heights.reshape(rows, columns), low

@@ -84,7 +84,7 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
     return Scenario(
         tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
         tuple(_lines(world, place, reach_m)),
-        tuple(world.ground.pavement_edges(place[:2], reach_m)),
+        tuple(world.ground.paved.edges(place[:2], reach_m)),
         tuple(_symbols(world)),
         _elements(pictures),
     )

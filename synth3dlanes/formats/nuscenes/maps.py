@@ -192,7 +192,7 @@ class _Layers:
     def surfaces(self, at: Float[np.ndarray, "2"], reach_m: float, junctions: BaseGeometry) -> None:
         """The pavement of traffic, cut where junctions begin, and the walkways beside it."""
         ground, rails = self.world.ground, self.world.site.roadside.rails
-        paved = self.area(ground.carriageway(at, reach_m))
+        paved = self.area(ground.paved.carriageway(at, reach_m))
         inner = intersection(outset(junctions, SEAM_M), paved)
         drivable = self.token("drivable_area")
         self.add("drivable_area", drivable, polygon_tokens=[self.polygon(part) for part in _parts(paved)])
@@ -207,7 +207,7 @@ class _Layers:
                     drivable_area_token=drivable,
                 )
         paths = [walkway(ground, rail) for rail in rails if rail.kind == "walkway"]
-        for part in _parts(self.area(union([ground.walkways(at, reach_m), *paths]))):
+        for part in _parts(self.area(union([ground.paved.walkways(at, reach_m), *paths]))):
             of = self.polygon(part)
             self.add("walkway", self.token("walkway", of), polygon_token=of)
 

@@ -1,5 +1,5 @@
-"""The ground of a map as built: roads and junctions on the terrain or at their own heights, with embankments and cuts
-beside these. World frame.
+"""Roads with sections, junctions and islands from above, on the terrain or at their own heights, with embankments and
+cuts beside these. World frame.
 
 The pavement of roads that connect others in a junction is one area. Terrain meets the pavement at its edges.
 """
@@ -12,18 +12,17 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 import shapely
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.roads.cross_section import KERB_M, RAISED
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.network import SEARCH_RATIO, Junction
+from synth3dlanes.roads.network import SEARCH_RATIO, Junction, Network
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
-from synth3dlanes.scene.road_map import MapIsland, MapLane
-from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.scene.road_map import MapLane
+from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.world.areas import (
     NOTHING,
     Outlined,
@@ -42,8 +41,10 @@ from synth3dlanes.world.areas import (
 )
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.graded import GradedGround
-from synth3dlanes.world.ground import FINE_M, PRESS_M, Ground
-from synth3dlanes.world.spans import CEILING_M, DECK_M, Span, spans
+from synth3dlanes.world.host_way import HostWay
+from synth3dlanes.world.spans import Span, spans
+from synth3dlanes.world.terrain_grid import TerrainGrid
+from synth3dlanes.world.verges import FINE_M, PRESS_M
 
 # Places along the host's way from which distances are measured, and rows along roads by their distance from it.
 WAY_STEP_M = 5.0
@@ -77,66 +78,23 @@ class GroundArea(NamedTuple):
     junction: str | None = None
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MapGround(Ground):
-    """The ground of a map. Distances ahead are those from the host's way, from above."""
+@dataclass(frozen=True, eq=False)
+class PavedAreas:
+    """The pavement of roads with sections around the way of the host, of their junctions and of islands."""
 
-    islands: tuple[MapIsland, ...]
+    way: HostWay
 
-    # -- distances from the host
+    @property
+    def network(self) -> Network:
+        """The roads."""
+        return self.way.network
 
-    @cached_property
-    def _way(self) -> Points2:
-        s = np.linspace(self.near_m, self.near_m + self.driven_m, 1 + int(np.ceil(self.driven_m / WAY_STEP_M)))
-        return self.network.way.xy_world(s)
-
-    @cached_property
-    def _way_tree(self) -> "scipy.spatial.cKDTree":
-        return scipy.spatial.cKDTree(self._way)
-
-    def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
-        """How far points are from the host's way."""
-        return np.asarray(self._way_tree.query(xy_world)[0])
-
-    def away_along(self, road: Road, s: AnyScalars) -> AnyScalars:
-        """How far places on a road's line are from the host's way."""
-        return self.away_at(road.xy(s, 0.0))
-
-    def _numbers(self, curves: Sequence[LaneCurve], counts: Sequence[int]) -> Int[np.ndarray, " n"]:
-        """The number of each curve in the table of lines, as often as it is asked for."""
-        numbers = self.network.line_table.numbers
-        return np.repeat([numbers[curve.id] for curve in curves], counts)
-
-    def away_on(
-        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, " _"]]:
-        """How far places on each of some curves are from the host's way."""
-        if not curves:
-            return []
-        counts = [len(s) for s in stations]
-        xy_world = self.network.line_table.xy_on(self._numbers(curves, counts), np.concatenate(stations))
-        return np.split(self.away_at(xy_world), np.cumsum(counts)[:-1])
+    # -- rows and lines
 
     def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
         """The stations of the rows of the paint of each curve."""
         coarse = [_coarse(curve.end_m) for curve in curves]
-        return [_rows(*at) for at in zip(coarse, self.away_on(curves, coarse), strict=True)]
-
-    def points_beside(
-        self,
-        curves: Sequence[LaneCurve],
-        stations: Sequence[Float[np.ndarray, " _"]],
-        offsets: Sequence[Float[np.ndarray, " _"]],
-    ) -> list[Float[np.ndarray, "_ _ 3"]]:
-        """Points on the pavement, of each of some curves: at each of its stations those at all of its offsets."""
-        if not curves:
-            return []
-        s = [np.repeat(at, len(t)) for at, t in zip(stations, offsets, strict=True)]
-        t = np.concatenate([np.tile(t, len(at)) for at, t in zip(stations, offsets, strict=True)])
-        counts = list(map(len, s))
-        points = self.network.line_table.points_on(self._numbers(curves, counts), np.concatenate(s), t)
-        each = zip(np.split(points, np.cumsum(counts)[:-1]), stations, offsets, strict=True)
-        return [own.reshape(len(at), len(t), 3) for own, at, t in each]
+        return [_rows(*at) for at in zip(coarse, self.way.away_on(curves, coarse), strict=True)]
 
     @cached_property
     def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
@@ -145,7 +103,7 @@ class MapGround(Ground):
         counts = [len(s) for s in coarse]
         s = np.concatenate(coarse)
         xy = self.network.index.table.xy(np.repeat(np.arange(len(roads)), counts), s, np.zeros(len(s)))
-        away_m = np.split(self.away_at(xy), np.cumsum(counts)[:-1])
+        away_m = np.split(self.way.away_at(xy), np.cumsum(counts)[:-1])
         return {road.id: _rows(*at) for road, *at in zip(roads, coarse, away_m, strict=True)}
 
     def stretch_rows(self, stretch: Road) -> Scalars:
@@ -154,19 +112,26 @@ class MapGround(Ground):
         return np.union1d(s[(s > ends[0]) & (s < ends[1])], ends)
 
     @cached_property
-    def fine(self) -> tuple[float, float, float, float]:
-        """(x0, y0, x1, y1) of the area with fine terrain cells: around the host's way, and FINE_M ahead of it."""
-        ahead = self.network.way.xy_world(np.array([self.near_m, self.near_m + 1.0]))
+    def grid(self) -> TerrainGrid:
+        """The terrain's grid, fine around the host's way, and FINE_M ahead of it."""
+        way = self.way
+        ahead = self.network.way.xy_world(np.array([way.near_m, way.near_m + 1.0]))
         angle = np.arctan2(*(ahead[1] - ahead[0])[::-1]) + np.linspace(-0.9, 0.9, 9)
         reach = FINE_M * np.stack([np.cos(angle), np.sin(angle)], -1)
-        far = (
-            [self._way[0] + reach]
-            if self.driven_m == 0 and not self.both_ways
-            else [self._way - FINE_M, self._way + FINE_M]
-        )
-        points = np.concatenate([self._way - 15.0, self._way + 15.0, *far])
+        is_still = way.driven_m == 0 and not way.both_ways
+        far = [way.places[0] + reach] if is_still else [way.places - FINE_M, way.places + FINE_M]
+        points = np.concatenate([way.places - 15.0, way.places + 15.0, *far])
         (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
-        return float(x0), float(y0), float(x1), float(y1)
+        return TerrainGrid((float(x0), float(y0), float(x1), float(y1)), way.both_ways)
+
+    def points_beside(
+        self,
+        curves: Sequence[LaneCurve],
+        stations: Sequence[Float[np.ndarray, " _"]],
+        offsets: Sequence[Float[np.ndarray, " _"]],
+    ) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """Points on the pavement, of each of some curves: at each of its stations those at all of its offsets."""
+        return self.network.line_table.points_beside(curves, stations, offsets)
 
     # -- areas
 
@@ -217,7 +182,7 @@ class MapGround(Ground):
             if not paved.is_empty:
                 found.append(GroundArea(paved, 0.0, "road", at.id))
             found += [GroundArea(part, KERB_M, "walkway", at.id) for part in polygons_of(raised)]
-        for island in self.islands:
+        for island in self.network.islands:
             polygon = solid(ring_area(np.array(island.outline)))
             found += [GroundArea(part, island.height_m, island.surface) for part in polygons_of(polygon)]
         return found
@@ -252,7 +217,7 @@ class MapGround(Ground):
         shapely.prepare(whole)
         return whole
 
-    def pavement_edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
+    def edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
         """The edges of the pavement of traffic, walkways left out, within about `reach_m` of a place: lines with points
         a metre apart."""
         lines = clipped(shapely.boundary(self.carriageways), _around(xy_world, reach_m))
@@ -272,7 +237,7 @@ class MapGround(Ground):
         left, right = (self._edge_lines[id(stretch), edge] for edge in edges)
         return polygon_between(left, right)
 
-    def pavement_strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
+    def strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
         """Both edges of the pavement of every road within about `reach_m` of a place, those in junctions included."""
         for road in self.network.roads:
             rows = [(at, self.stretch_rows(at)) for at in road.stretches]
@@ -289,7 +254,7 @@ class MapGround(Ground):
         of_junctions = (area.polygon for area in self.areas if area.kind == "walkway")
         return clipped(union([*self._raised_strips, *of_junctions]), _around(xy_world, reach_m))
 
-    def beside_pavement(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
+    def places_beside(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
         """Places at lengths along the host's way, `aside_m` beside what is about its pavement on both sides."""
         way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
         s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))
@@ -323,7 +288,7 @@ class MapGround(Ground):
     # -- heights and distances
 
     @cached_property
-    def _raised(self) -> list[tuple[BaseGeometry, float]]:
+    def raised(self) -> list[tuple[BaseGeometry, float]]:
         """What is raised over the pavement, by how much: walkways, those of junctions, and islands."""
         walkways = [area.polygon for area in self.areas if area.kind == "walkway"]
         found = [(union([*self._raised_strips, *walkways]), KERB_M)]
@@ -332,121 +297,21 @@ class MapGround(Ground):
             shapely.prepare(polygon)
         return found
 
-    def above_terrain(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Height of the built ground over the analytic terrain at any points (0 away from roads): on decks, and over
-        tunnels."""
-        flat = xy_world.reshape(-1, 2)
-        return self._built_above(flat, self._graded_above(flat)).reshape(xy_world.shape[:-1])
-
-    def _built_above(self, flat: Points2, graded_m: Scalars) -> Scalars:
-        """Height of the built ground over the terrain, by that of the ground below all decks."""
-        above = graded_m.copy()
-        for span in self.decks:
-            at = np.flatnonzero(contains(span.area, flat))
-            above[at] = np.maximum(above[at], span.height(flat[at]) - height_at(self.network.terrain, flat[at]))
-        for polygon, raised_m in self._raised:
-            above[contains(polygon, flat)] += raised_m
-        return above
-
-    def foot_height(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Height of somebody who walks over the ground: kerbs are climbed smoothly, STRIDE_M to both sides of them."""
-        flat = xy_world.reshape(-1, 2)
-        z = self.height(flat)
-        for (polygon, raised_m), outline in zip(self._raised, self._raised_outlined, strict=True):
-            share = np.clip(0.5 - signed_distance(outline, flat) / (2 * STRIDE_M), 0.0, 1.0)
-            z += raised_m * (share**2 * (3 - 2 * share) - contains(polygon, flat))
-        return z.reshape(xy_world.shape[:-1])
-
-    @cached_property
-    def _raised_outlined(self) -> list[Outlined]:
-        """The outlines of what is raised, without the gaps between strips beside each other."""
-        return [outlined(outset(polygon, GAP_M)) for polygon, _ in self._raised]
-
-    def _graded_above(self, flat: Points2) -> Scalars:
+    def above(self, flat: Points2) -> Scalars:
         """Height over the terrain of the ground below all decks, without kerbs."""
         covered = np.zeros(len(flat), dtype=bool)
         for span in self.tunnels:
             covered |= contains(span.area, flat)
         return self.graded_ground.above(flat, covered)
 
-    def graded(self, xy_world: AnyPoints2) -> AnyScalars:
+    def graded(self, xy_world: Points2) -> Scalars:
         """Height of the ground below all decks, without kerbs."""
-        flat = xy_world.reshape(-1, 2)
-        z = height_at(self.network.terrain, flat) + self._graded_above(flat)
-        return np.asarray(z.reshape(xy_world.shape[:-1]))
-
-    def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
-        """Which points lie in the ground as built: below a deck there is none down to the graded ground, and none in a
-        tunnel."""
-        # Most points are far above or below the graded ground, whose height takes long to find: its least is enough.
-        xy = points_world[:, :2]
-        terrain_m = height_at(self.network.terrain, xy)
-        above_m, most_m = self.graded_ground.limits(xy)
-        over_m = points_world[:, 2] - terrain_m
-        found, is_near = over_m < above_m, over_m < most_m + max(raised_m for _, raised_m in self._raised)
-        is_near &= ~found
-        above_m[is_near] = self._graded_above(xy[is_near])
-        for span in self.spans:
-            is_near |= contains(span.area, xy)
-        found[is_near] = self._is_in(points_world[is_near], terrain_m[is_near], above_m[is_near])
-        return found
-
-    def _is_in(self, points_world: Points3, terrain_m: Scalars, above_m: Scalars) -> Bool[np.ndarray, " n"]:
-        """What `is_in` says of points that are near the ground, or on or below a deck, or in or over a tunnel, by the
-        height of the graded ground over the terrain."""
-        xy = points_world[:, :2]
-        graded_m, found = terrain_m + above_m, terrain_m + self._built_above(xy, above_m) > points_world[:, 2]
-        for span, at in self._spans_at(xy):
-            z, floor_m = points_world[at, 2], span.height(xy[at])
-            if span.is_tunnel:
-                found[at] &= (z < floor_m) | (z > floor_m + CEILING_M)
-            else:
-                found[at] &= (z < graded_m[at]) | (z > floor_m - DECK_M)
-        return np.asarray(found)
-
-    def height_near(self, points_world: Points3) -> Scalars:
-        """Height of the ground as built at points: on a bridge or below it, over a tunnel or in it."""
-        found = super().height_near(points_world)
-        for span, at in self._spans_at(points_world[:, :2]):
-            xy, z = points_world[at, :2], points_world[at, 2]
-            other = span.height(xy) if span.is_tunnel else self.graded(xy)
-            found[at] = np.where(np.abs(other - z) < np.abs(found[at] - z), other, found[at])
-        return found
-
-    def height_along(self, road: str, xy_world: Points2) -> Scalars:
-        """Height of the ground as built at places beside a road: on its deck, below that of another, or in its
-        tunnel."""
-        if not self.spans:
-            return self.height(xy_world)
-        own = self.network.road(road)
-        s, t = own.line.project(xy_world)
-        on = np.clip(s, own.start_m, own.end_m)
-        z = own.base_points(on, np.clip(t, own.left(on), own.right(on)))[:, 2]
-        return self.height_near(np.column_stack([xy_world, z]))
-
-    def _spans_at(self, xy_world: Points2) -> Iterator[tuple[Span, Int[np.ndarray, " m"]]]:
-        """The decks and tunnels at places, and at which each is."""
-        for span in self.spans:
-            at = np.flatnonzero(contains(span.area, xy_world))
-            if at.size:
-                yield span, at
-
-    def is_stacked(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
-        """At which places there is a road over another, or over or below the ground."""
-        found = np.zeros(len(xy_world), dtype=bool)
-        for _, at in self._spans_at(xy_world):
-            found[at] = True
-        return found
+        return np.asarray(height_at(self.network.terrain, xy_world) + self.above(xy_world))
 
     @cached_property
     def spans(self) -> list[Span]:
         """The decks and tunnels."""
         return spans(self.network.index.table, self.strip)
-
-    @cached_property
-    def decks(self) -> list[Span]:
-        """The decks of bridges."""
-        return [span for span in self.spans if not span.is_tunnel]
 
     @cached_property
     def tunnels(self) -> list[Span]:
@@ -514,29 +379,27 @@ class MapGround(Ground):
         z = height_at(self.network.terrain, xy_world)
         return np.asarray(z + self.graded_ground.mean(xy_world) if self._has_heights else z)
 
-    def way_box(self, reach_m: float) -> tuple[float, float, float, float]:
-        """(x0, y0, x1, y1) around all that is this near to the host's way."""
-        (x0, y0), (x1, y1) = self._way.min(axis=0) - reach_m, self._way.max(axis=0) + reach_m
-        return float(x0), float(y0), float(x1), float(y1)
-
-    def terrain_mesh_height(self, xy_world: AnyPoints2) -> AnyScalars:
-        """Height of the terrain mesh, which goes on below decks, and a little under the edges of other pavement."""
-        flat = xy_world.reshape(-1, 2)
-        z, beside = self._bed(flat)
-        z[beside] = self.graded(flat[beside])
-        return z.reshape(xy_world.shape[:-1])
+    def limits(self, xy_world: Points2) -> tuple[Scalars, Scalars]:
+        """Heights that `above` is nowhere lower and nowhere higher than."""
+        return self.graded_ground.limits(xy_world)
 
     def bed_height(self, xy_world: Points2) -> Scalars:
+        """Height of the terrain mesh, which goes on below decks, and a little under the edges of other pavement."""
+        z, beside = self._bed(xy_world)
+        z[beside] = self.graded(xy_world[beside])
+        return z
+
+    def inner_bed_height(self, xy_world: Points2) -> Scalars:
         """Height of the terrain mesh below pavement, inside its edges: nobody sees it there, and it is quickly
         found."""
-        pressed_m = (UNDER_FALL_M + PRESS_M) * self.cell_scale(xy_world)
+        pressed_m = (UNDER_FALL_M + PRESS_M) * self.grid.cell_scale(xy_world)
         below_m = self.graded_ground.floor(xy_world) - pressed_m
-        return np.asarray(height_at(self.network.terrain, xy_world) + below_m + self.hills.height(xy_world))
+        return np.asarray(height_at(self.network.terrain, xy_world) + below_m)
 
     def beside_tunnels(self, xy_world: Points2, is_over: bool) -> Scalars:
         """Height of the terrain mesh at places that are not inside tunnels, or over these, edges included."""
         if not self.tunnels:
-            return self.terrain_mesh_height(xy_world)
+            return self.bed_height(xy_world)
         z, beside = (np.zeros(len(xy_world)), np.ones(len(xy_world), dtype=bool)) if is_over else self._bed(xy_world)
         xy, covered = xy_world[beside], np.full(int(beside.sum()), is_over)
         z[beside] = height_at(self.network.terrain, xy) + self.graded_ground.above(xy, covered)
@@ -546,7 +409,7 @@ class MapGround(Ground):
         """Heights of the terrain mesh under pavement, 0 elsewhere, and which places are not under it."""
         inside, z = contains(self.graded_pavement, flat), np.zeros(len(flat))
         under = flat[inside]
-        z[inside] = height_at(self.network.terrain, under) - UNDER_FALL_M * self.cell_scale(under)
+        z[inside] = height_at(self.network.terrain, under) - UNDER_FALL_M * self.grid.cell_scale(under)
         if self._has_heights:
             z[inside] += self.graded_ground.mean(under, on_ground=True)
         return z, ~inside
@@ -559,29 +422,15 @@ class MapGround(Ground):
     def _carriageways_outlined(self) -> Outlined:
         return outlined(self.carriageways)
 
-    def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
+    def distance(self, xy_world: Points2) -> Scalars:
         """Distance from the nearest pavement, negative on it."""
         return signed_distance(self._outlined, xy_world)
-
-    def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than `room_m` from any pavement."""
-        return ~np.asarray(shapely.dwithin(self.pavement, shapely.points(xy_world), room_m))
 
     def is_off_ground_pavement(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are farther than `room_m` from pavement that lies on the ground, below decks too."""
         return ~np.asarray(shapely.dwithin(self.graded_pavement, shapely.points(xy_world), room_m))
 
-    def is_within(self, xy_world: Points2, reach_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are at most `reach_m` from a pavement, to half a per cent of that."""
-        area = shapely.buffer(self.pavement, reach_m)
-        shapely.prepare(area)
-        return contains(area, xy_world)
-
-    def is_off_carriageways(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than `room_m` from any pavement of traffic."""
-        return ~np.asarray(shapely.dwithin(self.carriageways, shapely.points(xy_world), room_m))
-
-    def off_carriageways(self, xy_world: AnyPoints2) -> AnyScalars:
+    def off_carriageways(self, xy_world: Points2) -> Scalars:
         """Distance from the nearest pavement of traffic, negative on it."""
         return signed_distance(self._carriageways_outlined, xy_world)
 
@@ -591,14 +440,14 @@ class MapGround(Ground):
             return {}
         numbers = [self.network.line_table.numbers[line.id] for line in lines]
         stations = [np.linspace(0.0, line.end_m, 2 + int(line.end_m / PAINT_STEP_M)) for line in lines]
-        is_near = np.array([away_m.min() < PAINT_M for away_m in self.away_on(lines, stations)])
+        is_near = np.array([away_m.min() < PAINT_M for away_m in self.way.away_on(lines, stations)])
         in_sight = self.network.line_table.which_come(seen.holds)[numbers] if seen else np.ones(len(lines), dtype=bool)
         return {line: bool(own) for line, near, own in zip(lines, is_near, in_sight, strict=True) if near}
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
         """The upper edges of kerbs and islands within reach of the labels: they hide what lies close behind them."""
-        near, found, tops = shapely.box(*self.way_box(CREST_REACH_M)), list[Points2](), list[float]()
-        for area, raised_m in self._raised:
+        near, found, tops = shapely.box(*self.way.box(CREST_REACH_M)), list[Points2](), list[float]()
+        for area, raised_m in self.raised:
             lines = shapely.intersection(shapely.boundary(area), near)
             for line in shapely.get_parts(shapely.line_merge(shapely.simplify(lines, CREST_SLACK_M))):
                 xy = shapely.get_coordinates(shapely.segmentize(line, CREST_STEP_M))
