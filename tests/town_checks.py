@@ -137,7 +137,7 @@ def standing_problems(world: World) -> Iterator[str]:
     everything = shapely.union_all(houses)
     yield from (f"body {i} is in a building" for i, car in enumerate(cars) if car.intersects(everything))
     if houses:
-        paved = shapely.intersection(world.ground.pavement, everything).area  # type: ignore[attr-defined]
+        paved = shapely.intersection(world.ground.paved.pavement, everything).area  # type: ignore[union-attr]
         if paved > 0.01:
             yield f"buildings on {paved:.2f} m2 of pavement"
 

@@ -143,7 +143,9 @@ class Network:
         """Which points lie on the pavement of another road."""
         found = np.zeros(len(xy_world), dtype=bool)
         for other in self.roads:
-            found |= other is not road and other.outside(*other.line.project(xy_world)) <= 0
+            if other is not road:
+                near = other.may_reach(xy_world, np.zeros(len(xy_world)))
+                found[near] |= other.outside(*other.line.project(xy_world[near])) <= 0
         return found
 
     def stations(self, s: AnyScalars) -> AnyScalars:

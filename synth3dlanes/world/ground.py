@@ -82,20 +82,21 @@ class Ground:
         tunnel."""
         # Most points are far above or below the ground, whose height takes long to find.
         xy = points_world[:, :2]
-        over_m = points_world[:, 2] - height_at(self.network.terrain, xy)
+        terrain_m = height_at(self.network.terrain, xy)
+        over_m = points_world[:, 2] - terrain_m
         least_m, most_m = self.paved.limits(xy)
         raised_m = max((raised_m for _, raised_m in self.paved.raised), default=0.0)
         found, is_near = over_m < least_m, over_m < most_m + raised_m
         is_near &= ~found
         for span in self.paved.spans:
             is_near |= contains(span.area, xy)
-        found[is_near] = self._is_in(points_world[is_near])
+        found[is_near] = self._is_in(points_world[is_near], terrain_m[is_near])
         return found
 
-    def _is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+    def _is_in(self, points_world: Points3, terrain_m: Scalars) -> Bool[np.ndarray, " n"]:
         """What `is_in` says of points that are near the ground, or on or below a deck, or in or over a tunnel."""
         xy = points_world[:, :2]
-        terrain_m, above_m = height_at(self.network.terrain, xy), self.paved.above(xy)
+        above_m = self.paved.above(xy)
         graded_m, found = terrain_m + above_m, terrain_m + self._built_above(xy, above_m) > points_world[:, 2]
         for span, at in self._spans_at(xy):
             z, floor_m = points_world[at, 2], span.height(xy[at])
@@ -153,7 +154,7 @@ class Ground:
 
     def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are farther than `room_m` from any pavement."""
-        return np.asarray(self.paved.distance(xy_world) > room_m)
+        return self.paved.is_clear(xy_world, room_m)
 
     def is_off_carriageways(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are farther than `room_m` from any pavement of traffic."""

@@ -426,6 +426,10 @@ class PavedAreas:
         """Distance from the nearest pavement, negative on it."""
         return signed_distance(self._outlined, xy_world)
 
+    def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are farther than `room_m` from any pavement; asked so, it takes less time than by distances."""
+        return ~np.asarray(shapely.dwithin(self.pavement, shapely.points(xy_world), room_m))
+
     def is_off_ground_pavement(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are farther than `room_m` from pavement that lies on the ground, below decks too."""
         return ~np.asarray(shapely.dwithin(self.graded_pavement, shapely.points(xy_world), room_m))

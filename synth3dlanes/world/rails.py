@@ -29,10 +29,12 @@ POLES_M, WIRE_M, SAG_M, CROSSARM_M = 45.0, 0.025, 0.9, 1.1
 def rail_stations(ground: Ground, rail: Rail) -> Scalars:
     """Stations of the rows of a rail, denser near the host."""
     low, high = sorted((rail.from_m, rail.to_m))
+    s = np.linspace(low, high, 2 + int(high - low))
+    away_m = ground.way.away_along(ground.network.road(rail.road), s)
     rows = [low]
     while rows[-1] < high:
-        (away_m,) = ground.way.away_along(ground.network.road(rail.road), np.array(rows[-1:]))
-        step = next(step for reach, step in PIECES_M if away_m < reach)
+        here_m = np.interp(rows[-1], s, away_m)
+        step = next(step for reach, step in PIECES_M if here_m < reach)
         rows.append(min(rows[-1] + step, high))
     return np.array(rows)
 

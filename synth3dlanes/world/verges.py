@@ -313,9 +313,13 @@ class Verges:
 
     def limits(self, xy_world: Points2) -> tuple[Scalars, Scalars]:
         """Heights that `above` is nowhere lower and nowhere higher than."""
-        heights_m = [at.ramp.height_m for at in self.network.roads if at.ramp]
         deepest_m = MAX_CELL_SCALE * max(PRESS_M, 3 * VERGE_M * VERGE_FALL)
-        return np.full(len(xy_world), -deepest_m), np.full(len(xy_world), max(heights_m, default=0.0))
+        highest_m, reach_m = np.zeros(len(xy_world)), self._reach_m(xy_world)
+        for road in self.network.roads:
+            if road.ramp is not None:
+                near = road.may_reach(xy_world, reach_m)
+                highest_m[near] = np.maximum(highest_m[near], road.ramp.height_m)
+        return np.full(len(xy_world), -deepest_m), highest_m
 
     def bed_height(self, xy_world: Points2) -> Scalars:
         """Height of the terrain mesh: the terrain, lowered under pavement and verges."""
@@ -331,6 +335,10 @@ class Verges:
         clear = np.full(len(xy_world), np.inf)
         clear[near] = _nearest(roads, int(near.sum()))
         return clear
+
+    def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
+        """Which points are farther than `room_m` from any pavement."""
+        return np.asarray(self.distance(xy_world) > room_m)
 
     def off_carriageways(self, xy_world: Points2) -> Scalars:
         """The same: there are no walkways."""

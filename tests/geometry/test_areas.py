@@ -92,7 +92,7 @@ def test_an_overlay_that_geos_refuses_is_done_on_a_grid(monkeypatch: pytest.Monk
 def test_geometry_overlays_areas_here_alone() -> None:
     """The one place: `areas.py`. Of arrays and lines other modules may ask, with what to do when it fails."""
     overlays = {"union", "union_all", "difference", "intersection", "buffer", "make_valid", "symmetric_difference"}
-    allowed = {("map_meshes.py", "difference"), ("map_ground.py", "intersection"), ("map_ground.py", "buffer")}
+    allowed = {("map_meshes.py", "difference"), ("paved_areas.py", "intersection"), ("paved_areas.py", "buffer")}
     package = Path(synth3dlanes.__file__).parent
     found = {
         (path.name, node.attr)

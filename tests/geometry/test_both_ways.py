@@ -55,22 +55,22 @@ def test_labels_go_on_behind_the_host_without_a_step():
 def test_a_clip_is_as_good_from_its_first_place_to_its_last():
     driven_m, parts = 40.0, {"road": {"topology": 1} | BENDS, "terrain": {"gaussians": HILLS}}
     clip = resolve(changed(**parts, shot={"n_frames": 21, "fps": 10.0, "speed_m_s": driven_m / 2}))
-    ground = clip.ground
-    assert ground.driven_m == pytest.approx(driven_m, abs=1.0)
-    for y_m in (ground.near_m, ground.near_m + ground.driven_m / 2, ground.near_m + ground.driven_m):
+    ground, way = clip.ground, clip.ground.way
+    assert way.driven_m == pytest.approx(driven_m, abs=1.0)
+    for y_m in (way.near_m, way.near_m + way.driven_m / 2, way.near_m + way.driven_m):
         alone = resolve(changed(**parts, camera={"y_m": y_m})).ground
-        outside = np.array(ground.fine) - alone.fine
+        outside = np.array(ground.paved.grid.area) - alone.paved.grid.area
         assert outside[:2].max() < 0.1
         assert outside[2:].min() > -0.1
-        s = y_m + np.linspace(-30, 400, 500)
-        assert (np.abs(ground.ahead_m(s)) <= np.abs(alone.ahead_m(s)) + 1e-9).all()
+        xy = clip.network.main.xy(y_m + np.linspace(-30, 400, 500), 0.0)
+        assert (way.away_at(xy) <= alone.way.away_at(xy) + 1e-9).all()
 
 
 def test_lanes_behind_on_the_inside_of_a_bend_go_on_to_their_end():
     road = {"topology": 2, "flip_lateral": True, "offset_m50_m": -0.2, "offset_p50_m": -1.4, "offset_m100_m": 3.4}
     road |= {"offset_p100_m": 2.2, "exit_angle_rad": 0.0867, "exit_offset_m": 1.7, "lane_width_m": 3.73}
     world = resolve(changed(road=road, camera={"y_m": -79.3, "lane": 3}, shot={"behind_m": 110.0}))
-    stations = world.network.stations_along(world.network.road("exit"), -79.3, np.arange(-110.0, 111.0))
+    stations = world.network.lines.stations_along(world.network.road("exit"), -79.3, np.arange(-110.0, 111.0))
     assert np.diff(stations).min() > 0.5
     for lane in label(world, world.view).lanes:
         assert np.linalg.norm(np.diff(lane.xyz_cam, axis=0), axis=1).min() > 0.01

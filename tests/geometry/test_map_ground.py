@@ -133,7 +133,7 @@ def test_lane_segments_have_their_boundaries_and_are_connectors_in_junctions(wor
     for lane, beyond in labels.graph.successors.items():
         for name in beyond:
             assert np.linalg.norm(ends[lane][1] - ends[name][0]) < 0.01
-    for edge in world.ground.pavement_edges(world.view.world_from_host[:2, 3], REACH_M):
+    for edge in world.ground.paved.edges(world.view.world_from_host[:2, 3], REACH_M):
         at_island = np.abs(edge[:, :2]).max(axis=1) < 1.1
         inside_m = np.abs(world.ground.clearance(edge[:, :2]))
         assert (at_island | (inside_m < 2.1)).all(), "at the walkways' inner edges or at their own"

@@ -18,6 +18,8 @@ from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
+from synth3dlanes.world.host_way import HostWay
+from synth3dlanes.world.verges import Verges
 from synth3dlanes.world.world import resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road
 from tests.scenes import FLAT, hill
@@ -195,7 +197,8 @@ def test_paths_neighbours_and_successors_follow_from_links():
 
 def test_where_pavements_overlap_the_ground_is_theirs_and_clearance_is_to_the_nearest():
     across = street("near9", (-100.0, 100.0), 0.0)
-    ground = Ground(network_of((street("near0", (0.0, 0.0)), across)), 20.0, FLAT.markings, NO_HILLS)
+    way = HostWay(network_of((street("near0", (0.0, 0.0)), across)), 20.0)
+    ground = Ground(way, Verges(way, FLAT.markings, NO_HILLS), FLAT.markings, NO_HILLS)
     assert ground.clearance(np.array([[0.0, 100.0], [8.0, 103.0], [5.5, 50.0]])) == pytest.approx([-2.5, 0.5, 3.0])
     crossing = np.array([[0.0, 100.0], [2.0, 101.0], [-2.4, 98.0]])
     np.testing.assert_allclose(ground.above_terrain(crossing), 0, atol=1e-12)

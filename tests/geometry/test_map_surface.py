@@ -7,7 +7,6 @@ from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.validate.standing import mesh_height
-from synth3dlanes.world.map_ground import MapGround
 from synth3dlanes.world.meshes import Mesh
 from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road
@@ -51,13 +50,12 @@ def test_the_terrain_is_one_surface_below_the_pavement(name: str | int) -> None:
     terrain = world.site.surfaces.terrain
     assert not len(gaps(terrain)), name
     rng, ground = np.random.default_rng(0), world.ground
-    assert isinstance(ground, MapGround)
-    (x0, y0, x1, y1) = ground.way_box(120.0)
+    (x0, y0, x1, y1) = ground.way.box(120.0)
     xy = rng.uniform((x0, y0), (x1, y1), (3000, 2))
     z = mesh_height([terrain], xy)
     assert np.isfinite(z).all()
     inside_m = -ground.clearance(xy)
     over_m = mesh_height(world.site.surfaces.pavement, xy) - z
     assert np.nanmin(over_m[inside_m > 0.2]) > 0, f"{name}: terrain over the pavement"
-    near = (inside_m < -2.0) & (ground.away_at(xy) < 60)
+    near = (inside_m < -2.0) & (ground.way.away_at(xy) < 60)
     assert np.abs(ground.height(xy[near]) - z[near]).max() < 0.06

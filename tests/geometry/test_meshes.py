@@ -120,7 +120,7 @@ def test_every_label_point_lies_on_the_pavement(topology, flip):
 def test_no_terrain_comes_through_a_road(topology):
     world = world_of(topology)
     ground, terrain = world.ground, world.site.surfaces.terrain
-    x0, y0, x1, y1 = ground.fine
+    x0, y0, x1, y1 = ground.paved.grid.area
     near = ((terrain.vertices_world[:, :2] > [x0 - 3, y0]) & (terrain.vertices_world[:, :2] < [x1 + 3, y1])).all(axis=1)
     kept = near[terrain.faces].all(axis=1)
     terrain = replace(terrain, faces=terrain.faces[kept], material=terrain.material[kept])

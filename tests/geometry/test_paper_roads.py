@@ -156,7 +156,7 @@ def test_points_are_found_again():
 def test_stations_are_metres_of_road():
     network = curved().network
     for road in network.roads:
-        s = network.stations_along(road, 0.0, np.arange(0.0, 91.0))
+        s = network.lines.stations_along(road, 0.0, np.arange(0.0, 91.0))
         gaps = np.linalg.norm(np.diff(road.xy(s, 0.0), axis=0), axis=1)
         np.testing.assert_allclose(gaps, 1.0, atol=2e-3)
 

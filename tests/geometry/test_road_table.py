@@ -9,7 +9,7 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.scene.road_map import MapShape, MapSpan, Polynomial, RoadMap
 from synth3dlanes.world.graded import EDGE_M, EMBANKMENT_M, GradedGround
-from synth3dlanes.world.map_ground import MapGround
+from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import FOUR_WAY, HILLS, arm, map_scene, sections_road
 
@@ -117,14 +117,12 @@ def test_no_point_is_on_a_road_whose_pavement_is_far_from_it(network: Network) -
 # -- the ground
 
 
-def _grounds() -> Iterator[tuple[str, MapGround]]:
+def _grounds() -> Iterator[tuple[str, Ground]]:
     spans = {"bridges": (MapSpan(from_m=30.0, to_m=60.0),), "tunnels": (MapSpan(from_m=80.0, to_m=110.0),)}
     hilly = _hilly(FOUR_WAY)
     changed = tuple(road.model_copy(update=spans) if road.id == "east" else road for road in hilly.roads)
     for name, roads in (("hilly", hilly), ("spans", hilly.model_copy(update={"roads": changed}))):
-        ground = resolve(map_scene(roads, 95.0, terrain=HILLS.model_dump())).ground
-        assert isinstance(ground, MapGround)
-        yield name, ground
+        yield name, resolve(map_scene(roads, 95.0, terrain=HILLS.model_dump())).ground
 
 
 GROUNDS = dict(_grounds())
@@ -134,17 +132,17 @@ GROUNDS = dict(_grounds())
 def test_heights_of_many_places_are_those_of_each(name: str) -> None:
     ground = GROUNDS[name]
     xy = RNG.uniform(-130, 130, (40, 2))
-    together = ground.height(xy), ground.graded(xy), ground.terrain_mesh_height(xy)
+    asked = ground.height, ground.paved.graded, ground.paved.bed_height
+    together = [height(xy) for height in asked]
     for k, place in enumerate(xy):
-        alone = ground.height(place[None]), ground.graded(place[None]), ground.terrain_mesh_height(place[None])
-        assert [at[0] for at in alone] == pytest.approx([at[k] for at in together], abs=1e-9)
+        assert [height(place[None])[0] for height in asked] == pytest.approx([at[k] for at in together], abs=1e-9)
 
 
 @pytest.mark.parametrize("name", sorted(GROUNDS))
 def test_the_ground_is_nowhere_beyond_its_limits_and_points_are_in_it_below_its_height(name: str) -> None:
     ground = GROUNDS[name]
     xy = RNG.uniform(-130, 130, (3000, 2))
-    graded: GradedGround = ground.graded_ground
+    graded: GradedGround = ground.paved.graded_ground
     least_m, most_m = graded.limits(xy)
     above = graded.above(xy, np.zeros(len(xy), dtype=bool))
     assert (above <= most_m).all()
@@ -171,5 +169,5 @@ def test_edges_of_pavement_are_on_it() -> None:
     road = ground.network.road("north")
     s = np.linspace(5, 100, 30)
     on, off = road.xy(s, road.right(s) - EDGE_M / 2), road.xy(s, road.right(s) + 20.0)
-    np.testing.assert_allclose(ground.graded(on), road.base_points(s, road.right(s))[:, 2], rtol=0, atol=1e-4)
-    assert (np.abs(ground.graded(off) - ground.graded(on)) > 1).any()
+    np.testing.assert_allclose(ground.paved.graded(on), road.base_points(s, road.right(s))[:, 2], rtol=0, atol=1e-4)
+    assert (np.abs(ground.paved.graded(off) - ground.paved.graded(on)) > 1).any()

@@ -49,7 +49,7 @@ def test_seams_lie_on_the_main_road_below_the_paint(road):
     for world in worlds(road):
         for mesh in (world.ghost_lines(world.view), world.tar(world.view)):
             z = mesh.vertices_world[:, 2]
-            near = np.abs(mesh.vertices_world[:, 1] - world.ground.near_m) < 40
+            near = np.abs(mesh.vertices_world[:, 1] - world.ground.way.near_m) < 40
             assert z.min() > 0
             assert z[near].max() < 0.7 * PAINT_LIFT_M[1]
             s, t = world.network.main.line.project(seen_on_flat_ground(world, mesh.vertices_world)[:, :2])
@@ -88,7 +88,7 @@ def test_on_a_map_seams_lie_on_the_hosts_lanes_below_the_paint_and_clear_of_line
     lines = np.concatenate([line.xy_world(np.arange(0.0, line.end_m, 0.1)) for line in network.delimiters])
     for kind, mesh in (("tar", world.tar(world.view)), ("ghost", world.ghost_lines(world.view))):
         seen = seen_on_flat_ground(world, mesh.vertices_world)[:, :2]
-        near = world.ground.away_at(seen) < 40
+        near = world.ground.way.away_at(seen) < 40
         assert mesh.vertices_world[:, 2].min() > 0
         assert mesh.vertices_world[near, 2].max() < 0.7 * PAINT_LIFT_M[1]
         in_lane = np.zeros(len(seen), dtype=bool)

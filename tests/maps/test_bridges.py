@@ -13,7 +13,6 @@ from synth3dlanes.scene.roadside import MAX_RAILS
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.standing import mesh_height
 from synth3dlanes.world.height_map import height_map
-from synth3dlanes.world.map_ground import MapGround
 from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M
 from synth3dlanes.world.world import World
 from tests.geometry.test_map_surface import gaps
@@ -82,8 +81,7 @@ def level() -> World:
 
 def test_the_ground_goes_on_below_a_deck(level: World) -> None:
     ground, lower, upper = level.ground, level.network.road("1"), level.network.road("2")
-    assert isinstance(ground, MapGround)
-    (deck,) = ground.decks
+    (deck,) = ground.paved.spans
     assert deck.road.id == "2"
     assert not len(gaps(level.site.surfaces.terrain))
     assert deck.to_m - deck.from_m == pytest.approx(2 * (3.5 + 2.5 + 1.5 * 8), abs=3)
@@ -106,7 +104,7 @@ def test_the_ground_goes_on_below_a_deck(level: World) -> None:
 
 
 def test_a_deck_has_parapets_piers_and_abutments(level: World) -> None:
-    (deck,) = level.ground.decks
+    (deck,) = level.ground.paved.spans
     (body,) = level.site.surfaces.bodies
     assert any(at is body for at in level.site.structures)
     upper, lower = deck.road, level.network.road("1")
@@ -126,8 +124,7 @@ def test_a_deck_has_parapets_piers_and_abutments(level: World) -> None:
 def test_slopes_that_would_cross_lead_from_one_road_to_the_other() -> None:
     beside = plan(("<line/>", 400.0), start=(0.0, 12.0, 0.0))
     world = world_at("1:165:-1", road(EAST, TWO, "1"), road(beside, TWO, "2", profile=LEVEL))
-    assert isinstance(world.ground, MapGround)
-    assert not world.ground.decks
+    assert not world.ground.paved.spans
     y = np.linspace(3.6, 8.4, 30)
     lower = world.network.road("1")
     z = world.ground.height(lower.xy(np.full(30, 200.0), -y))
@@ -139,8 +136,7 @@ def test_slopes_that_would_cross_lead_from_one_road_to_the_other() -> None:
 def test_a_tunnel_is_below_the_ground_and_open_at_both_ends() -> None:
     world = world_at("1:130:-1", road(EAST, TWO, "1", after=TUNNEL))
     ground, own = world.ground, world.network.road("1")
-    assert isinstance(ground, MapGround)
-    (tunnel,) = ground.tunnels
+    (tunnel,) = ground.paved.spans
     assert (tunnel.from_m, tunnel.to_m) == (150, 230)
     s = np.linspace(151, 229, 60)
     xyz = own.points(s, np.zeros(60))
@@ -166,8 +162,7 @@ def test_a_tunnel_is_below_the_ground_and_open_at_both_ends() -> None:
 def test_bridges_of_a_file_are_decks_over_a_valley() -> None:
     objects = '<objects><bridge s="150" length="40" id="1" type="concrete"/></objects>'
     world = world_at("1:130:-1", road(EAST, TWO, "1", after=objects))
-    assert isinstance(world.ground, MapGround)
-    (deck,) = world.ground.decks
+    (deck,) = world.ground.paved.spans
     assert (deck.from_m, deck.to_m, deck.is_given) == (150, 190, True)
     middle = deck.road.points(np.array([170.0]), np.zeros(1))
     assert mesh_height([world.site.surfaces.terrain], middle[:, :2])[0] < middle[0, 2] - DECK_M - 3

@@ -15,7 +15,6 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.world.map_ground import MapGround
 from synth3dlanes.world.world import World
 from tests.maps.comparing import apart
 from tests.maps.files import PLAIN, lane, opendrive, plan, road, section
@@ -129,7 +128,6 @@ def test_small_steps_divide_nothing() -> None:
 @pytest.mark.parametrize("name", STEPS)
 def test_pavement_steps_where_the_labels_do(name: str) -> None:
     world, _ = scene(name)
-    assert isinstance(world.ground, MapGround)
     vertices = np.concatenate([mesh.vertices_world for mesh in world.site.surfaces.pavement])
     for stretch in world.ground.network.roads[0].stretches:
         (across,) = stretch.sections
