@@ -46,7 +46,7 @@ def test_the_terrain_goes_on_below_the_pavement_and_meets_its_edges(world):
     xy = lane_points(world, 0.0)[::7]
     below_m = mesh_height(world.site.surfaces.pavement, xy) - mesh_height(terrain, xy)
     assert (below_m > 0.02).all()
-    assert (below_m < 0.4 * world.ground.cell_scale(xy)).all()
+    assert (below_m < 0.4 * world.ground.paved.grid.cell_scale(xy)).all()
     s = np.linspace(3, 60, 40)
     arm = world.network.road("south")
     beside = arm.xy(s, arm.right(s) + 0.4)
