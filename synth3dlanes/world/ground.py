@@ -80,23 +80,24 @@ class Ground:
     def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
         """Which points lie in the ground as built: below a deck there is none down to the graded ground, and none in a
         tunnel."""
-        # Most points are far above or below the ground, whose height takes long to find.
+        # Most points are far above or below the graded ground, whose height takes long to find: its least is enough.
         xy = points_world[:, :2]
         terrain_m = height_at(self.network.terrain, xy)
+        above_m, most_m = self.paved.limits(xy)
         over_m = points_world[:, 2] - terrain_m
-        least_m, most_m = self.paved.limits(xy)
         raised_m = max((raised_m for _, raised_m in self.paved.raised), default=0.0)
-        found, is_near = over_m < least_m, over_m < most_m + raised_m
+        found, is_near = over_m < above_m, over_m < most_m + raised_m
         is_near &= ~found
+        above_m[is_near] = self.paved.above(xy[is_near])
         for span in self.paved.spans:
             is_near |= contains(span.area, xy)
-        found[is_near] = self._is_in(points_world[is_near], terrain_m[is_near])
+        found[is_near] = self._is_in(points_world[is_near], terrain_m[is_near], above_m[is_near])
         return found
 
-    def _is_in(self, points_world: Points3, terrain_m: Scalars) -> Bool[np.ndarray, " n"]:
-        """What `is_in` says of points that are near the ground, or on or below a deck, or in or over a tunnel."""
+    def _is_in(self, points_world: Points3, terrain_m: Scalars, above_m: Scalars) -> Bool[np.ndarray, " n"]:
+        """What `is_in` says of points that are near the ground, or on or below a deck, or in or over a tunnel, by the
+        height of the graded ground over the terrain."""
         xy = points_world[:, :2]
-        above_m = self.paved.above(xy)
         graded_m, found = terrain_m + above_m, terrain_m + self._built_above(xy, above_m) > points_world[:, 2]
         for span, at in self._spans_at(xy):
             z, floor_m = points_world[at, 2], span.height(xy[at])
