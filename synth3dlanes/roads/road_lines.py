@@ -67,7 +67,7 @@ class RoadLines:
         ends = places[0], places[-1]
         return {line.id for at in ends for line, s in self.in_range(at, lengths_m).items() if len(s) > 1}
 
-    def _points_of(self, curve: LaneCurve, driven_m: Scalars) -> Scalars:
+    def _points_of(self, curve: LaneCurve, driven_m: Scalars) -> Float[np.ndarray, " m"]:
         s = driven_m * self.onwards
         low, high = min(s[0], s[-1]), max(s[0], s[-1])
         ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])
