@@ -47,7 +47,7 @@ def stand(part: MapPart, scene: Scene, ground: Ground, draw: Draw) -> Roadside:
         elif item is not None:
             signals.append(item.model_copy(update={"phases": (Phase(state=state),)}))
     buildings = [_building(body, rng) for body in part.bodies if body.kind == "building"]
-    clear = [at for at in buildings if ground.is_clear(floor_plan(at), WALL_M).all()]
+    clear = [at for at in buildings if ground.paved.is_clear(floor_plan(at), WALL_M).all()]
     return Roadside(
         rails=_rails(part, ground.network),
         signals=_nearest(signals, MAX_FREE),
@@ -87,7 +87,7 @@ def map_trees(part: MapPart, scene: Scene, ground: Ground, looks: Draw) -> tuple
     """The trees of a part of a map, as high as there; where they would stand on pavement they are left out."""
     models, found = scene.assets.tree_models, list[Tree]()
     for body in part.bodies:
-        if body.kind == "tree" and ground.is_clear(np.array([[body.x_m, body.y_m]]), TRUNK_M)[0]:
+        if body.kind == "tree" and ground.paved.is_clear(np.array([[body.x_m, body.y_m]]), TRUNK_M)[0]:
             model, yaw_rad = looks("model"), looks("yaw_deg")
             scale = round(body.size_m[2] / models[model - 1].height_m, SCENE_DECIMALS)
             found.append(Tree(model=model, x_m=body.x_m, y_m=body.y_m, yaw_rad=yaw_rad, scale=scale))
@@ -129,9 +129,9 @@ def _moved(items: Sequence[TrafficSignal | TrafficSign], ground: Ground) -> Iter
     steps = np.arange(ARM_STEP_M, ARM_M, ARM_STEP_M)
     # From the right first, as poles stand.
     aside = np.stack([steps, -steps], -1).ravel()
-    stays = ground.is_off_carriageways(places, OFF_M)
+    stays = ground.paved.off_carriageways(places) > OFF_M
     beside = places[~stays, None] + aside[:, None] * right[~stays, None]
-    is_free = iter(ground.is_off_carriageways(beside.reshape(-1, 2), OFF_M).reshape(beside.shape[:2]))
+    is_free = iter((ground.paved.off_carriageways(beside.reshape(-1, 2)) > OFF_M).reshape(beside.shape[:2]))
     for item, xy, across, has_room in zip(items, places, right, stays.tolist(), strict=True):
         if has_room:
             yield item

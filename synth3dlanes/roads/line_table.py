@@ -1,7 +1,10 @@
-"""Lines on roads of one section, whose stations are lengths along them, as arrays: answers for places on many lines in
-one call. World frame, metres. What a call tells of a line is what the `LaneCurve` of that number tells of it."""
+"""Lines on roads, and answers for places on many of them in one call: of lines that share the stations of endless roads
+each answers for itself; those whose stations are lengths along them, on roads of one section, are arrays. World frame,
+metres.
+"""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -10,12 +13,90 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve, Piece, TableLine
-from synth3dlanes.roads.road_lines import APART_M, HostPlace
 from synth3dlanes.roads.road_table import Indices, Ragged, RoadTable
-from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.roads.roads import Road
+from synth3dlanes.system.arrays import AnyScalars, Points2, Points3, Scalars
 
+# Two points of a line's labels that are closer than this coincide: they have no direction.
+APART_M = 0.01
+# The direction of the host's way is measured over this length to both sides.
+TANGENT_M = 0.01
 # Distance between points of labels along each line from its beginning.
 POINTS_STEP_M = 1.0
+
+
+class HostPlace(NamedTuple):
+    """A place of the host: its station as it drives, and what tells points of its way ahead of that."""
+
+    driven_m: float
+    ahead: Callable[[Scalars], Points3]
+
+
+def foot_and_forward(at: HostPlace) -> Float[np.ndarray, "2 2"]:
+    """The place from above, and the unit vector of the host's way there."""
+    behind, foot, ahead = at.ahead(np.array([-TANGENT_M, 0.0, TANGENT_M]))[:, :2]
+    return np.array([foot, (ahead - behind) / np.linalg.norm(ahead - behind)])
+
+
+@dataclass(frozen=True, eq=False)
+class RoadLines:
+    """Lines on roads. `onwards` is 1 where the host drives with growing stations, else -1."""
+
+    curves: Sequence[LaneCurve]
+    roads: Mapping[str, Road]
+    onwards: float
+
+    def xy_along(
+        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> list[Float[np.ndarray, "_ 2"]]:
+        """World (x, y) of each of some lines at stations."""
+        return [curve.xy_world(s) for curve, s in zip(curves, stations, strict=True)]
+
+    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
+        """Points on the road surface at stations of lines, one line after the other."""
+        return [curve.points_world(s) for curve, s in stations.items()]
+
+    def in_range(self, at: HostPlace, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+        """The stations of every line's points at lengths of its road ahead of a place (negative: behind it), and at its
+        ends between these, in driving order."""
+        along = {curve.road for curve in self.curves}
+        driven_m = {name: self.stations_along(self.roads[name], at.driven_m, lengths_m) for name in along}
+        return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
+
+    def known(self, places: Sequence[HostPlace], lengths_m: Scalars) -> set[str]:
+        """The ids of the lines with more than one such point at any of some places, each ahead of the one before."""
+        # Along a road a line comes into range or is passed, never both.
+        ends = places[0], places[-1]
+        return {line.id for at in ends for line, s in self.in_range(at, lengths_m).items() if len(s) > 1}
+
+    def _points_of(self, curve: LaneCurve, driven_m: Scalars) -> Float[np.ndarray, " m"]:
+        s = driven_m * self.onwards
+        low, high = min(s[0], s[-1]), max(s[0], s[-1])
+        ends = np.array([end for end in (curve.start_m, curve.end_m) if low < end < high])
+        kept = s[curve.has(s)]
+        kept = kept[(np.abs(kept[:, None] - ends) > APART_M).all(axis=1)]
+        return np.sort(np.concatenate([kept, ends]))[:: int(self.onwards)]
+
+    def stations_along(self, road: Road, driven_m: float, lengths_m: AnyScalars) -> AnyScalars:
+        """Stations as the host drives, at the given lengths of a road ahead of `driven_m`; sorted lengths, negative
+        behind it."""
+        if lengths_m[0] < 0:
+            behind, ahead = lengths_m[lengths_m < 0], lengths_m[lengths_m >= 0]
+            before = self._along(road, driven_m, -behind[::-1], -1)[::-1]
+            return np.concatenate([before, self._along(road, driven_m, ahead)])
+        return self._along(road, driven_m, lengths_m)
+
+    def _along(
+        self, road: Road, driven_m: float, lengths_m: AnyScalars, sign: int = 1, reach: float = 1.05
+    ) -> AnyScalars:
+        """Stations at lengths ahead of `driven_m`, or behind it with the sign -1."""
+        grid = driven_m + sign * np.linspace(0, reach * lengths_m[-1], 8 * int(lengths_m[-1]) + 9)
+        speed = road.speed((grid[1:] + grid[:-1]) / 2 * self.onwards)
+        arc = np.concatenate([[0.0], np.cumsum(speed * np.abs(np.diff(grid)))])
+        # On the inside of a bend a road is shorter than its stations.
+        if arc[-1] < lengths_m[-1]:
+            return self._along(road, driven_m, lengths_m, sign, 1.5 * reach)
+        return np.interp(lengths_m, arc, grid)
 
 
 class _Samples(NamedTuple):
@@ -46,7 +127,8 @@ class _Pieces(NamedTuple):
 
 
 class LineTable:
-    """Lines by their numbers among `curves`, on the roads of one section of a `table`."""
+    """Lines by their numbers among `curves`, on the roads of one section of a `table`. What it tells of a line is what
+    the `LaneCurve` of that number tells."""
 
     def __init__(self, curves: Sequence[LaneCurve], table: RoadTable) -> None:
         self.curves, self.table = tuple(curves), table
@@ -69,28 +151,47 @@ class LineTable:
         """The number of each line among `curves`, by its id."""
         return {curve.id: i for i, curve in enumerate(self.curves)}
 
-    def _on(self, number: Indices, s: Scalars) -> tuple[Indices, Scalars]:
-        """The pieces of lines, by the number of each, that are at lengths along them, and the stations of their roads
-        there."""
+    def _on(
+        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> tuple[Indices, Scalars, list[int]]:
+        """The pieces of lines that are at lengths along each, the stations of their roads there, and where the lengths
+        of one line end."""
+        counts, s = [len(own) for own in stations], np.concatenate([np.zeros(0), *stations])
+        number = np.repeat(np.array([self.numbers[curve.id] for curve in curves], dtype=int), counts)
         of, on = self._pieces, np.zeros(len(s))
         piece = of.of_line.at(number, s)
         order = np.argsort(piece, kind="stable")
         for some in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1) if len(order) else ():
             at = of.all[piece[some[0]]]
             on[some] = at.on(np.minimum(s[some], at.end_m))
-        return piece, on
+        return piece, on, np.cumsum(counts)[:-1].tolist()
 
-    def xy_on(self, number: Indices, s: Scalars) -> Points2:
-        """World (x, y) of lines, by the number of each, at lengths along them."""
-        piece, on = self._on(number, s)
+    def xy_along(
+        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
+    ) -> list[Float[np.ndarray, "_ 2"]]:
+        """World (x, y) of each of some lines at lengths along it."""
+        piece, on, ends = self._on(curves, stations)
         road, t = self.table.on_lines(self._pieces.lines, piece, on)
-        return self.table.xy(road, on, t)
+        return np.split(self.table.xy(road, on, t), ends) if curves else []
 
-    def points_on(self, number: Indices, s: Scalars, right_m: Scalars | float = 0.0) -> Points3:
-        """Points on the road surface along lines, by the number of each, at lengths along them; `right_m` to the right
-        of each line."""
-        piece, on = self._on(number, s)
-        return self.table.points(self._pieces.lines, piece, on, right_m * self._pieces.along[piece])
+    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
+        """Points on the road surface at lengths along lines, one line after the other."""
+        piece, on, ends = self._on(list(stations), list(stations.values()))
+        return np.split(self.table.points(self._pieces.lines, piece, on), ends) if stations else []
+
+    def points_beside(
+        self,
+        curves: Sequence[LaneCurve],
+        stations: Sequence[Float[np.ndarray, " _"]],
+        offsets: Sequence[Float[np.ndarray, " _"]],
+    ) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """Points on the road surface along each of some lines: at each of its lengths those at all of these offsets to
+        its right."""
+        each = list(zip(stations, offsets, strict=True))
+        piece, on, ends = self._on(curves, [np.repeat(s, len(t)) for s, t in each])
+        right_m = np.concatenate([np.zeros(0), *(np.tile(t, len(s)) for s, t in each)])
+        points = self.table.points(self._pieces.lines, piece, on, right_m * self._pieces.along[piece])
+        return [own.reshape(len(s), len(t), 3) for own, (s, t) in zip(np.split(points, ends), each, strict=False)]
 
     def which_come(self, is_there: Callable[[Points2], Bool[np.ndarray, " k"]]) -> Bool[np.ndarray, " l"]:
         """Which lines have a place, of some at most KNOT_M apart, that is there."""
@@ -112,46 +213,9 @@ class LineTable:
             if i not in known
         }
         if lengths:
-            counts = [len(s) for s in lengths.values()]
-            xy = self.xy_on(np.repeat(list(lengths), counts), np.concatenate(list(lengths.values())))
-            places = np.split(xy, np.cumsum(counts)[:-1])
+            places = self.xy_along([self.curves[i] for i in lengths], list(lengths.values()))
             known |= {i: (lengths[i], at) for i, at in zip(lengths, places, strict=True)}
         return _Samples.of([known[i] for i in numbers])
-
-    def _numbered(self, curves: Iterable[LaneCurve], counts: Sequence[int]) -> Indices:
-        """The number of each of some lines, as often as it is asked for."""
-        return np.repeat([self.numbers[curve.id] for curve in curves], counts)
-
-    def xy_along(
-        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, "_ 2"]]:
-        """World (x, y) of each of some lines at lengths along it."""
-        counts = [len(s) for s in stations]
-        if not counts:
-            return []
-        return np.split(self.xy_on(self._numbered(curves, counts), np.concatenate(stations)), np.cumsum(counts)[:-1])
-
-    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points on the road surface at lengths along lines, one line after the other."""
-        nothing = [np.zeros(1)] * len(stations)
-        return [at[:, 0] for at in self.points_beside(list(stations), list(stations.values()), nothing)]
-
-    def points_beside(
-        self,
-        curves: Sequence[LaneCurve],
-        stations: Sequence[Float[np.ndarray, " _"]],
-        offsets: Sequence[Float[np.ndarray, " _"]],
-    ) -> list[Float[np.ndarray, "_ _ 3"]]:
-        """Points on the road surface along each of some lines: at each of its lengths those at all of these offsets to
-        its right."""
-        if not curves:
-            return []
-        s = [np.repeat(at, len(t)) for at, t in zip(stations, offsets, strict=True)]
-        t = np.concatenate([np.tile(t, len(at)) for at, t in zip(stations, offsets, strict=True)])
-        counts = list(map(len, s))
-        points = self.points_on(self._numbered(curves, counts), np.concatenate(s), t)
-        each = zip(np.split(points, np.cumsum(counts)[:-1]), stations, offsets, strict=True)
-        return [own.reshape(len(at), len(t), 3) for own, at, t in each]
 
     def in_range(self, at: HostPlace, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of every line's points from the least of these lengths (negative: behind a place) to the
@@ -175,7 +239,7 @@ class LineTable:
 
     def _near(self, at: HostPlace, lengths_m: Scalars) -> tuple[Bool[np.ndarray, " _"], list[int], _Samples]:
         """Which samples of lines are in range of a place, the numbers of these lines, and the samples."""
-        foot_world, forward, reach_m = at.foot_world, at.forward, float(lengths_m[-1])
+        (foot_world, forward), reach_m = foot_and_forward(at), float(lengths_m[-1])
         numbers = np.flatnonzero(self.which_come(partial(_is_within, foot_world, reach_m + KNOT_M))).tolist()
         samples = self._samples(numbers)
         to = samples.xy_world - foot_world

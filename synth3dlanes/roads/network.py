@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
-from synth3dlanes.roads.line_table import LineTable
-from synth3dlanes.roads.road_lines import HostPlace, RoadLines
+from synth3dlanes.roads.line_table import HostPlace, LineTable, RoadLines
 from synth3dlanes.roads.road_table import RoadIndex, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
@@ -281,10 +280,6 @@ class Network:
 
     def _host_at(self, camera: HostCamera, driven_m: float) -> HostPlace:
         return HostPlace(driven_m, lambda ahead_m: self.host_points(camera, driven_m - camera.y_m + ahead_m))
-
-    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points on the road surface at stations of lines, one line after the other."""
-        return self.lines.points_along(stations)
 
     def graph(self, centerlines: Sequence[str]) -> LaneGraph:
         """The lane graph of the labels: the lanes of the given centre lines."""

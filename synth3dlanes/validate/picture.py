@@ -29,7 +29,7 @@ MAX_PINK_OF_GROUND, MAX_PINK = 0.02, 0.5
 GROUND = ("terrain", "road", "shoulder", "marking")
 
 # Sampled places: metres ahead of the camera, metres beside the pavement, and least distance from any pavement.
-AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.array([2.0, 3.5, 5.0, 7.0, 9.0, 12.0]), 1.5
+AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.arange(6.0, 20.0, 2.0), 1.5
 # Some places show trees, which may be bluish, so a high percentile of red minus blue is used. It is at least 3 levels
 # of 255 in 280 rendered images, including the densest fog, and at least 0 in 100 images of 96x72 pixels. Fewer places
 # than MIN_PLACES are not judged. With semantic ids, all pixels of terrain within TERRAIN_WITHIN_M are used instead.
@@ -131,7 +131,9 @@ def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     """Pixels that show terrain, unless a tree hides it."""
     world, camera, ground = evidence.world, evidence.camera, evidence.world.ground
     away_m = np.concatenate([-AHEAD_M, AHEAD_M]) if ground.way.both_ways else AHEAD_M
-    xy = ground.paved.places_beside(world.view.camera.y_m + away_m, ASIDE_M)
+    way, aside_m = world.network.way, np.concatenate([-ASIDE_M, ASIDE_M])
+    s = np.clip(world.network.stations(world.view.camera.y_m + away_m), way.start_m, way.end_m)
+    xy = way.points_beside(np.tile(s, len(aside_m)), np.repeat(aside_m, len(s)))[:, :2]
     xy = xy[ground.clearance(xy) > CLEAR_M]
     points_world = np.column_stack([xy, ground.height(xy)])
     eye_world = camera.world_from_cam[:3, 3]

@@ -28,7 +28,7 @@ from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.standing import mesh_height, terrain_height
 from synth3dlanes.world.camera import project
 from synth3dlanes.world.solids import SURFACES
-from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE
+from synth3dlanes.world.spans import EMBANKMENT_SLOPE
 from synth3dlanes.world.verges import VERGE_M
 
 # In 2,000 random scenes the meshes are within 8 mm of the formulas up to RANGE_M, and their edges within 2 mm.

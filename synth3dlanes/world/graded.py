@@ -15,8 +15,7 @@ from synth3dlanes.roads.reference_line import GUESS_STEP_M
 from synth3dlanes.roads.road_table import OnRoads
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.system.arrays import Points2, Scalars
-from synth3dlanes.world.spans import BERM_M, CEILING_M, COVER_M, DECK_M, VALLEY_M, WALL_M, Span
-from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE
+from synth3dlanes.world.spans import BERM_M, CEILING_M, COVER_M, DECK_M, EMBANKMENT_SLOPE, VALLEY_M, WALL_M, Span
 
 # Distance from points of areas within which roads with heights are searched.
 ROAD_SEARCH_M = 3.0

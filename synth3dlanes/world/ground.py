@@ -152,11 +152,3 @@ class Ground:
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""
         return self.paved.distance(xy_world.reshape(-1, 2)).reshape(xy_world.shape[:-1])
-
-    def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than `room_m` from any pavement."""
-        return self.paved.is_clear(xy_world, room_m)
-
-    def is_off_carriageways(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than `room_m` from any pavement of traffic."""
-        return np.asarray(self.paved.off_carriageways(xy_world) > room_m)

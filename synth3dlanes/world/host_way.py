@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2
 
 # Distance between the places of the way from which distances are measured.
@@ -48,10 +47,6 @@ class HostWay:
             (x, y), (x0, y0) = np.moveaxis(xy_world, -1, 0), self.places[0].tolist()
             return np.sqrt((x - x0) ** 2 + (y - y0) ** 2)
         return np.asarray(self._tree.query(xy_world)[0])
-
-    def away_along(self, road: Road, s: AnyScalars) -> AnyScalars:
-        """How far places on a road's line are from it."""
-        return self.away_at(road.xy(s, 0.0))
 
     def away_on(
         self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]

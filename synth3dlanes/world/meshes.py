@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.roads.roads import Road, Side
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.horizon import far_dam
+from synth3dlanes.world.horizon import HORIZON_M, far_dam
 from synth3dlanes.world.solids import Body
-from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE, HORIZON_M
+from synth3dlanes.world.spans import EMBANKMENT_SLOPE
 from synth3dlanes.world.verges import GRASS_FROM_M, VERGE_M, Verges, embankment_width, profile
 
 # Where a road begins beside another, its inner edge extends a little below that one or its own verge. Their rows

@@ -41,18 +41,15 @@ from synth3dlanes.world.areas import (
 )
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.graded import GradedGround
+from synth3dlanes.world.horizon import TerrainGrid
 from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.spans import Span, spans
-from synth3dlanes.world.terrain_grid import TerrainGrid
 from synth3dlanes.world.verges import FINE_M, PRESS_M
 
-# Places along the host's way from which distances are measured, and rows along roads by their distance from it.
-WAY_STEP_M = 5.0
+# Rows along roads by their distance from the host's way.
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
 # Their distance from the host is asked in these steps.
 COARSE_M = 4.0
-# Half the width of a street with its walkways, about.
-HALF_STREET_M = 6.0
 # Depth of the terrain below the edges of the pavement, times the size of its cells.
 UNDER_FALL_M = 0.03
 # Distance from the host's way within which kerbs hide what is labelled; the tolerance of their simplified lines, and
@@ -62,8 +59,6 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # The edges of a road's pavement.
 EDGES = attrgetter("left"), attrgetter("right")
-# Of people who climb a kerb; strips beside each other have gaps of at most twice GAP_M.
-STRIDE_M, GAP_M = 0.3, 0.01
 # Distance beside a junction's decks at which the ground ends.
 OFF_M = 0.3
 
@@ -253,12 +248,6 @@ class PavedAreas:
         """The walkways of roads and junctions from above, within about `reach_m` of a place."""
         of_junctions = (area.polygon for area in self.areas if area.kind == "walkway")
         return clipped(union([*self._raised_strips, *of_junctions]), _around(xy_world, reach_m))
-
-    def places_beside(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
-        """Places at lengths along the host's way, `aside_m` beside what is about its pavement on both sides."""
-        way, aside = self.network.way, np.concatenate([-aside_m - HALF_STREET_M, aside_m + HALF_STREET_M])
-        s = np.tile(np.clip(driven_m, 0.0, way.end_m), len(aside))
-        return way.points_beside(s, np.repeat(aside, len(driven_m)))[:, :2]
 
     @cached_property
     def carriageways(self) -> BaseGeometry:

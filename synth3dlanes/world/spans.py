@@ -16,8 +16,9 @@ from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.areas import intersection, polygon_between
-from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE
 
+# Horizontal over vertical extent of embankments and cuts.
+EMBANKMENT_SLOPE = 1.5
 # Height above another road from which a road passes over it, the thickness of its deck, and the step of the first
 # search along roads.
 PASSAGE_M, DECK_M, COARSE_STEP_M = 3.0, 0.5, 20.0

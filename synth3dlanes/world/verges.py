@@ -24,10 +24,9 @@ from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.world.areas import NOTHING, polygon_between, union
 from synth3dlanes.world.camera import Sector
-from synth3dlanes.world.horizon import FarHills, far_dam, on_faces
+from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, FarHills, TerrainGrid, far_dam, on_faces
 from synth3dlanes.world.host_way import HostWay
-from synth3dlanes.world.spans import Span
-from synth3dlanes.world.terrain_grid import EMBANKMENT_SLOPE, HORIZON_M, MAX_CELL_SCALE, TerrainGrid
+from synth3dlanes.world.spans import EMBANKMENT_SLOPE, Span
 
 Spread = Float[np.ndarray, "*#n"]
 
@@ -219,12 +218,6 @@ class Verges:
             grass = [np.full(len(s), t) for median in self.grass_in_medians(road) for t in median]
             yield road, s, [road.left(s), *grass, road.right(s)]
 
-    def places_beside(self, driven_m: Float[np.ndarray, " k"], aside_m: Float[np.ndarray, " m"]) -> Points2:
-        """Places at stations as the host drives, `aside_m` beside the pavement on both sides."""
-        road, s = self.network.main, self.network.stations(driven_m)
-        aside = np.concatenate([road.left.base_m - aside_m, road.right.base_m + aside_m])
-        return road.xy(np.tile(s, len(aside)), np.repeat(aside, len(s)))
-
     # -- heights and distances
 
     @cached_property
@@ -257,45 +250,37 @@ class Verges:
     def beside(
         self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
     ) -> tuple[Bool[np.ndarray, " n"], list[Beside]]:
-        """Which points may be within `reach_m` of a road's pavement, and these beside every road."""
-        near, found = self._nearby(xy_world, reach_m)
-        beside: dict[str, Beside] = {}
-        for road, which, s, t in found:
+        """Which points may be within `reach_m` of a pavement, and these beside every road that any may be near: beside
+        one that begins beside another, those that are near that one."""
+        network = self.network
+        masks = {road.id: road.may_reach(xy_world, reach_m) for road in network.roads}
+        near = np.logical_or.reduce(list(masks.values()))
+        xy, found = xy_world[near], dict[str, tuple[Nearby, Beside]]()
+        for road in network.roads:
+            guess, begun = None, found.get(road.parting.road.id) if road.parting else None
+            if road.parting is None:
+                which = np.logical_or.reduce([masks[at.id][near] for at in (road, *network.branches(road))])
+            elif begun is not None:
+                _, on, s, t = begun[0]
+                close = road.parting.may_hold(road, s, t, reach_m[near][on])
+                which, guess = on.copy(), s[close]
+                which[which] = close
+            else:
+                continue
+            if not which.any():
+                continue
+            s, t = road.line.project(xy[which], guess)
             outside, raised, room = np.full(len(which), np.inf), np.zeros(len(which)), None
             outside[which] = road.outside(s, t)
             if road.ramp is not None:
                 raised[which] = road.raised(s)
-            if road.parting is not None:
+            if begun is not None:
                 # On its left the embankment ends at the pavement of the road where it begins.
                 inner, room = which.copy(), np.full(len(which), np.inf)
                 inner[which] = t < 0
-                room[inner] = np.clip(beside[road.parting.road.id].outside[inner] + outside[inner], 0, None)
-            beside[road.id] = Beside(road, outside, raised, room)
-        return near, list(beside.values())
-
-    def _nearby(
-        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
-    ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
-        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
-        near: on one that begins beside another, of those that are near that one."""
-        network = self.network
-        masks = {road.id: road.may_reach(xy_world, reach_m) for road in network.roads}
-        near = np.logical_or.reduce(list(masks.values()))
-        xy = xy_world[near]
-        found: dict[str, Nearby] = {}
-        for road in network.roads:
-            guess = None
-            if road.parting is None:
-                which = np.logical_or.reduce([masks[at.id][near] for at in (road, *network.branches(road))])
-            elif beside := found.get(road.parting.road.id):
-                close = road.parting.may_hold(road, beside.s, beside.t, reach_m[near][beside.which])
-                which, guess = beside.which.copy(), beside.s[close]
-                which[which] = close
-            else:
-                continue
-            if which.any():
-                found[road.id] = Nearby(road, which, *road.line.project(xy[which], guess))
-        return near, list(found.values())
+                room[inner] = np.clip(begun[1].outside[inner] + outside[inner], 0, None)
+            found[road.id] = Nearby(road, which, s, t), Beside(road, outside, raised, room)
+        return near, [beside for _, beside in found.values()]
 
     def above(self, xy_world: Points2) -> Scalars:
         """Height of pavement, verges and embankments over the terrain (0 away from roads)."""

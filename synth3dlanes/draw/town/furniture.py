@@ -236,7 +236,7 @@ def _has_room(ground: Ground, outline: np.ndarray, height_m: float) -> bool:
         a + (b - a) * np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / RIM_M))[:, None] for a, b in pairwise(corners)
     ]
     rim = np.concatenate(sides)
-    return bool(is_level) and bool(ground.is_clear(rim, ROOM_M).all())
+    return bool(is_level) and bool(ground.paved.is_clear(rim, ROOM_M).all())
 
 
 def _building(
@@ -270,7 +270,7 @@ def street_trees(
                 at = _along(street, side, s_m, street.profile.walkway_m + TREE_BEHIND_M)
                 xy = np.array([[at.x, at.y]])
                 near = np.hypot(*(fronts - xy).T).min()
-                if near > 2.5 and ground.is_clear(xy, 0.6)[0]:
+                if near > 2.5 and ground.paved.is_clear(xy, 0.6)[0]:
                     yaw_rad, scale = looks("yaw_deg"), looks("scale")
                     place = {"x_m": round(at.x, SCENE_DECIMALS), "y_m": round(at.y, SCENE_DECIMALS)}
                     found.append(Tree(model=model, **place, yaw_rad=yaw_rad, scale=scale))

@@ -229,7 +229,7 @@ def _heights(
     columns, rows = np.ceil((high - low) / CELL_M).astype(int)
     x, y = (start + (np.arange(n) + 0.5) * CELL_M for start, n in zip(low, (columns, rows), strict=True))
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    near = ~world.ground.is_clear(xy, MARGIN_M)
+    near = ~world.ground.paved.is_clear(xy, MARGIN_M)
     heights = np.full(len(xy), np.nan, np.float32)
     heights[near] = world.ground.height(xy[near])
     return heights.reshape(rows, columns), low
