@@ -113,7 +113,7 @@ def test_feet_are_on_the_mesh_of_walkways_or_crosswalks() -> None:
     world = town(1, "town.junction=crossing", "town.control=priority")
     scene = world.scene
     assert scene.map is not None
-    raised = world.ground.walkways(world.view.world_from_host[:2, 3], 90.0)
+    raised = world.ground.paved.walkways(world.view.world_from_host[:2, 3], 90.0)
     crosswalks = shapely.union_all([shapely.Polygon(at.outline).buffer(1.0) for at in scene.map.paint if at.outline])
     people = [
         pose[:3, 3]
