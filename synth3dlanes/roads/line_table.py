@@ -25,14 +25,14 @@ TANGENT_M = 0.01
 POINTS_STEP_M = 1.0
 
 
-class HostPlace(NamedTuple):
+class HostStation(NamedTuple):
     """A place of the host: its station as it drives, and what tells points of its way ahead of that."""
 
     driven_m: float
     ahead: Callable[[Scalars], Points3]
 
 
-def foot_and_forward(at: HostPlace) -> Float[np.ndarray, "2 2"]:
+def foot_and_forward(at: HostStation) -> Float[np.ndarray, "2 2"]:
     """The place from above, and the unit vector of the host's way there."""
     behind, foot, ahead = at.ahead(np.array([-TANGENT_M, 0.0, TANGENT_M]))[:, :2]
     return np.array([foot, (ahead - behind) / np.linalg.norm(ahead - behind)])
@@ -56,14 +56,14 @@ class RoadLines:
         """Points on the road surface at stations of lines, one line after the other."""
         return [curve.points_world(s) for curve, s in stations.items()]
 
-    def in_range(self, at: HostPlace, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def in_range(self, at: HostStation, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of every line's points at lengths of its road ahead of a place (negative: behind it), and at its
         ends between these, in driving order."""
         along = {curve.road for curve in self.curves}
         driven_m = {name: self.stations_along(self.roads[name], at.driven_m, lengths_m) for name in along}
         return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
 
-    def known(self, places: Sequence[HostPlace], lengths_m: Scalars) -> set[str]:
+    def known(self, places: Sequence[HostStation], lengths_m: Scalars) -> set[str]:
         """The ids of the lines with more than one such point at any of some places, each ahead of the one before."""
         # Along a road a line comes into range or is passed, never both.
         ends = places[0], places[-1]
@@ -217,7 +217,7 @@ class LineTable:
             known |= {i: (lengths[i], at) for i, at in zip(lengths, places, strict=True)}
         return _Samples.of([known[i] for i in numbers])
 
-    def in_range(self, at: HostPlace, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def in_range(self, at: HostStation, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of every line's points from the least of these lengths (negative: behind a place) to the
         greatest, with those between them, in the line's order."""
         near, numbers, samples = self._near(at, lengths_m)
@@ -228,7 +228,7 @@ class LineTable:
                 found[self.curves[number]] = samples.s[first + inside[0] : first + inside[-1] + 1]
         return found
 
-    def known(self, places: Sequence[HostPlace], lengths_m: Scalars) -> set[str]:
+    def known(self, places: Sequence[HostStation], lengths_m: Scalars) -> set[str]:
         """The ids of the lines with more than one such point at any of some places."""
         found = set[str]()
         for at in places:
@@ -237,7 +237,7 @@ class LineTable:
             found |= {self.curves[number].id for number, is_one in zip(numbers, is_seen, strict=True) if is_one}
         return found
 
-    def _near(self, at: HostPlace, lengths_m: Scalars) -> tuple[Bool[np.ndarray, " _"], list[int], _Samples]:
+    def _near(self, at: HostStation, lengths_m: Scalars) -> tuple[Bool[np.ndarray, " _"], list[int], _Samples]:
         """Which samples of lines are in range of a place, the numbers of these lines, and the samples."""
         (foot_world, forward), reach_m = foot_and_forward(at), float(lengths_m[-1])
         numbers = np.flatnonzero(self.which_come(partial(_is_within, foot_world, reach_m + KNOT_M))).tolist()

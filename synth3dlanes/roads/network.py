@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
-from synth3dlanes.roads.line_table import HostPlace, LineTable, RoadLines
+from synth3dlanes.roads.line_table import HostStation, LineTable, RoadLines
 from synth3dlanes.roads.road_table import RoadIndex, RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
@@ -278,8 +278,8 @@ class Network:
         """The ids of the lines that are in range of the host at any of some stations, each ahead of the one before."""
         return self.lines.known([self._host_at(camera, y_m) for y_m in places_m.tolist()], lengths_m)
 
-    def _host_at(self, camera: HostCamera, driven_m: float) -> HostPlace:
-        return HostPlace(driven_m, lambda ahead_m: self.host_points(camera, driven_m - camera.y_m + ahead_m))
+    def _host_at(self, camera: HostCamera, driven_m: float) -> HostStation:
+        return HostStation(driven_m, lambda ahead_m: self.host_points(camera, driven_m - camera.y_m + ahead_m))
 
     def graph(self, centerlines: Sequence[str]) -> LaneGraph:
         """The lane graph of the labels: the lanes of the given centre lines."""
