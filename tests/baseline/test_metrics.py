@@ -209,10 +209,11 @@ def test_average_precision_by_hand(roads):
     assert ap_at_101_points(recalls, precisions) == pytest.approx((26 * 1.0 + 50 * 0.75) / 101)
 
 
-def test_generated_labels_as_predictions_are_perfect(roads):
+@pytest.mark.parametrize("n", [20, pytest.param(60, marks=pytest.mark.thorough)])
+def test_generated_labels_as_predictions_are_perfect(roads, n):
     """Splits, merges, crests and lanes that end: whatever the labels hold, they must not count against themselves."""
     params = load_params("appendix_i", ["cars.n=0", "trees.n=0"])
-    many = [ground_truth(sample_scene(Scenes(params, 0, "test"), index)) for index in range(60)]
+    many = [ground_truth(sample_scene(Scenes(params, 0, "test"), index)) for index in range(n)]
     report = _evaluate([(labels, roads.as_prediction(labels)) for labels in many])
     for kind in report.kinds.values():
         assert kind.ap == pytest.approx(1.0)

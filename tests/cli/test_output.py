@@ -53,7 +53,7 @@ def test_on_a_narrow_terminal_every_number_is_whole(width: int) -> None:
 
 def test_a_reader_that_leaves_ends_a_command_as_it_ends_others() -> None:
     """With the code of SIGPIPE and no word, also where rich prints."""
-    for words in (["sample", "--n", "2"], ["stats", "--params", "tiny", "--n", "5"]):
+    for words in (["sample", "--n", "2"], ["list", "presets"]):
         process = subprocess.Popen(
             [sys.executable, "-m", "synth3dlanes", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

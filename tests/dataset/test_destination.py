@@ -66,22 +66,26 @@ def test_a_driver_needs_shards_that_nobody_makes_and_leaves_them_to_others(tmp_p
     code = (
         "import sys\nfrom synth3dlanes.system.errors import ClaimedError\n"
         "from tests.dataset.test_destination import *\n"
-        "for is_driver in (True, False):\n"
+        "for line in sys.stdin:\n"
         "    try:\n"
-        "        with Destination(sys.argv[1]).claim(DESCRIPTION, 'train', 3, [0], is_driver): print('free')\n"
-        "    except ClaimedError as error: print(error)"
+        "        with Destination(sys.argv[1]).claim(DESCRIPTION, 'train', 3, [0], line.strip() == 'driver'):\n"
+        "            print('free', flush=True)\n"
+        "    except ClaimedError as error: print(error, flush=True)"
     )
-
-    def other() -> list[str]:
-        """What another process is told as a driver, and otherwise."""
-        command = [sys.executable, "-c", code, str(tmp_path)]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-
     destination, locked = Destination(tmp_path), f"out {tmp_path}: shard 0 is locked by another run"
-    with destination.claim(DESCRIPTION, "train", 3, [0]):
-        assert other() == [locked, locked]
-    with destination.claim(DESCRIPTION, "train", 3, [0], is_driver=True):
-        assert other() == [locked, "free"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], **pipes) as other:
+
+        def told() -> list[str]:
+            """What the other process is told as a driver, and otherwise."""
+            other.stdin.write("driver\nother\n")
+            other.stdin.flush()
+            return [other.stdout.readline().strip() for _ in range(2)]
+
+        with destination.claim(DESCRIPTION, "train", 3, [0]):
+            assert told() == [locked, locked]
+        with destination.claim(DESCRIPTION, "train", 3, [0], is_driver=True):
+            assert told() == [locked, "free"]
 
 
 def test_an_address_whose_package_is_missing_says_so(monkeypatch):

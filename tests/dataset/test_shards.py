@@ -385,17 +385,20 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):
 def test_shards_are_locked_against_other_processes_one_by_one(tmp_path):
     code = (
         "import sys; from pathlib import Path; from tests.dataset.test_shards import enter\n"
-        "for shard in range(3):\n"
+        "for line in sys.stdin:\n"
         "    try:\n"
-        "        with enter(Path(sys.argv[1]), [shard]): print('free')\n"
-        "    except Exception as error: print(error)"
+        "        with enter(Path(sys.argv[1]), [int(line)]): print('free', flush=True)\n"
+        "    except Exception as error: print(error, flush=True)"
     )
-
-    def told_elsewhere() -> list[str]:
-        command = [sys.executable, "-c", code, tmp_path]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
-
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     locked = [f"out {tmp_path}: shard {number} is locked by another run" for number in range(3)]
-    with enter(tmp_path, shards=[0, 2]):
-        assert told_elsewhere() == [locked[0], "free", locked[2]]
-    assert told_elsewhere() == ["free"] * 3
+    with subprocess.Popen([sys.executable, "-c", code, tmp_path], **pipes) as other:
+
+        def told_elsewhere() -> list[str]:
+            other.stdin.write("0\n1\n2\n")
+            other.stdin.flush()
+            return [other.stdout.readline().strip() for _ in range(3)]
+
+        with enter(tmp_path, shards=[0, 2]):
+            assert told_elsewhere() == [locked[0], "free", locked[2]]
+        assert told_elsewhere() == ["free"] * 3

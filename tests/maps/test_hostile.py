@@ -191,7 +191,7 @@ def test_a_value_of_many_pieces_is_read_in_proportion_to_them() -> None:
         read_opendrive(text, "x.xodr", "map x.xodr")
         return time.process_time() - start
 
-    assert min(seconds(2000) for _ in range(2)) < 8 * min(seconds(500) for _ in range(3))
+    assert min(seconds(1200) for _ in range(2)) < 8 * min(seconds(300) for _ in range(3))
 
 
 @pytest.mark.parametrize("width", ["0", "-3", "0.01"])
