@@ -104,8 +104,7 @@ def mark(source: str, out: Path, camera: str, marked: str, lifted: str, frames: 
     from synth3dlanes.dataset.read import Reader
     from synth3dlanes.recorded.drives.marks import lifted_marks
     from synth3dlanes.recorded.drives.open import open_drive
-    from synth3dlanes.recorded.drives.pages import marking_page
-    from synth3dlanes.recorded.drives.top_view import top_view
+    from synth3dlanes.recorded.drives.pages import marking_page, top_view
 
     opened = open_drive(source, camera, marked=marked)
     if lifted:
@@ -133,8 +132,8 @@ def review(split: str, out: Path, every: int, limit: int, before: str) -> None:
     review --review FILE` goes on (docs/drives.md).
     """
     from synth3dlanes.dataset.read import Reader
+    from synth3dlanes.recorded.drives.marks import read_review
     from synth3dlanes.recorded.drives.pages import review_page
-    from synth3dlanes.recorded.drives.review import read_review
 
     reader = Reader(split)
     known = read_review(Path(before)) if before else None

@@ -20,8 +20,8 @@ from synth3dlanes.api import generate_dataset, load_params
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
-from synth3dlanes.recorded.drives.clips import read_clip
 from synth3dlanes.recorded.drives.drive import Drive, MarkedLane
+from synth3dlanes.recorded.drives.open import read_clip
 from synth3dlanes.recorded.lift.precision import NO_ERROR, Precision
 from synth3dlanes.recorded.lift.run import lifted_frames
 from synth3dlanes.system.processes import process_pool

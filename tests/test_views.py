@@ -22,7 +22,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
-from synth3dlanes.recorded.drives.clips import read_clip
+from synth3dlanes.recorded.drives.open import read_clip
 from synth3dlanes.scene.scene import from_json, to_json
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.origin import read_origin

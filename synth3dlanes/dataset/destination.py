@@ -14,8 +14,8 @@ from typing import Any, BinaryIO
 from synth3dlanes.dataset import folder, stores
 from synth3dlanes.dataset.address import connect, is_url, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
+from synth3dlanes.dataset.listing import require_outside
 from synth3dlanes.dataset.locks import claimed
-from synth3dlanes.dataset.nesting import require_outside
 from synth3dlanes.dataset.patience import Patience, attempt
 from synth3dlanes.dataset.spool import made, spool, spool_of, spooled
 from synth3dlanes.dataset.write import Shard

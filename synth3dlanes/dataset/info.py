@@ -6,8 +6,7 @@ from typing import Any
 from synth3dlanes.dataset.address import can_list, connect, splits_near, translate_store_errors
 from synth3dlanes.dataset.description import DESCRIPTION, parse_description
 from synth3dlanes.dataset.index import read_indices
-from synth3dlanes.dataset.listing import read_shards
-from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets
+from synth3dlanes.dataset.listing import data_set_of, inner_data_sets, read_shards
 from synth3dlanes.params.params_text import preset_of
 from synth3dlanes.system.errors import FormatError
 

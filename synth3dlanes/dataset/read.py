@@ -37,8 +37,7 @@ from synth3dlanes.dataset.index import (
     recipe_of,
     require_columns,
 )
-from synth3dlanes.dataset.listing import read_shards
-from synth3dlanes.dataset.nesting import inner_data_sets
+from synth3dlanes.dataset.listing import inner_data_sets, read_shards
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels import labels as labels_module
 from synth3dlanes.labels.labels import Labels

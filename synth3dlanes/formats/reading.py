@@ -193,10 +193,11 @@ def _opened(path: Path) -> BufferedReader:
         raise FormatError(f"{path}: expected a file, got none") from None
 
 
-def read_file(path: Path) -> bytes:
-    """The bytes of a file that a user or another file names; raise FormatError where there is none."""
+def read_file(path: Path, most: int = MAX_FILE_BYTES) -> bytes:
+    """The bytes of a file that a user or another file names; raise FormatError where there is none or it has more than
+    `most`."""
     try:
-        return read_bounded(path, MAX_FILE_BYTES)
+        return read_bounded(path, most)
     except FormatError:
         raise
     except (OSError, ValueError) as error:

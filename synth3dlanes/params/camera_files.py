@@ -6,15 +6,17 @@ Reading a file is the only side effect.
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from synth3dlanes.params.cameras import LAST, NAMES, CameraSpec
 from synth3dlanes.params.params import find_preset
 from synth3dlanes.system.errors import InputError
-from synth3dlanes.system.schema import MAX_PROBLEMS, problem_line, shown, unknown_key
+from synth3dlanes.system.schema import MAX_PROBLEMS, problem_line, shown, unknown_key, validation_problems
 from synth3dlanes.system.yaml_text import read_yaml, text_of
+
+Model = TypeVar("Model", bound=BaseModel)
 
 # Short names of keys in files.
 SHORT = {name: f"{name}_px" for name in ("fx", "fy", "cx", "cy")}
@@ -72,6 +74,17 @@ def read_document(path: Path, where: str, *, is_calibration: bool = True) -> Any
     if problems:
         raise InputError(*problems)
     return document
+
+
+def read_as(model: type[Model], path: Path, where: str, what: str) -> Model:
+    """The `what` that a YAML file has the keys of; raise InputError with a line for every problem."""
+    document = read_document(path, where, is_calibration=False)
+    if not isinstance(document, dict):
+        raise InputError(f"{where}: expected the keys of a {what}, got {shown(document)}")
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise InputError(*validation_problems(error, where)) from None
 
 
 def _own(document: Mapping[Any, Any], where: str) -> tuple[dict[str, Any], list[str]]:

@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from synth3dlanes.dataset.description import SplitName
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import sample_world
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, SymbolLabel
-from synth3dlanes.params.camera_files import read_document
+from synth3dlanes.params.camera_files import read_as
 from synth3dlanes.params.params import find_preset, preset_names
 from synth3dlanes.production.job import Job
 from synth3dlanes.scene.settings import MAX_SAMPLES
-from synth3dlanes.system.errors import InputError
-from synth3dlanes.system.schema import DocumentPart, Seed, shown, validation_problems
+from synth3dlanes.system.schema import DocumentPart, Seed
 from synth3dlanes.truth.ground_truth import label
 
 KIND = "benchmarks"
@@ -77,14 +76,7 @@ def benchmark_names() -> list[str]:
 
 def load_benchmark(source: str) -> Benchmark:
     """Read a benchmark of the package (by name) or a YAML file; raise InputError with a line for every problem."""
-    path, where = find_preset(source, KIND)
-    document = read_document(path, where, is_calibration=False)
-    if not isinstance(document, dict):
-        raise InputError(f"{where}: expected the keys of a benchmark, got {shown(document)}")
-    try:
-        return Benchmark.model_validate(document)
-    except ValidationError as error:
-        raise InputError(*validation_problems(error, where)) from None
+    return read_as(Benchmark, *find_preset(source, KIND), "benchmark")
 
 
 def labels_digest(labels: Iterable[Labels]) -> str:

@@ -22,7 +22,7 @@ from synth3dlanes.dataset.description import (
     recipe_text,
 )
 from synth3dlanes.dataset.format import SCENE
-from synth3dlanes.dataset.nesting import data_set_of, inner_data_sets, outer_data_sets
+from synth3dlanes.dataset.listing import data_set_of, inner_data_sets, outer_data_sets
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.params.cameras import black_pictures
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library

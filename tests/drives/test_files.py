@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from synth3dlanes.recorded.drives.checks import drive_findings
 from synth3dlanes.recorded.drives.drive import MarkedLane
 from synth3dlanes.recorded.drives.lines import read_lines_of
-from synth3dlanes.recorded.drives.marks import marks_text, read_marks
+from synth3dlanes.recorded.drives.marks import marks_text, read_marks, read_review
 from synth3dlanes.recorded.drives.open import open_drive
+from synth3dlanes.recorded.drives.pages import top_view
 from synth3dlanes.recorded.drives.poses import read_kitti_poses, read_pose_feather, read_pose_json, read_tum
-from synth3dlanes.recorded.drives.review import read_review
-from synth3dlanes.recorded.drives.top_view import top_view
 from synth3dlanes.system.errors import FormatError, InputError
 from tests.drives import road as made
 from tests.hostile import damaged, files, mutated, refused_or_read

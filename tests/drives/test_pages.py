@@ -10,11 +10,9 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.recorded.drives.marks import read_marks
+from synth3dlanes.recorded.drives.marks import read_marks, read_review
 from synth3dlanes.recorded.drives.open import open_drive
-from synth3dlanes.recorded.drives.pages import ReviewedFrame, ReviewedSplit, marking_page, review_page
-from synth3dlanes.recorded.drives.review import read_review
-from synth3dlanes.recorded.drives.top_view import top_view
+from synth3dlanes.recorded.drives.pages import ReviewedFrame, ReviewedSplit, marking_page, review_page, top_view
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.drives import road as made
 from tests.figures.test_browser import CONTRASTS

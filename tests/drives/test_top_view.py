@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.recorded.drives import top_view as module
+from synth3dlanes.recorded.drives import pages as module
 from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, Scan
-from synth3dlanes.recorded.drives.top_view import TILE_PX, top_view
+from synth3dlanes.recorded.drives.pages import TILE_PX, top_view
 from synth3dlanes.system.errors import InputError
 
 HEIGHT_M = 1.8

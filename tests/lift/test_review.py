@@ -10,8 +10,7 @@ import pytest
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.recorded.drives.drive import MarkedLane, RejectedLane
-from synth3dlanes.recorded.drives.marks import lifted_marks
-from synth3dlanes.recorded.drives.review import with_review
+from synth3dlanes.recorded.drives.marks import lifted_marks, with_review
 from synth3dlanes.recorded.lift.precision import NO_ERROR
 from synth3dlanes.recorded.lift.run import lifted_frames
 from synth3dlanes.recorded.lift.write import lift_to

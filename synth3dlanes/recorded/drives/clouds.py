@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Shaped
 
-from synth3dlanes.recorded.drives.tables import numeric, read_bytes, read_feather
+from synth3dlanes.formats.reading import read_file
+from synth3dlanes.recorded.drives.tables import numeric, read_feather
 from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import shown
@@ -224,7 +225,7 @@ def _shares(values: Shaped[np.ndarray, " n"], where: str) -> Scalars:
 
 def _read_bin(path: Path) -> dict[str, Shaped[np.ndarray, " n"]]:
     """KITTI: x, y, z and reflectance of each point in turn, as float32, little-endian."""
-    data = read_bytes(path, MAX_CLOUD_BYTES)
+    data = read_file(path, MAX_CLOUD_BYTES)
     if len(data) % 16 or not data:
         raise FormatError(f"{path}: expected four float32 for each point (16 bytes), got {len(data):,} bytes")
     return _columns(np.frombuffer(data, "<f4").reshape(-1, 4))
@@ -233,7 +234,7 @@ def _read_bin(path: Path) -> dict[str, Shaped[np.ndarray, " n"]]:
 def _read_npy(path: Path) -> dict[str, Shaped[np.ndarray, " n"]]:
     """An array of n rows of x, y, z and perhaps intensity, or one with such fields. Its header is checked against the
     file's size before an array is made."""
-    stream = io.BytesIO(read_bytes(path, MAX_CLOUD_BYTES))
+    stream = io.BytesIO(read_file(path, MAX_CLOUD_BYTES))
     try:
         numpy_format: Any = np.lib.format
         version = numpy_format.read_magic(stream)
@@ -261,7 +262,7 @@ def _columns(rows: Shaped[np.ndarray, "n c"]) -> dict[str, Shaped[np.ndarray, " 
 
 
 def _read_pcd(path: Path) -> dict[str, Shaped[np.ndarray, " n"]]:
-    return read_pcd(read_bytes(path, MAX_CLOUD_BYTES), str(path), MAX_POINTS)
+    return read_pcd(read_file(path, MAX_CLOUD_BYTES), str(path), MAX_POINTS)
 
 
 def _read_feather(path: Path) -> dict[str, Shaped[np.ndarray, " n"]]:

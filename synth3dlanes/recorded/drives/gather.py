@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.recorded.drives.clouds import MAX_CLOUD_BYTES, read_cloud
 from synth3dlanes.recorded.drives.drive import Drive, DriveCamera, DriveFrame, MadeFrames, MarkedLane, Scan
 from synth3dlanes.recorded.drives.lines import ImageLines
 from synth3dlanes.recorded.drives.poses import PoseTrack
-from synth3dlanes.recorded.drives.tables import read_bytes
 from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, Scalars
 from synth3dlanes.system.errors import FormatError
 
@@ -102,7 +102,7 @@ def gather(name: str, recording: Recording, camera: DriveCamera, marked: Sequenc
             image,
             partial(_scan, moved, of_lidar, scan) if scan >= 0 else None,
             recording.lanes_px(image) if recording.lanes_px is not None and image is not None else (),
-            partial(read_bytes, image, MAX_CLOUD_BYTES) if image is not None and os.path.lexists(image) else None,
+            partial(read_file, image, MAX_CLOUD_BYTES) if image is not None and os.path.lexists(image) else None,
         )
 
     x, y, z = origin.tolist()

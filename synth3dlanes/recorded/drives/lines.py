@@ -12,10 +12,10 @@ import numpy as np
 from pydantic import Field
 
 from synth3dlanes.formats.culane import lines_path, parse_lines
-from synth3dlanes.formats.reading import read_text
+from synth3dlanes.formats.reading import read_file, read_text
 from synth3dlanes.formats.tusimple import is_tusimple
 from synth3dlanes.formats.tusimple import parse as parse_tusimple
-from synth3dlanes.recorded.drives.tables import MAX_TEXT_BYTES, read_bytes
+from synth3dlanes.recorded.drives.tables import MAX_TEXT_BYTES
 from synth3dlanes.system.arrays import Polyline2
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import DocumentPart, PathBelow, parse
@@ -66,13 +66,13 @@ def read_lines_of(path: Path) -> ImageLines:
     if path.suffix in (".json", ".jsonl") and is_tusimple(path):
         return _listed(_tusimple(path), path)
     what = f"lanes of tuSimple or {LINES_FORMAT} version {LINES_VERSION}"
-    found = parse(_Lines, read_bytes(path, MAX_TEXT_BYTES), str(path), what, MAX_TEXT_BYTES)
+    found = parse(_Lines, read_file(path, MAX_TEXT_BYTES), str(path), what, MAX_TEXT_BYTES)
     return _listed({name: tuple(np.array(line) for line in lines) for name, lines in found.images.items()}, path)
 
 
 def _tusimple(path: Path) -> dict[str, tuple[Polyline2, ...]]:
     found: dict[str, tuple[Polyline2, ...]] = {}
-    for number, line in enumerate(io.BytesIO(read_bytes(path, MAX_TEXT_BYTES)), start=1):
+    for number, line in enumerate(io.BytesIO(read_file(path, MAX_TEXT_BYTES)), start=1):
         if line.strip():
             frame = parse_tusimple(line, f"{path}:{number}")
             columns = (np.stack([lane, frame.rows_px.astype(float)], axis=-1)[lane >= 0] for lane in frame.lanes_u_px)

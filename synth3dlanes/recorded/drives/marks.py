@@ -1,11 +1,12 @@
-"""Lanes that a person marked in the top view of a drive: GeoJSON, read and written (docs/drives.md); and those of a
-lifted data set as such lanes, to be corrected on the marking page.
+"""What a person says of a drive (docs/drives.md): lanes marked in its top view, as GeoJSON, read and written, or taken
+from a lifted data set to be corrected; and verdicts on frames and lanes, the file that the review page saves.
 
-A collection of lines in metres, in the frame of the drive's poses: x and y of its world, whose z points up.
+Lines are in metres, in the frame of the drive's poses: x and y of its world, whose z points up.
 """
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,13 +15,15 @@ import shapely
 from pydantic import Field
 
 from synth3dlanes.dataset.read import Reader
+from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Direction, Lane, LaneKind, Marking, PaintColor
-from synth3dlanes.recorded.drives.drive import Drive, MarkedLane
-from synth3dlanes.recorded.drives.tables import read_bytes
+from synth3dlanes.recorded.drives.drive import Drive, MarkedLane, RejectedLane
+from synth3dlanes.recorded.drives.tables import MAX_TEXT_BYTES
 from synth3dlanes.system.arrays import Polyline2
 from synth3dlanes.system.errors import FormatError, InputError
-from synth3dlanes.system.schema import Excerpt, Name, parse
+from synth3dlanes.system.schema import DocumentPart, Excerpt, Name, parse
+from synth3dlanes.system.words import counted
 
 MARKS_FORMAT, MARKS_VERSION = "synth3dlanes.marks", 1
 MAX_MARKS_BYTES = 64 << 20
@@ -57,7 +60,7 @@ class _Collection(Excerpt):
 
 def read_marks(path: Path) -> tuple[MarkedLane, ...]:
     """The lanes of a file; those without an id are numbered. Raises FormatError with a line for each problem."""
-    found = parse(_Collection, read_bytes(path, MAX_MARKS_BYTES), str(path), "a FeatureCollection", MAX_MARKS_BYTES)
+    found = parse(_Collection, read_file(path, MAX_MARKS_BYTES), str(path), "a FeatureCollection", MAX_MARKS_BYTES)
     lanes = [_lane(feature, number, str(path)) for number, feature in enumerate(found.features, start=1)]
     ids = [lane.id for lane in lanes]
     twice = sorted({name for name in ids if ids.count(name) > 1})
@@ -149,3 +152,69 @@ def _extend(parts: list[Polyline2], xy: Polyline2) -> None:
 
 def _simple(xy: Polyline2) -> Polyline2:
     return np.asarray(shapely.get_coordinates(shapely.LineString(xy).simplify(OFF_M)), float)
+
+
+REVIEW_FORMAT, REVIEW_VERSION = "synth3dlanes.review", 1
+
+Verdict = Literal["accepted", "rejected"]
+_Name = Annotated[str, Field(max_length=1000)]
+
+
+class FrameVerdict(DocumentPart):
+    """The verdict on a frame: its name, and the time by which it is known whatever its name (None for a picture that is
+    of no clip)."""
+
+    name: _Name
+    time_s: Annotated[float, Field(ge=0, le=1e11)] | None = None
+    verdict: Verdict
+
+
+class LaneVerdict(DocumentPart):
+    """The verdict on a lane: its id, and the places by which it is known whatever its id, as a drive's poses have
+    them."""
+
+    id: _Name
+    xy: list[tuple[_Value, _Value]]
+    verdict: Verdict
+
+
+class Review(DocumentPart):
+    """Verdicts; frames and lanes that nobody looked at have none. `source` is the split, `drive` the name of the drive
+    that it was lifted from, empty where it is of scenes."""
+
+    format: Literal["synth3dlanes.review"]
+    version: Literal[1]
+    source: _Name
+    drive: _Name = ""
+    frames: Annotated[list[FrameVerdict], Field(default_factory=list)]
+    lanes: Annotated[list[LaneVerdict], Field(default_factory=list)]
+
+
+def read_review(path: Path) -> Review:
+    """Read such a file. Raises FormatError with a line for each problem."""
+    what = f"{REVIEW_FORMAT} version {REVIEW_VERSION}"
+    return parse(Review, read_file(path, MAX_TEXT_BYTES), str(path), what, MAX_TEXT_BYTES)
+
+
+def with_review(drive: Drive, path: Path) -> Drive:
+    """The drive without what a file of verdicts rejects. Verdicts on frames that the drive has not are noted. Raises
+    FormatError as `read_review` does, InputError for verdicts on another drive."""
+    review = read_review(path)
+    if review.drive != drive.name:
+        told = f"on {review.drive}" if review.drive else "on a data set that is of no drive"
+        raise InputError(f"{path}: expected verdicts on the drive {drive.name}, got some {told}")
+    known = {drive.label_time(frame) for frame in drive.frames}
+    rejected_s = {frame.time_s for frame in review.frames if frame.verdict == "rejected" and frame.time_s is not None}
+    lost = [frame.name for frame in review.frames if frame.time_s not in known]
+    notes = [f"{path}: {counted(len(rejected_s & known), 'frame')} rejected: left out"] if rejected_s & known else []
+    if lost:
+        notes.append(f"{path}: {counted(len(lost), 'verdict')} on frames that the drive has not, such as {lost[0]}")
+    if rejected_s >= known:
+        raise InputError(f"{path}: expected a frame that is not rejected, got none")
+    origin = np.array(drive.origin_m[:2])
+    lanes = tuple(
+        RejectedLane(lane.id, np.array(lane.xy).reshape(-1, 2) - origin)
+        for lane in review.lanes
+        if lane.verdict == "rejected"
+    )
+    return replace(drive, rejected=lanes, rejected_s=frozenset(rejected_s & known), notes=(*drive.notes, *notes))

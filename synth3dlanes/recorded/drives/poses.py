@@ -10,8 +10,9 @@ import scipy
 from jaxtyping import Float
 from pydantic import Field
 
+from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import invert
-from synth3dlanes.recorded.drives.tables import MAX_TEXT_BYTES, numeric, read_bytes, read_feather, read_rows
+from synth3dlanes.recorded.drives.tables import MAX_TEXT_BYTES, numeric, read_feather, read_rows
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import DocumentPart, parse
@@ -166,7 +167,7 @@ def read_pose_feather(path: Path, axes: AxesName = "flu") -> PoseTrack:
 
 def read_pose_json(path: Path) -> PoseTrack:
     """Our own: docs/drives.md."""
-    data = read_bytes(path, MAX_TEXT_BYTES)
+    data = read_file(path, MAX_TEXT_BYTES)
     what = f"{POSES_FORMAT} version {POSES_VERSION}"
     found = parse(_PosesDocument, data, str(path), what, MAX_TEXT_BYTES)
     matrices = [

@@ -11,9 +11,9 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Shaped
 
+from synth3dlanes.formats.reading import read_file
 from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_arrow
 from synth3dlanes.system.errors import FormatError, InputError
-from synth3dlanes.system.files import read_bounded
 from synth3dlanes.system.schema import shown
 
 # A pose every 10 ms for three hours takes 100 MB as text.
@@ -35,21 +35,11 @@ def matching(folder: Path, pattern: str, most: int) -> list[Path]:
         raise InputError(f"{where}: expected a pattern of files, got {error}") from None
 
 
-def read_bytes(path: Path, most: int) -> bytes:
-    """The bytes of a file; raise FormatError where there is none or it has more than `most`."""
-    try:
-        return read_bounded(path, most)
-    except FormatError:
-        raise
-    except (OSError, ValueError) as error:
-        raise FormatError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
-
-
 def read_lines(path: Path) -> Iterator[tuple[str, str]]:
     """The lines of a text file that are neither empty nor comments (#), each after the place where it is. Raises
     FormatError at the first where the file cannot be read."""
     # One by one: short lines take many times their bytes as texts.
-    text = io.TextIOWrapper(io.BytesIO(read_bytes(path, MAX_TEXT_BYTES)), encoding="utf-8-sig")
+    text = io.TextIOWrapper(io.BytesIO(read_file(path, MAX_TEXT_BYTES)), encoding="utf-8-sig")
     try:
         for number, line in enumerate(text, start=1):
             if line.strip() and not line.lstrip().startswith("#"):
@@ -84,7 +74,7 @@ def read_feather(
 ) -> dict[str, Shaped[np.ndarray, " n"]]:
     """Columns of a feather file (Arrow's own format, version 2), by name; raise FormatError where one of `columns` is
     missing, or has no value in a row."""
-    data = read_bytes(path, MAX_TABLE_BYTES)
+    data = read_file(path, MAX_TABLE_BYTES)
     try:
         with pa.ipc.open_file(pa.BufferReader(data)) as file:
             known = file.schema.names
