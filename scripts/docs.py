@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 from pydantic import BaseModel, ValidationError
-from synth3dlanes_cli.documents import Outputs
 from synth3dlanes_cli.main import main
 
 from scripts.latency import table as latency_table
+from scripts.outputs import Outputs
 from scripts.results import models_page, with_benchmarks
 from synth3dlanes.labels.labels import LabelsDocument
 from synth3dlanes.params.groups import DAYTIMES, KINDS, REPLACED

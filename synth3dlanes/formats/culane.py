@@ -6,7 +6,6 @@
 | the mask, and its flags in `*_gt.txt` | the same, as 1 to 4 for left-left to right-right | lines 16 px wide |
 """
 
-import io
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFra
 from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead
 from synth3dlanes.formats.reading import drawable, file_below, first_lines, numbers, read_mask, read_text
 from synth3dlanes.formats.scoring import EVERY, Canvas, band_score, scored
+from synth3dlanes.formats.segments import png
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars, sidecar
 from synth3dlanes.formats.writing import PARTS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.system.arrays import Polyline2
@@ -134,9 +134,7 @@ def _mask(lines_px: dict[int, Float[np.ndarray, "_ 2"]]) -> bytes:
     for number, line in lines_px.items():
         corners = [(x, y) for x, y in (FINER * line).tolist()]
         draw.line(corners, fill=number, width=FINER * MASK_WIDTH_PX, joint="curve")
-    stream = io.BytesIO()
-    image.resize((CAMERA.width_px, CAMERA.height_px), Image.Resampling.NEAREST).save(stream, "PNG")
-    return stream.getvalue()
+    return png(np.asarray(image.resize(CAMERA.size_px, Image.Resampling.NEAREST)))
 
 
 @dataclass(frozen=True)

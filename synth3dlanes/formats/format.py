@@ -62,6 +62,14 @@ class FrameList:
     word: str = "frame"
 
 
+def maps_of(out: Path, ending: str, most_frames: int, content: Callable[[Path], Any]) -> Iterator[FrameList]:
+    """The maps of every split of an export that has a file of this ending for each scene; `content` reads one."""
+    for folder in sorted({path.parent for path in out.glob(f"*/*.{ending}")}):
+        paths = sorted(folder.glob(f"*.{ending}"))[:most_frames]
+        frames = (ReadFrame(str(path.relative_to(out)), str(path), None, content(path)) for path in paths)
+        yield FrameList(folder.name, frames, "map")
+
+
 @dataclass(frozen=True)
 class Rates:
     """What a benchmark gives the predictions for a list of frames: its own numbers by name."""

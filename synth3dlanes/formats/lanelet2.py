@@ -27,7 +27,7 @@ from synth3dlanes.formats.comparing import (
     is_beside,
     middle_of,
 )
-from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
 from synth3dlanes.formats.lane_map import MIRRORED, link_gaps
 from synth3dlanes.formats.lanelet_map import (
     BOUND_STEP_M,
@@ -392,11 +392,7 @@ first ahead of the camera, the second from it."""
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    for folder in sorted({path.parent for path in out.glob("*/*.osm")}):
-        paths = sorted(folder.glob("*.osm"))[:most_frames]
-        osms = ((path, read_osm(read_text(path).encode(), str(path))) for path in paths)
-        frames = (ReadFrame(str(path.relative_to(out)), str(path), None, osm) for path, osm in osms)
-        yield FrameList(folder.name, frames, "map")
+    return maps_of(out, "osm", most_frames, lambda path: read_osm(read_text(path).encode(), str(path)))
 
 
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:

@@ -141,10 +141,10 @@ def bench(
     )
 
 
-def measure_quality(recipe: Recipe, notify: Callable[[str], None], samples: int = REFERENCE_SAMPLES) -> Quality:
+def measure_quality(recipe: Recipe, notify: Callable[[str], None]) -> Quality:
     """Compare three fixed scenes with their references. Takes minutes."""
     recipe = replace(recipe, scenes=replace(recipe.scenes, split="quality"), image_format="png")
-    converged = replace(recipe, settings=replace(recipe.settings, samples=samples, passes=()))
+    converged = replace(recipe, settings=replace(recipe.settings, samples=REFERENCE_SAMPLES, passes=()))
     psnr_db, ssims = [], []
     with Pool(1, SLOW, pinned=False) as pool:
         for index in range(REFERENCE_SCENES):

@@ -6,18 +6,15 @@ from typing import Any
 
 from synth3dlanes.production.recipe import require_blender
 from synth3dlanes.production.workers import Limits, call
-from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library
+from synth3dlanes.scene.assets.catalogue import Library
 from synth3dlanes.scene.assets.folder import FolderCheck
 from synth3dlanes.system.errors import InputError
 
 PATIENCE = Limits(seconds=1800.0, rss_bytes=16 << 30)
 
 
-def open_library(folder: Path | None) -> tuple[Library, tuple[str, ...]]:
-    """The assets in a folder, and the warnings about them; without a folder, the built-in assets. Raises InputError
-    with every problem."""
-    if folder is None:
-        return BUILT_IN, ()
+def open_library(folder: Path) -> tuple[Library, tuple[str, ...]]:
+    """The assets in a folder, and the warnings about them. Raises InputError with every problem."""
     checked = check_assets(folder)
     if checked.problems:
         raise InputError(*(f"assets {folder}: {problem}" for problem in checked.problems))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
-from synth3dlanes.formats.format import FrameList, ReadFrame
+from synth3dlanes.formats.format import FrameList, ReadFrame, maps_of
 from synth3dlanes.formats.opendrive.described import USER_DATA, Element
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.roads.cross_section import CrossSection
@@ -26,15 +26,13 @@ STATION_STEP_M = 1.0
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    for folder in sorted({path.parent for path in out.glob("*/*.xodr")}):
-        yield FrameList(folder.name, _frames(out, sorted(folder.glob("*.xodr"))[:most_frames]), "map")
+    return maps_of(out, "xodr", most_frames, _content)
 
 
-def _frames(out: Path, paths: list[Path]) -> Iterator[ReadFrame]:
-    for path in paths:
-        data, name = read_text(path).encode(), str(path.relative_to(out))
-        given = read_opendrive(data, path.name, str(path))
-        yield ReadFrame(name, str(path), None, (parse_xml(data, str(path)), given))
+def _content(path: Path) -> tuple[Element, GivenMap]:
+    data = read_text(path).encode()
+    given = read_opendrive(data, path.name, str(path))
+    return parse_xml(data, str(path)), given
 
 
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
