@@ -8,10 +8,10 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from synth3dlanes.roads.map_roads import bare_road
+from synth3dlanes.geometry.polylines import spaced
 from synth3dlanes.roads.road_table import RoadTable
+from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import grid_weights, height_at
-from synth3dlanes.scene.road_map import MapRoad, RoadMap
 from synth3dlanes.scene.scene import HeightGrid, Terrain
 from synth3dlanes.system.arrays import Points3, Scalars
 
@@ -27,10 +27,10 @@ BEND_WEIGHT, MEAN_WEIGHT = 0.02, 1e-4
 MM_DECIMALS = 3
 
 
-def terrain_of(roads: RoadMap, hills: Terrain, step_m: float = GROUND_GRID_STEP_M) -> Terrain:
+def terrain_of(roads: Sequence[Road], hills: Terrain, step_m: float = GROUND_GRID_STEP_M) -> Terrain:
     """The hills, on a ground so that both together meet the roads; the hills alone for a map without heights. The
     ground is a grid of this step around the world's origin."""
-    raised = [road for road in roads.roads if road.heights]
+    raised = [road for road in roads if road.has_heights]
     if not raised:
         return hills
     xyz = _lowest(road_points(raised, hills))
@@ -42,24 +42,21 @@ def terrain_of(roads: RoadMap, hills: Terrain, step_m: float = GROUND_GRID_STEP_
     return hills.model_copy(update={"base": base})
 
 
-def road_points(roads: Sequence[MapRoad], terrain: Terrain) -> Points3:
-    """Places of the surfaces of roads with heights outside tunnels: on their lines and at both edges of their pavement,
-    of one section after the other."""
-    bare = [(road, bare_road(road, terrain)) for road in roads]
-    stretches = [(road, stretch) for road, own in bare for stretch in own.stretches]
-    stations = []
-    for road, at in stretches:
-        s = np.linspace(at.start_m, at.end_m, 2 + int(max(at.end_m - at.start_m, 0.0) / ALONG_M))
-        stations.append(s[~np.any([(s > own.from_m) & (s < own.to_m) for own in road.tunnels] or [s < 0], axis=0)])
-    counts = np.repeat([len(s) for s in stations], 3)
-    edges = [edge for _, at in stretches for edge in (0, None, len(at.sections[0].lanes))]
-    number = np.repeat(np.repeat(np.arange(len(stretches)), 3), counts)
-    s, table = (
-        np.concatenate([s for own in stations for s in (own,) * 3]),
-        RoadTable([at for _, at in stretches], terrain),
-    )
-    t = table.edge(number, np.repeat([edge or 0 for edge in edges], counts), s)
-    return table.base_points(number, s, np.where(np.repeat([edge is None for edge in edges], counts), 0.0, t))
+def road_points(roads: Sequence[Road], terrain: Terrain) -> Points3:
+    """Places of the surfaces of roads with heights outside tunnels: on their lines and at both edges of their
+    pavement."""
+    stretches = [stretch for road in roads for stretch in road.stretches]
+    start_m, end_m = (np.array([getattr(at, end) for at in stretches]) for end in ("start_m", "end_m"))
+    counts = 2 + (np.maximum(end_m - start_m, 0.0) / ALONG_M).astype(int)
+    number, s = np.repeat(np.arange(len(stretches)), counts), spaced(start_m, end_m, counts)
+    in_tunnel = np.zeros(len(s), dtype=bool)
+    for i, at in enumerate(stretches):
+        for tunnel in at.tunnels:
+            in_tunnel |= (number == i) & (s > tunnel.from_m) & (s < tunnel.to_m)
+    number, s, table = number[~in_tunnel], s[~in_tunnel], RoadTable(stretches, terrain)
+    last = np.array([len(at.sections[0].lanes) for at in stretches])[number]
+    edges = (table.edge(number, edge, s) for edge in (0 * last, last))
+    return np.concatenate([table.base_points(number, s, t) for t in (0 * s, *edges)])
 
 
 def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:

@@ -15,12 +15,13 @@ from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, firs
 from synth3dlanes.draw.map_standing import map_trees, stand
 from synth3dlanes.draw.map_terrain import GROUND_GRID_STEP_M, terrain_of
 from synth3dlanes.draw.riders import places_on_map
+from synth3dlanes.geometry.polylines import spaced
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
 from synth3dlanes.roads.map_lines import plan_line
-from synth3dlanes.roads.map_roads import map_network
+from synth3dlanes.roads.map_roads import bare_roads, map_network
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.roads.maps.part import MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
@@ -54,8 +55,10 @@ def map_roads(
 ) -> Roads:
     """A map with the host on its route, on a terrain that meets the heights of the map's roads. In a clip the host
     drives no faster than the bends and the end of its way allow; cars drive along the lanes."""
-    terrain = terrain_of(roads, draw_hills(of("terrain")), ground_step_m)
-    network = map_network(roads, terrain, camera.y_m)
+    hills = draw_hills(of("terrain"))
+    bare = bare_roads(roads, hills)
+    terrain = terrain_of(bare, hills, ground_step_m)
+    network = map_network(roads, bare, terrain, camera.y_m)
     if shot.speed_m_s and not shot.track:
         speed_m_s = _allowed(network.way, camera.y_m, shot.speed_m_s, shot.duration_s)
         shot = shot.model_copy(update={"speed_m_s": speed_m_s})
@@ -202,10 +205,13 @@ def _near(scene: Scene, network: Network, reach_m: float) -> tuple[list[NetworkL
     foot = network.host_points(scene.camera, np.zeros(1))[0, :2]
     own = {lane.road for lane in network.way.lanes}
     lanes = [lane for lane in network.lanes.values() if lane.width_m > NARROW_M and lane.end_m - lane.start_m > 1.0]
-    stations = [np.linspace(lane.start_m, lane.end_m, 2 + int((lane.end_m - lane.start_m) / 10)) for lane in lanes]
+    start_m, end_m = (np.array([getattr(lane, end) for lane in lanes]) for end in ("start_m", "end_m"))
+    counts = 2 + ((end_m - start_m) / 10).astype(int)
+    which, s = np.repeat(np.arange(len(lanes)), counts), spaced(start_m, end_m, counts)
+    is_near = np.hypot(*(network.xy_in_lanes(lanes, which, s) - foot).T) < reach_m
     found, chances = [], []
-    for lane, xy in zip(lanes, network.xy_in_lanes(lanes, stations), strict=True):
-        if (np.hypot(*(xy - foot).T) < reach_m).any():
+    for lane, n_near in zip(lanes, np.bincount(which[is_near], minlength=len(lanes)), strict=True):
+        if n_near:
             found.append(lane)
             chances.append((lane.end_m - lane.start_m) * (LIKELIER if lane.road in own else 1.0))
     return found, np.cumsum(chances)

@@ -1,9 +1,26 @@
 """Polylines of points in any frame: lengths along them, points at equal distances, and stretches of them."""
 
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.system.arrays import Scalars
+
+
+def spaced(first: Scalars, last: Scalars, counts: Int[np.ndarray, " n"]) -> Float[np.ndarray, " _"]:
+    """Evenly spaced numbers from each first to each last one, two or more, as `np.linspace` has them."""
+    ends = np.cumsum(counts)
+    number = np.arange(counts.sum()) - np.repeat(ends - counts, counts)
+    found = np.repeat(first, counts) + number * np.repeat((last - first) / (counts - 1), counts)
+    found[ends - 1] = last
+    return found
+
+
+def parted(values: np.ndarray, counts: Sequence[int] | Int[np.ndarray, " n"]) -> list[np.ndarray]:
+    """Parts of values with these lengths, one after the other."""
+    return [values[first:end] for first, end in pairwise(accumulate(map(int, counts), initial=0))]
 
 
 def lengths_along(points: Float[np.ndarray, "n d"]) -> Scalars:

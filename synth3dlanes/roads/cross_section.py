@@ -10,7 +10,7 @@ from jaxtyping import Float
 from synth3dlanes.roads.maps.cubics import holding
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.scene.road_map import MapLane, MapLaneKind, MapRoad, MapShape, Polynomial
-from synth3dlanes.system.arrays import AnyScalars, Numbers
+from synth3dlanes.system.arrays import AnyScalars, Numbers, Spread
 
 # Height of raised lanes over the pavement, the width of the seam at their edges that is not raised, and their kinds.
 KERB_M, SEAM_M = 0.12, 0.005
@@ -53,6 +53,13 @@ class Profile:
 def _width(cubics: tuple[Polynomial, ...]) -> Profile:
     """The profile of a width: all scenes on a map have the same ones."""
     return Profile(cubics)
+
+
+@lru_cache(maxsize=WIDTHS_KEPT)
+def greatest_and_mean(width: Profile, length_m: float) -> tuple[float, float]:
+    """The greatest and the mean width of a lane of this length, by five places; of all scenes on a map, too."""
+    widths_m = np.maximum(width(np.linspace(0.0, length_m, 5)), 0.0)
+    return float(widths_m.max()), float(widths_m.mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,12 +165,12 @@ class CrossSection:
     def _middle(self, lane: int, s: AnyScalars) -> AnyScalars:
         return (self.edge(lane, s) + self.edge(lane + 1, s)) / 2
 
-    def height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+    def height(self, s: Spread, t: Spread | float) -> AnyScalars:
         """World height of the surface without raised lanes at places, of a road with heights; before its start and
         beyond its end the height there."""
         assert self.heights is not None, "asked only of roads with heights"
-        s, t = np.broadcast_arrays(np.clip(s, self.start_m, self.end_m), t)
-        z = self.heights(s)
+        s = np.clip(s, self.start_m, self.end_m)
+        s, t, z = np.broadcast_arrays(s, t, self.heights(s))
         if self.banks is None and self.shapes is None:
             return z
         bank, t = self.banks(s) if self.banks is not None else np.zeros(s.shape), self._banked(s, t)

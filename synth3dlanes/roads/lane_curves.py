@@ -243,20 +243,9 @@ class Course(NamedTuple):
     def of(cls, road: Road, offset: Offset, first: float, last: float) -> "Course":
         """The course from a station to another."""
         stations = np.linspace(first, last, n_knots(first, last))
-        return cls.through(road, offset, stations, road.xy(stations, offset(stations)))
-
-    @classmethod
-    def through(
-        cls,
-        road: Road,
-        offset: Offset,
-        stations: AnyScalars,
-        xy_world: Float[np.ndarray, "k 2"],
-        on_table: TableLine | None = None,
-    ) -> "Course":
-        """The course with these places at stations."""
+        xy_world = road.xy(stations, offset(stations))
         steps_m = np.hypot(*np.diff(xy_world, axis=0).T)
-        return cls(road, offset, stations, xy_world, np.concatenate([[0.0], np.cumsum(steps_m)]), on_table)
+        return cls(road, offset, stations, xy_world, np.concatenate([[0.0], np.cumsum(steps_m)]))
 
     def turned(self) -> "Course":
         """The other way."""

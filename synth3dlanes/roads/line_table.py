@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve, Piece, TableLine
 from synth3dlanes.roads.road_table import Indices, Ragged, RoadTable
 from synth3dlanes.roads.roads import Road
@@ -154,8 +155,8 @@ class LineTable:
     def _on(
         self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
     ) -> tuple[Indices, Scalars, list[int]]:
-        """The pieces of lines that are at lengths along each, the stations of their roads there, and where the lengths
-        of one line end."""
+        """The pieces of lines that are at lengths along each, the stations of their roads there, and how many
+        each line has."""
         counts, s = [len(own) for own in stations], np.concatenate([np.zeros(0), *stations])
         number = np.repeat(np.array([self.numbers[curve.id] for curve in curves], dtype=int), counts)
         of, on = self._pieces, np.zeros(len(s))
@@ -164,20 +165,20 @@ class LineTable:
         for some in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1) if len(order) else ():
             at = of.all[piece[some[0]]]
             on[some] = at.on(np.minimum(s[some], at.end_m))
-        return piece, on, np.cumsum(counts)[:-1].tolist()
+        return piece, on, counts
 
     def xy_along(
         self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
     ) -> list[Float[np.ndarray, "_ 2"]]:
         """World (x, y) of each of some lines at lengths along it."""
-        piece, on, ends = self._on(curves, stations)
+        piece, on, counts = self._on(curves, stations)
         road, t = self.table.on_lines(self._pieces.lines, piece, on)
-        return np.split(self.table.xy(road, on, t), ends) if curves else []
+        return parted(self.table.xy(road, on, t), counts)
 
     def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
         """Points on the road surface at lengths along lines, one line after the other."""
-        piece, on, ends = self._on(list(stations), list(stations.values()))
-        return np.split(self.table.points(self._pieces.lines, piece, on), ends) if stations else []
+        piece, on, counts = self._on(list(stations), list(stations.values()))
+        return parted(self.table.points(self._pieces.lines, piece, on), counts)
 
     def points_beside(
         self,
@@ -188,10 +189,10 @@ class LineTable:
         """Points on the road surface along each of some lines: at each of its lengths those at all of these offsets to
         its right."""
         each = list(zip(stations, offsets, strict=True))
-        piece, on, ends = self._on(curves, [np.repeat(s, len(t)) for s, t in each])
+        piece, on, counts = self._on(curves, [np.repeat(s, len(t)) for s, t in each])
         right_m = np.concatenate([np.zeros(0), *(np.tile(t, len(s)) for s, t in each)])
         points = self.table.points(self._pieces.lines, piece, on, right_m * self._pieces.along[piece])
-        return [own.reshape(len(s), len(t), 3) for own, (s, t) in zip(np.split(points, ends), each, strict=False)]
+        return [own.reshape(len(s), len(t), 3) for own, (s, t) in zip(parted(points, counts), each, strict=True)]
 
     def which_come(self, is_there: Callable[[Points2], Bool[np.ndarray, " k"]]) -> Bool[np.ndarray, " l"]:
         """Which lines have a place, of some at most KNOT_M apart, that is there."""
@@ -244,16 +245,6 @@ class LineTable:
         samples = self._samples(numbers)
         to = samples.xy_world - foot_world
         return (to @ forward >= lengths_m[0]) & (np.hypot(*to.T) <= reach_m), numbers, samples
-
-    def xy_in(
-        self, lines: Sequence[TableLine], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, "_ 2"]]:
-        """World (x, y) of each of some lines of the table at stations of its road."""
-        if not lines:
-            return []
-        counts, s = [len(own) for own in stations], np.concatenate(stations)
-        road, t = self.table.on_lines(lines, np.repeat(np.arange(len(lines)), counts), s)
-        return np.split(self.table.xy(road, s, t), np.cumsum(counts)[:-1])
 
 
 def _is_within(

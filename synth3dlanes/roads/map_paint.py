@@ -103,7 +103,7 @@ def lines(
         TableLine(numbers[edge.road.id, edge.section], (edge.edge, edge.edge), edge.start_m, edge.end_m)
         for edge in edges
     ]
-    follows, knots = _follows(edges, table, on_table), table.knots(on_table)
+    follows, knots = _follows(edges, table, on_table), list(table.knots(on_table))
     seen: set[int] = set()
     for i in range(len(edges)):
         if i in seen:
@@ -118,7 +118,7 @@ def lines(
         parts = []
         while at not in seen:
             seen.add(at)
-            course = Course.through(edges[at].road, edges[at].line, *knots[at], on_table[at])
+            course = Course(edges[at].road, edges[at].line, *knots[at], on_table[at])
             parts.append(_Part(edges[at], course, onwards))
             if (at, onwards) not in follows:
                 break

@@ -3,11 +3,12 @@ The rules are in docs/network.md; World frame, metres."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from synth3dlanes.labels.labels import Direction
-from synth3dlanes.roads.cross_section import CrossSection
+from synth3dlanes.roads.cross_section import CrossSection, greatest_and_mean
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, TableLine, measured
 from synth3dlanes.roads.map_lines import plan_line
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
@@ -26,39 +27,43 @@ GAP_M, TANGENT_M = 1.0, 0.01
 LEAST_WIDTH_M = 0.1
 
 
-def map_network(roads: RoadMap, terrain: Terrain, at_m: float) -> Network:
-    """The roads of a map within AROUND_M of the place at a length along its route, and those of the route."""
-    return _Reading(roads, terrain).network(at_m)
+def map_network(roads: RoadMap, bare: Sequence[Road], terrain: Terrain, at_m: float) -> Network:
+    """The roads of a map within AROUND_M of the place at a length along its route, and those of the route; `bare` are
+    all its roads without lanes."""
+    return _Reading(roads, bare, terrain).network(at_m)
 
 
 class _Reading:
     """A map and what is made of it step by step."""
 
-    def __init__(self, roads: RoadMap, terrain: Terrain) -> None:
-        self.map, self.terrain, self.route = roads, terrain, frozenset(roads.route)
+    def __init__(self, roads: RoadMap, bare: Sequence[Road], terrain: Terrain) -> None:
+        self.map, self.bare, self.terrain, self.route = roads, bare, terrain, frozenset(roads.route)
 
     def network(self, at_m: float) -> Network:
         near = self._near(at_m)
-        lanes = {lane.id: lane for road in near for lane in road.lanes}
+        lanes = {lane.id: lane for road in near for lane in self._lanes(road)}
         links = [link for link in self.map.links if link[0] in lanes and link[1] in lanes]
         table = RoadTable([stretch for road in near for stretch in road.stretches], self.terrain)
         numbers = {key: i for i, key in enumerate((road.id, k) for road in near for k in range(len(road.sections)))}
-        middles = {lane.id: _middle(lane, road, numbers) for road in near for lane in road.lanes}
+        by_id = {road.id: road for road in near}
+        middles = {lane.id: _middle(lane, by_id[lane.road], numbers) for lane in lanes.values()}
         meets = _meeting(table, middles, links)
         chains = list(_chains(list(lanes.values()), links, lambda a, b: (a, b) in meets))
         directions = self._directions(lanes, links, chains)
         lanes = {name: replace(lane, direction=directions[name]) for name, lane in lanes.items()}
-        roads = {road.id: replace(road, lanes=tuple(lanes[lane.id] for lane in road.lanes)) for road in near}
+        of_road: dict[str, list[NetworkLane]] = {road.id: [] for road in near}
+        for lane in lanes.values():
+            of_road[lane.road].append(lane)
+        roads = {road.id: replace(road, terrain=self.terrain, lanes=tuple(of_road[road.id])) for road in near}
         courses = {
-            lane.id: Course.through(roads[lane.road].stretch_of(lane), lane.middle, *knots, middle)
+            lane.id: Course(roads[lane.road].stretch_of(lane), lane.middle, *knots, middle)
             for lane, middle, knots in zip(
-                lanes.values(), middles.values(), table.knots(list(middles.values())), strict=True
+                lanes.values(), middles.values(), table.knots([*middles.values()]), strict=True
             )
         }
         paths = [_path([lanes[name] for name in chain], courses) for chain in chains]
         path_of = {lane.id: path.id for path in paths for lane in path.lanes}
-        given = {road.id: road for road in self.map.roads}
-        edges = [edge for road in roads.values() for edge in edges_of(given[road.id], road)]
+        edges = [edge for road in roads.values() for edge in edges_of(self._given[road.id], road)]
         drawn = list(lines(edges, table, numbers, lanes, path_of))
         beside = beside_lanes(drawn)
         junctions = tuple(
@@ -97,28 +102,29 @@ class _Reading:
     def _near(self, at_m: float) -> list[Road]:
         """The roads within AROUND_M of a place along the route, and those of the route."""
         wanted = {name.rsplit(".", 2)[0] for name in self.map.route}
-        by_id = {road.id: self._road(road) for road in self.map.roads if road.id in wanted}
-        lanes = {lane.id: lane for road in by_id.values() for lane in road.lanes}
+        by_id = {road.id: road for road in self.bare if road.id in wanted}
+        lanes = {lane.id: lane for road in by_id.values() for lane in self._lanes(road)}
         route = [lanes[name] for name in self.map.route]
         courses = {lane.id: Course.of(by_id[lane.road].stretch_of(lane), lane.middle, *lane.driven) for lane in route}
         host = _path(route, courses).xy_world(np.array([at_m]))[0]
-        found = []
-        for road in self.map.roads:
-            if road.id in by_id:
-                found.append(by_id[road.id])
-            elif any(np.hypot(p.x_m - host[0], p.y_m - host[1]) - p.length_m < AROUND_M for p in road.plan):
-                found.append(self._road(road))
-        return found
 
-    def _road(self, road: MapRoad) -> Road:
-        bare = bare_road(road, self.terrain)
-        lanes = [
-            lane for i, section in enumerate(bare.sections) if section.end_m > section.start_m
-            for lane in _lanes(road, i, section, self.route)
-        ]  # fmt: skip
-        return replace(bare, lanes=tuple(lanes))
+        def is_near(road: MapRoad) -> bool:
+            return any(np.hypot(p.x_m - host[0], p.y_m - host[1]) - p.length_m < AROUND_M for p in road.plan)
+
+        pairs = zip(self.map.roads, self.bare, strict=True)
+        return [bare for road, bare in pairs if road.id in wanted or is_near(road)]
 
     # -- lanes
+
+    def _lanes(self, road: Road) -> Iterator[NetworkLane]:
+        """The lanes of traffic of a road."""
+        for i, section in enumerate(road.sections):
+            if section.end_m > section.start_m:
+                yield from _lanes(self._given[road.id], i, section, self.route)
+
+    @cached_property
+    def _given(self) -> dict[str, MapRoad]:
+        return {road.id: road for road in self.map.roads}
 
     def _directions(
         self, lanes: dict[str, NetworkLane], links: Sequence[tuple[str, str]], chains: Sequence[list[str]]
@@ -136,15 +142,23 @@ class _Reading:
                 connectors.append(chain)
             along: Direction = "crossing" if is_connector or not own else "same" if True in own else "oncoming"
             found.update(dict.fromkeys(chain, "same" if route & set(chain) else along))
+        before, after = dict[str, list[str]](), dict[str, list[str]]()
+        for a, b in links:
+            after.setdefault(a, []).append(b)
+            before.setdefault(b, []).append(a)
         for chain in connectors:
-            ends = [found[a] for a, b in links if b == chain[0]] + [found[b] for a, b in links if a == chain[-1]]
+            ends = [found[name] for name in (*before.get(chain[0], ()), *after.get(chain[-1], ()))]
             if not route & set(chain) and len(ends) > 1 and len(set(ends)) == 1:
                 found.update(dict.fromkeys(chain, ends[0]))
         return found
 
 
-def bare_road(road: MapRoad, terrain: Terrain) -> Road:
-    """A road of a map without its lanes of traffic."""
+def bare_roads(roads: RoadMap, terrain: Terrain) -> list[Road]:
+    """All roads of a map without their lanes of traffic."""
+    return [_bare(road, terrain) for road in roads.roads]
+
+
+def _bare(road: MapRoad, terrain: Terrain) -> Road:
     line = plan_line(road.plan)
     return Road(
         road.id,
@@ -166,13 +180,13 @@ def bare_road(road: MapRoad, terrain: Terrain) -> Road:
 def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[str]) -> Iterator[NetworkLane]:
     """The lanes of traffic of a section, from the left; numbers count from the left as their traffic drives. Those of
     the host's route may have any width."""
-    along_m = np.linspace(0.0, section.end_m - section.start_m, 5)
+    length_m = section.end_m - section.start_m
     widths_m = {
-        i: np.maximum(section.widths[i](along_m), 0.0) for i, lane in enumerate(section.lanes) if lane.kind == "driving"
+        i: greatest_and_mean(section.widths[i], length_m) for i, at in enumerate(section.lanes) if at.kind == "driving"
     }
     driving = [
-        i for i, at in widths_m.items()
-        if at.max() > LEAST_WIDTH_M or f"{road.id}.{number}.{section.lanes[i].number}" in route
+        i for i, (most_m, _) in widths_m.items()
+        if most_m > LEAST_WIDTH_M or f"{road.id}.{number}.{section.lanes[i].number}" in route
     ]  # fmt: skip
     up = {i: (section.lanes[i].number < 0) ^ road.keeps_left ^ section.lanes[i].against for i in driving}
     for i in driving:
@@ -183,7 +197,7 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
             f"{road.id}.{number}.{'up' if up[i] else 'down'}",
             1 + (same if up[i] else same[::-1]).index(i),
             section.middle_line(i),
-            float(widths_m[i].mean()),
+            widths_m[i][1],
             section.start_m,
             section.end_m,
             ascends=up[i],

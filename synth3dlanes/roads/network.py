@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
@@ -133,6 +133,11 @@ class Network:
         if lane not in self._path_of:
             raise InputError(f"map: expected lanes of traffic near the host, with a width, got {lane}")
         return self._path_of[lane]
+
+    @cached_property
+    def has_partings(self) -> bool:
+        """Whether any road begins beside another."""
+        return any(road.parting for road in self.roads)
 
     def branches(self, road: Road) -> list[Road]:
         """The roads that begin beside a road."""
@@ -262,12 +267,12 @@ class Network:
         assert self.stretches is not None, "asked only of lines on roads of one section"
         return LineTable(self.curves, self.stretches)
 
-    def xy_in_lanes(
-        self, lanes: Sequence[NetworkLane], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, "_ 2"]]:
-        """World (x, y) of the middle of each of some lanes with courses at stations of its road."""
+    def xy_in_lanes(self, lanes: Sequence[NetworkLane], which: Int[np.ndarray, " n"], s: Scalars) -> Points2:
+        """World (x, y) of the middles of lanes with courses, by the number of each, at stations of its road."""
         lines = [line for lane in lanes if (line := self.courses[lane.id].on_table) is not None]
-        return self.line_table.xy_in(lines, stations)
+        table = self.line_table.table
+        road, t = table.on_lines(lines, which, s)
+        return table.xy(road, s, t)
 
     def in_range(self, camera: HostCamera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of the points of every line in range of the host, up to the greatest of these lengths ahead of

@@ -3,7 +3,7 @@
 A road is known by its number. What a call tells of a place is what the `Road` of that number tells of it.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.geometry.polylines import parted, spaced
 from synth3dlanes.roads.cross_section import CrossSection, Profile, Shapes
 from synth3dlanes.roads.lane_curves import TableLine, n_knots
 from synth3dlanes.roads.map_lines import Spiral, spiral_frames
@@ -20,7 +21,7 @@ from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, 
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.scene import Terrain
-from synth3dlanes.system.arrays import AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars
 
 # Steps of a projection, and how far from the perpendicular through a foot its point may be.
 MOST_STEPS, FOOT_M = 12, 1e-3
@@ -38,9 +39,23 @@ class OnRoads(NamedTuple):
     s: Scalars
     t: Scalars
 
-    def of(self, which: Bool[np.ndarray, " n"] | Indices) -> "OnRoads":
+    def of(self, which: Bool[np.ndarray, " n"]) -> "OnRoads":
         """Some of the places."""
-        return OnRoads(*(values[which] for values in self))
+        at = np.flatnonzero(which)
+        return OnRoads(*(values.take(at) for values in self))
+
+
+class OnLines(NamedTuple):
+    """Places of lines: their stations, the numbers of the pieces that these are on, and the lines there."""
+
+    s: Scalars
+    piece: Indices
+    frames: LineFrames
+
+    def take(self, which: Indices) -> "OnLines":
+        """Some of the places."""
+        frames = LineFrames(*(values.take(which, axis=0) for values in self.frames))
+        return OnLines(self.s.take(which), self.piece.take(which), frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,16 +182,18 @@ class RoadTable:
 
     def frames(self, road: Indices, s: Scalars) -> LineFrames:
         """Each road's line at a station."""
-        return self._frames(self._pieces.at(road, s), s)
+        return self.lines_at(road, s).frames
 
-    def _frames(self, piece: Indices, s: Scalars) -> LineFrames:
-        x = s - self._pieces.starts[piece]
+    def lines_at(self, road: Indices, s: Scalars) -> OnLines:
+        """Each road's line at a station, with where that is."""
+        piece = self._pieces.at(road, s)
+        x = s - self._pieces.starts.take(piece)
         found, other = spiral_frames(self._spirals.take(piece, axis=0), x), self._is_other.take(piece)
         for i in np.unique(piece[other]):
             at = piece == i
             for whole, part in zip(found, self._lines[i].frames(x[at]), strict=True):
                 whole[at] = part
-        return found
+        return OnLines(s, piece, found)
 
     def xy(self, road: Indices, s: Scalars, t: Scalars) -> Points2:
         """World (x, y) of places."""
@@ -184,27 +201,28 @@ class RoadTable:
         return np.asarray(points + t[:, None] * normals)
 
     def project(
-        self, road: Indices, xy_world: Points2, guess: Scalars
+        self, road: Indices, xy_world: Points2, guess: OnLines
     ) -> tuple[Scalars, Scalars, Bool[np.ndarray, " n"]]:
         """(s, t) of points on the road of each, by Newton's method as `ReferenceLine.project` finds them, and which of
         them are feet of their points: inside a bend it may find none."""
-        s, t, is_foot = guess.copy(), np.zeros(len(guess)), np.ones(len(guess), dtype=bool)
-        left = np.arange(len(s))
+        s, t, is_foot = guess.s.copy(), np.zeros(len(road)), np.ones(len(road), dtype=bool)
+        left, at = np.arange(len(road)), guess
         for _ in range(MOST_STEPS):
-            piece = self._pieces.at(road[left], s[left])
-            points, normals, speed, turn = self._frames(piece, s[left])
-            to = xy_world[left] - points
+            points, normals, speed, turn = at.frames
+            to = xy_world - points
             t[left] = aside = dot(to, normals)
             along = to[:, 1] * normals[:, 0] - to[:, 0] * normals[:, 1]
             step = np.clip(along / np.maximum(speed - turn * aside, MIN_SHARE * speed), -MAX_STEP_M, MAX_STEP_M)
-            s[left] += step
+            s[left] = reached = at.s + step
             # On a straight piece one step is all of the way.
-            is_there = self._is_straight[piece] & (np.abs(step) < MAX_STEP_M)
-            is_there[is_there] = self._pieces.at(road[left[is_there]], s[left[is_there]]) == piece[is_there]
-            is_left = ~is_there & (np.abs(step) > SETTLED_M)
-            left, along = left[is_left], along[is_left]
+            is_there = self._is_straight.take(at.piece) & (np.abs(step) < MAX_STEP_M)
+            straight = np.flatnonzero(is_there)
+            is_there[straight] = self._pieces.at(road[straight], reached[straight]) == at.piece[straight]
+            is_left = np.flatnonzero(~is_there & (np.abs(step) > SETTLED_M))
+            left, along, road, xy_world = (values.take(is_left, axis=0) for values in (left, along, road, xy_world))
             if not left.size:
                 break
+            at = self.lines_at(road, reached.take(is_left))
         is_foot[left] = np.abs(along) < FOOT_M
         return s, t, is_foot
 
@@ -214,26 +232,32 @@ class RoadTable:
 
     def edge(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
         """The offset of an edge of a section at each station."""
-        middle, x = self._n_left[section], s - self._section_start_m[section]
+        return self._across(section, edge, s) - self._offsets(section, s)
+
+    def _across(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
+        """The offset of an edge from the one on the line."""
+        middle, x = self._n_left.take(section), s - self._section_start_m.take(section)
         low, high = np.minimum(edge, middle), np.maximum(edge, middle)
-        across, lane = np.zeros(len(s)), self._first_lane[section] + low
+        across, lane = np.zeros(len(s)), self._first_lane.take(section) + low
         for i in range(int((high - low).max(initial=0))):
             at = np.flatnonzero(low + i < high)
-            across[at] += np.maximum(self._widths(lane[at] + i, x[at]), 0.0)
-        return np.asarray(np.where(edge > middle, across, -across) - self._offsets(section, s))
+            across[at] += np.maximum(self._widths(lane.take(at) + i, x.take(at)), 0.0)
+        return np.where(edge > middle, across, -across)
 
-    def knots(self, lines: Sequence[TableLine]) -> list[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ 2"]]]:
-        """The stations of the knots of lines, each from its first station to its last one, and their places."""
+    def knots(self, lines: Sequence[TableLine]) -> Iterator[tuple[AnyScalars, AnyPoints2, AnyScalars]]:
+        """The stations of the knots of lines, each from its first station to its last one, their places, and the
+        lengths from above to these."""
         if not lines:
-            return []
+            return
         first, last = (np.array([getattr(line, end) for line in lines]) for end in ("first_m", "last_m"))
         counts = np.array([n_knots(line.first_m, line.last_m) for line in lines])
-        which, ends = np.repeat(np.arange(len(lines)), counts), np.cumsum(counts)
-        knot = np.arange(ends[-1]) - np.repeat(ends - counts, counts)
-        s = first[which] + knot * ((last - first) / (counts - 1))[which]
-        s[ends - 1] = last
-        road, t = self.on_lines(lines, which, s)
-        return list(zip(np.split(s, ends[:-1]), np.split(self.xy(road, s, t), ends[:-1]), strict=True))
+        s = spaced(first, last, counts)
+        road, t = self.on_lines(lines, np.repeat(np.arange(len(lines)), counts), s)
+        xy, steps_m = self.xy(road, s, t), np.zeros(len(s))
+        steps_m[1:] = np.hypot(*np.diff(xy, axis=0).T)
+        steps_m[np.cumsum(counts) - counts] = 0.0
+        for own_s, own_xy, own_steps_m in zip(*(parted(values, counts) for values in (s, xy, steps_m)), strict=True):
+            yield own_s, own_xy, np.cumsum(own_steps_m)
 
     def points(self, lines: Sequence[TableLine], which: Indices, s: Scalars, aside_m: Scalars | float = 0.0) -> Points3:
         """Points on the surface along lines, by the number of each, at stations; `aside_m` to their right."""
@@ -258,7 +282,8 @@ class RoadTable:
     def edges(self, road: Indices, s: Scalars) -> tuple[Scalars, Scalars]:
         """The offsets of the left and the right edge of the pavement of each road at a station."""
         section = self.section(road, s)
-        left, right = (self.edge(section, self._paved[side][section], s) for side in (0, 1))
+        offset = self._offsets(section, s)
+        left, right = (self._across(section, edge.take(section), s) - offset for edge in self._paved)
         return left, right
 
     def base_points(self, road: Indices, s: Scalars, t: Scalars) -> Points3:
@@ -272,11 +297,11 @@ class RoadTable:
     def over_terrain(self, road: Indices, s: Scalars, t: Scalars, terrain_m: Scalars) -> Scalars:
         """How high the surface of each road without raised lanes is over the terrain, whose heights are given."""
         section = self.section(road, s)
-        return np.where(self._has_heights[section], self._height(section, s, t) - terrain_m, 0.0)
+        return np.where(self._has_heights.take(section), self._height(section, s, t) - terrain_m, 0.0)
 
     def _height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
-        at = np.clip(s, self._section_start_m[section], self._section_end_m[section])
-        z, banked, shaped = self._heights(section, at), self._is_banked[section], self._is_shaped[section]
+        at = np.clip(s, self._section_start_m.take(section), self._section_end_m.take(section))
+        z, banked, shaped = self._heights(section, at), self._is_banked.take(section), self._is_shaped.take(section)
         bank = np.zeros(len(s))
         if banked.any():
             bank[banked] = self._banks(section[banked], at[banked])
@@ -301,12 +326,12 @@ class Nearby(NamedTuple):
 
 class _Index(NamedTuple):
     """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
-    line, the stations of these, and a tree of the places, roads one above the other APART_M from each other."""
+    line, these, and a tree of them, roads one above the other APART_M from each other."""
 
     low: Float[np.ndarray, "r 2"]
     high: Float[np.ndarray, "r 2"]
     half_m: Float[np.ndarray, " r"]
-    stations: Scalars
+    places: OnLines
     tree: "scipy.spatial.cKDTree"
 
 
@@ -349,8 +374,9 @@ class RoadIndex:
         away_m, place = index.tree.query(above, distance_upper_bound=max(from_line_m.max(initial=0.0), 0.0))
         found = np.flatnonzero(away_m < from_line_m[road])
         found = found[np.lexsort((point[found], road[found]))]
-        point, road, guesses = point[found], road[found], index.stations[np.asarray(place)[found]]
-        s, t, is_foot = self.table.project(road, xy_world[point], guesses)
+        point, road = point.take(found), road.take(found)
+        guesses = index.places.take(np.asarray(place).take(found))
+        s, t, is_foot = self.table.project(road, xy_world.take(point, axis=0), guesses)
         return OnRoads(point, road, s, t).of(is_foot)
 
     @property
@@ -363,7 +389,8 @@ class RoadIndex:
         stations = [road.stations for road in self.roads]
         starts = np.cumsum([0, *map(len, stations)])[:-1]
         s, road = np.concatenate(stations), np.repeat(np.arange(len(stations)), list(map(len, stations)))
-        points, normals, _, _ = self.table.frames(road, s)
+        places = self.table.lines_at(road, s)
+        points, normals, _, _ = places.frames
         offsets = self.table.edges(road, s)
         sides = np.stack([points + t[:, None] * normals for t in offsets], axis=1)
         step_m = np.array([own[1] - own[0] for own in stations])
@@ -372,6 +399,6 @@ class RoadIndex:
             np.minimum.reduceat(sides.min(axis=1), starts) - step_m[:, None],
             np.maximum.reduceat(sides.max(axis=1), starts) + step_m[:, None],
             widest_m + step_m,
-            s,
+            places,
             scipy.spatial.cKDTree(np.column_stack([points, APART_M * road])),
         )

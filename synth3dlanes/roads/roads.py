@@ -20,7 +20,7 @@ from synth3dlanes.roads.reference_line import GUESS_STEP_M, Offset, ReferenceLin
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapSpan
 from synth3dlanes.scene.scene import Terrain
-from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars
+from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Spread
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -242,10 +242,18 @@ class Road:
 
     def base_points(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints3:
         """Points on its surface without raised lanes."""
-        xy = self.xy(s, t)
+        return self._without_kerbs(self.xy(s, t), s, t)
+
+    def rows(self, s: Float[np.ndarray, " r"], t: Float[np.ndarray, "r c"]) -> Float[np.ndarray, "r c 3"]:
+        """Points on its surface without raised lanes: at each station those at several offsets."""
+        points, normals, _, _ = self.line.frames(s)
+        xy_world = points[:, None] + t[..., None] * normals[:, None]
+        return self._without_kerbs(xy_world, s[:, None], t)
+
+    def _without_kerbs(self, xy_world: AnyPoints2, s: Spread, t: Spread | float) -> AnyPoints3:
         if self.has_heights:
-            return np.concatenate([xy, self._own_height(s, t)[..., None]], -1)
-        return lift(self.terrain, xy, self._on_ramp(s))
+            return np.concatenate([xy_world, self._own_height(s, t)[..., None]], -1)
+        return lift(self.terrain, xy_world, np.broadcast_to(self._on_ramp(s), xy_world.shape[:-1]))
 
     @cached_property
     def is_raised(self) -> bool:
@@ -271,7 +279,9 @@ class Road:
     def _on_ramp(self, s: AnyScalars) -> AnyScalars:
         return np.zeros(np.shape(s)) if self.ramp is None else self.ramp(s)
 
-    def _own_height(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+    def _own_height(self, s: Spread, t: Spread | float) -> AnyScalars:
+        if len(self.sections) == 1:
+            return self.sections[0].height(s, t)
         s, t = np.broadcast_arrays(s, t)
         found = np.zeros(s.shape)
         for section, here in self.sections_at(s):

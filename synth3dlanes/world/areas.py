@@ -133,12 +133,21 @@ def solid(area: BaseGeometry) -> BaseGeometry:
 
 def polygon_between(left: Points2, right: Points2) -> BaseGeometry:
     """The polygon between two lines; of a road that folds, what it covers."""
-    ring = np.concatenate([left, right[::-1]])
-    polygon = shapely.Polygon(ring)
-    if polygon.is_valid:
-        return polygon
-    quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
-    return union(map(valid, quads))
+    return polygons_between([(left, right)])[0]
+
+
+def polygons_between(pairs: Sequence[tuple[Points2, Points2]]) -> list[BaseGeometry]:
+    """The polygon between the two lines of each pair; of a road that folds, what it covers."""
+    if not pairs:
+        return []
+    rings = [np.concatenate([left, right[::-1]]) for left, right in pairs]
+    numbers = np.repeat(np.arange(len(rings)), list(map(len, rings)))
+    found = list(shapely.polygons(shapely.linearrings(np.concatenate(rings), indices=numbers)))
+    for i in np.flatnonzero(~shapely.is_valid(found)):
+        left, right = pairs[i]
+        quads = shapely.polygons(np.stack([left[:-1], right[:-1], right[1:], left[1:]], axis=1))
+        found[i] = union(map(valid, quads))
+    return found
 
 
 def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseGeometry:

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
+from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2
@@ -37,16 +37,11 @@ class HostWay:
         driven_m = np.linspace(self.near_m, self.near_m + self.driven_m, 1 + int(np.ceil(self.driven_m / STEP_M)))
         return self.network.way.xy_world(self.network.stations(driven_m))
 
-    @cached_property
-    def _tree(self) -> "scipy.spatial.cKDTree":
-        return scipy.spatial.cKDTree(self.places)
-
     def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
         """How far points are from it."""
-        if len(self.places) == 1:
-            (x, y), (x0, y0) = np.moveaxis(xy_world, -1, 0), self.places[0].tolist()
-            return np.sqrt((x - x0) ** 2 + (y - y0) ** 2)
-        return np.asarray(self._tree.query(xy_world)[0])
+        # It has few places: a tree takes longer.
+        squares = ((xy_world[..., 0] - x) ** 2 + (xy_world[..., 1] - y) ** 2 for x, y in self.places.tolist())
+        return np.sqrt(reduce(np.minimum, squares))
 
     def away_on(
         self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
@@ -54,7 +49,7 @@ class HostWay:
         """How far places on each of some curves are from it."""
         counts = [len(s) for s in stations]
         xy_world = np.concatenate([np.zeros((0, 2)), *self.network.lines.xy_along(curves, stations)])
-        return np.split(self.away_at(xy_world), np.cumsum(counts)[:-1]) if counts else []
+        return parted(self.away_at(xy_world), counts)
 
     def box(self, reach_m: float) -> tuple[float, float, float, float]:
         """(x0, y0, x1, y1) around all that is this near to it."""

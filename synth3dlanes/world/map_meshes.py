@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
+from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.roads.cross_section import KERB_M
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapLaneKind
@@ -135,7 +136,7 @@ def _strips(paved: PavedAreas, stretch: Road, is_end: tuple[bool, bool]) -> list
             across += ((k + share) * paved.network.across.width_m).tolist()
             surfaces += [SURFACES.get(section.lanes[k].kind, ROAD)] * n
         t = np.stack(columns, axis=1)
-        vertices = stretch.base_points(np.broadcast_to(s[:, None], t.shape), t)
+        vertices = stretch.rows(s, t)
         uv = np.stack(np.broadcast_arrays(np.array(across)[None], s[:, None]), -1)
         # The texture goes on over kerbs.
         up_m, down_m, over_m = (KERB_M, KERB_M + FOOT_M, 0.2) if run else (0.0, SKIRT_M, 0.0)
@@ -178,10 +179,10 @@ def _area_meshes(paved: PavedAreas) -> list[Mesh]:
     # Heights of all together, and below what lies beside them.
     heights = paved.area_heights([(at.area, np.concatenate([at.xy, *at.rings])) for at in flat])
     beside = [at.xy[at.is_beside] for at in flat]
-    under = np.split(paved.under(np.concatenate([*beside, np.zeros((0, 2))])), np.cumsum(list(map(len, beside)))[:-1])
+    under = parted(paved.under(np.concatenate([*beside, np.zeros((0, 2))])), list(map(len, beside)))
     found = []
     for at, heights_m, under_m in zip(flat, heights, under, strict=False):
-        z, *tops = np.split(heights_m, np.cumsum([len(at.xy), *map(len, at.rings)])[:-1])
+        z, *tops = parted(heights_m, [len(at.xy), *map(len, at.rings)])
         z[at.is_beside] = np.minimum(z[at.is_beside], under_m) - SEAM_FALL_M
         surface = np.full(len(at.faces), AREA_SURFACES[at.area.kind])
         found.append(Mesh(np.column_stack([at.xy, z]), at.faces, at.xy, surface))

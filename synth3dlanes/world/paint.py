@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.geometry.polylines import lengths_along, parted
 from synth3dlanes.labels.labels import Marking, PaintColor, Pair
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.terrain import gradient_at, height_at
@@ -141,16 +141,22 @@ def _paint(
         np.where(own.s + ALONG_M > curve.end_m, -ALONG_M, ALONG_M) for curve, own in zip(lines, rows, strict=True)
     ]
     stations = [np.concatenate([own.s, own.s + step_m]) for own, step_m in zip(rows, steps_m, strict=True)]
-    points, meshes = ground.paved.points_beside(lines, stations, offsets), dict[str, list[Mesh]]()
-    for curve, own, step_m, offset, at in zip(lines, rows, steps_m, offsets, points, strict=True):
-        sides, beside = at.reshape(2, -1, 2, 3)
-        along = np.sign(step_m)[:, None] * (beside - sides).mean(axis=1)
-        middle = sides.mean(axis=1, keepdims=True)
-        narrowed = middle + own.share[:, None, None] * (sides - middle)
-        lift_m = np.interp(own.away_m, PAINT_LIFT_AT_M, PAINT_LIFT_M) + own.raised_m
-        floating = _floating(eye_world, narrowed, along, lift_m + _over_hollows_m(ground, curve, own.s))
+    pairs = [at.reshape(2, -1, 2, 3) for at in ground.paved.points_beside(lines, stations, offsets)]
+    sides, beside = np.concatenate([np.zeros((2, 0, 2, 3)), *pairs], axis=1)
+    share, away_m, raised_m = (
+        np.concatenate([np.zeros(0), *(getattr(own, name) for own in rows)]) for name in ("share", "away_m", "raised_m")
+    )
+    over_m = [_over_hollows_m(ground, curve, own.s) for curve, own in zip(lines, rows, strict=True)]
+    along = np.sign(np.concatenate([np.zeros(0), *steps_m]))[:, None] * (beside - sides).mean(axis=1)
+    middle = sides.mean(axis=1, keepdims=True)
+    lift_m = np.interp(away_m, PAINT_LIFT_AT_M, PAINT_LIFT_M) + raised_m + np.concatenate([np.zeros(0), *over_m])
+    floating = _floating(eye_world, middle + share[:, None, None] * (sides - middle), along, lift_m)
+    meshes = dict[str, list[Mesh]]()
+    for curve, own, offset, at in zip(
+        lines, rows, offsets, parted(floating, [len(own.s) for own in rows]), strict=True
+    ):
         uv = np.stack(np.broadcast_arrays(offset[None, :], own.s[:, None]), -1)
-        mesh = grid(floating, uv, np.zeros(1, dtype=int))
+        mesh = grid(at, uv, np.zeros(1, dtype=int))
         # Where a line goes on along another road, a face of a few millimetres may fold back over the previous one.
         kept = own.painted & is_facing_up(mesh)
         mesh = replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
@@ -161,7 +167,7 @@ def _paint(
 def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     """How far the pavement of another road, which is straight between its columns, lies over hollows of the terrain
     under a line."""
-    if not any(road.parting for road in ground.network.roads):
+    if not ground.network.has_partings:
         return np.zeros(len(s))
     road, xy, terrain = curve.pieces[0].road, curve.xy_world(s), ground.network.terrain
     aside = curve.shifted(road.lane_width_m / LANE_COLUMNS / 2).xy_world(s) - xy

@@ -16,6 +16,7 @@ import shapely
 from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
+from synth3dlanes.geometry.polylines import parted, spaced
 from synth3dlanes.roads.cross_section import KERB_M, RAISED
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import SEARCH_RATIO, Junction, Network
@@ -33,6 +34,7 @@ from synth3dlanes.world.areas import (
     outlined,
     outset,
     polygon_between,
+    polygons_between,
     polygons_of,
     ring_area,
     signed_distance,
@@ -88,23 +90,24 @@ class PavedAreas:
 
     def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
         """The stations of the rows of the paint of each curve."""
-        coarse = [_coarse(curve.end_m) for curve in curves]
+        coarse = _even([curve.end_m for curve in curves], COARSE_M)
         return [_rows(*at) for at in zip(coarse, self.way.away_on(curves, coarse), strict=True)]
 
     @cached_property
     def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
         roads = self.network.roads
-        coarse = [_coarse(road.end_m) for road in roads]
+        coarse = _even([road.end_m for road in roads], COARSE_M)
         counts = [len(s) for s in coarse]
         s = np.concatenate(coarse)
         xy = self.network.index.table.xy(np.repeat(np.arange(len(roads)), counts), s, np.zeros(len(s)))
-        away_m = np.split(self.way.away_at(xy), np.cumsum(counts)[:-1])
+        away_m = parted(self.way.away_at(xy), counts)
         return {road.id: _rows(*at) for road, *at in zip(roads, coarse, away_m, strict=True)}
 
     def stretch_rows(self, stretch: Road) -> Scalars:
         """The stations of the rows of a stretch of a road."""
-        s, ends = self._road_rows[stretch.id], [stretch.start_m, stretch.end_m]
-        return np.union1d(s[(s > ends[0]) & (s < ends[1])], ends)
+        s, start_m, end_m = self._road_rows[stretch.id], stretch.start_m, stretch.end_m
+        inside = s[np.searchsorted(s, start_m, "right") : np.searchsorted(s, end_m)]
+        return np.array([start_m, *inside.tolist(), end_m] if end_m > start_m else [start_m])
 
     @cached_property
     def grid(self) -> TerrainGrid:
@@ -147,20 +150,22 @@ class PavedAreas:
         number, edge = (np.repeat([at[k] for at in wanted], counts) for k in (0, 2))
         s, table = np.concatenate([rows[i] for i, _, _ in wanted]), self.network.line_table.table
         xy = table.xy(number, s, table.edge(number, edge, s))
-        ends = np.cumsum(counts)[:-1]
-        return {(id(at), k): line for (_, at, k), line in zip(wanted, np.split(xy, ends), strict=True)}
+        return {(id(at), k): line for (_, at, k), line in zip(wanted, parted(xy, counts), strict=True)}
 
-    def strip(self, road: Road) -> BaseGeometry:
-        """The pavement of a road from above."""
-        paved = [(at, at.sections[0].paved) for at in road.stretches]
-        lines = self._edge_lines
-        left, right = (np.concatenate([lines[id(at), edges[side]] for at, edges in paved]) for side in (0, 1))
-        return polygon_between(left, right)
+    @cached_property
+    def strip_of(self) -> dict[str, BaseGeometry]:
+        """The pavements of roads from above by their ids."""
+        lines, sides = self._edge_lines, list[tuple[Points2, Points2]]()
+        for road in self.network.roads:
+            paved = [(at, at.sections[0].paved) for at in road.stretches]
+            left, right = (np.concatenate([lines[id(at), edges[side]] for at, edges in paved]) for side in (0, 1))
+            sides.append((left, right))
+        return dict(zip((road.id for road in self.network.roads), polygons_between(sides), strict=True))
 
     @cached_property
     def arms(self) -> BaseGeometry:
         """The pavement of all roads outside junctions."""
-        return union(self.strip(road) for road in self.outside)
+        return union(self.strip_of[road.id] for road in self.outside)
 
     @property
     def outside(self) -> list[Road]:
@@ -184,13 +189,14 @@ class PavedAreas:
 
     def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
         """The pavement of a junction, and its raised walkways."""
-        lanes, raised = list[BaseGeometry](), list[BaseGeometry]()
+        level, high = list[tuple[Points2, Points2]](), list[tuple[Points2, Points2]]()
         for road in at.roads:
             for stretch in road.stretches:
                 for is_raised, run in groupby(enumerate(stretch.sections[0].lanes), key=_is_raised):
                     if is_raised is not None:
                         numbers = [i for i, _ in run]
-                        (raised if is_raised else lanes).append(self._between(stretch, (numbers[0], numbers[-1] + 1)))
+                        (high if is_raised else level).append(self._edges(stretch, (numbers[0], numbers[-1] + 1)))
+        lanes, raised = polygons_between(level), polygons_between(high)
         whole = filled(union([*lanes, ring_area(at.outline)]))
         paved, walkways = difference(whole, self._arms_at(whole)), union(raised)
         return paved, difference(walkways, union([paved, self._arms_at(walkways)])) if raised else NOTHING
@@ -225,12 +231,14 @@ class PavedAreas:
     def _raised_strips(self) -> list[BaseGeometry]:
         """The raised lanes of roads outside junctions."""
         stretches = [stretch for road in self.outside for stretch in road.stretches]
-        return [self._between(stretch, edges) for stretch in stretches for edges in stretch.sections[0].raised]
+        return polygons_between(
+            [self._edges(stretch, edges) for stretch in stretches for edges in stretch.sections[0].raised]
+        )
 
-    def _between(self, stretch: Road, edges: tuple[int, int]) -> BaseGeometry:
-        """The area between two edges of a stretch of a road."""
+    def _edges(self, stretch: Road, edges: tuple[int, int]) -> tuple[Points2, Points2]:
+        """The lines of two edges of a stretch of a road."""
         left, right = (self._edge_lines[id(stretch), edge] for edge in edges)
-        return polygon_between(left, right)
+        return left, right
 
     def strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
         """Both edges of the pavement of every road within about `reach_m` of a place, those in junctions included."""
@@ -265,7 +273,7 @@ class PavedAreas:
         for road in self.outside:
             for stretch in road.stretches:
                 medians = [i for i, lane in enumerate(stretch.sections[0].lanes) if lane.kind == "median"]
-                found += [self._between(stretch, (i, i + 1)) for i in medians]
+                found += polygons_between([self._edges(stretch, (i, i + 1)) for i in medians])
         grass = union(found)
         shapely.prepare(grass)
         return grass
@@ -300,7 +308,7 @@ class PavedAreas:
     @cached_property
     def spans(self) -> list[Span]:
         """The decks and tunnels."""
-        return spans(self.network.index.table, self.strip)
+        return spans(self.network.index.table, self.strip_of)
 
     @cached_property
     def tunnels(self) -> list[Span]:
@@ -331,7 +339,7 @@ class PavedAreas:
         """The pavement of a road where it lies on the ground."""
         spans_of = self.graded_ground.spans_of
         if road.id not in spans_of:
-            yield self.strip(road)
+            yield self.strip_of[road.id]
             return
         from_m = road.start_m
         for to_m, next_m in [*sorted((at.from_m, at.to_m) for at in spans_of[road.id]), (road.end_m, road.end_m)]:
@@ -361,7 +369,7 @@ class PavedAreas:
             # Below a deck, a junction is as high as its own roads.
             inside = [area.junction if self.spans else None for area, _ in places]
             z += self.graded_ground.mean(xy_world, np.repeat(self.graded_ground.junction_numbers(inside), counts))
-        return np.split(z, np.cumsum(counts)[:-1])
+        return parted(z, counts)
 
     def under(self, xy_world: Points2) -> Scalars:
         """Height of the lower side of the pavement."""
@@ -432,7 +440,7 @@ class PavedAreas:
         if not lines:
             return {}
         numbers = [self.network.line_table.numbers[line.id] for line in lines]
-        stations = [np.linspace(0.0, line.end_m, 2 + int(line.end_m / PAINT_STEP_M)) for line in lines]
+        stations = _even([line.end_m for line in lines], PAINT_STEP_M)
         is_near = np.array([away_m.min() < PAINT_M for away_m in self.way.away_on(lines, stations)])
         in_sight = self.network.line_table.which_come(seen.holds)[numbers] if seen else np.ones(len(lines), dtype=bool)
         return {line: bool(own) for line, near, own in zip(lines, is_near, in_sight, strict=True) if near}
@@ -451,7 +459,7 @@ class PavedAreas:
             return []
         counts, xy = [len(at) for at in found], np.concatenate(found)
         crests = np.column_stack([xy, self.under(xy) + np.repeat(tops, counts)])
-        return np.split(crests, np.cumsum(counts)[:-1])
+        return parted(crests, counts)
 
 
 def _around(xy_world: Float[np.ndarray, "2"], reach_m: float) -> tuple[float, float, float, float]:
@@ -465,9 +473,11 @@ def _is_raised(lane: tuple[int, MapLane]) -> bool | None:
     return None if lane[1].kind == "none" else lane[1].kind in RAISED
 
 
-def _coarse(end_m: float) -> Scalars:
-    """Stations COARSE_M apart."""
-    return np.linspace(0.0, end_m, 2 + int(end_m / COARSE_M))
+def _even(ends_m: Sequence[float], step_m: float) -> list[Float[np.ndarray, " _"]]:
+    """Stations from 0 to each of some ends, at most a step apart."""
+    last_m = np.array(ends_m, float)
+    counts = 2 + (last_m / step_m).astype(int)
+    return parted(spaced(0.0 * last_m, last_m, counts), counts)
 
 
 def _rows(s: Scalars, away_m: Scalars) -> Float[np.ndarray, " m"]:

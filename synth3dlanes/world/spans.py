@@ -4,7 +4,7 @@ A road is on a deck where a file says that it has a bridge, and over and beside 
 from it would no longer reach that road.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
+from synth3dlanes.geometry.polylines import parted, spaced
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import Points2, Scalars
@@ -61,17 +62,18 @@ class Span(NamedTuple):
         return np.asarray(self.road.base_points(s, np.clip(t, self.road.left(s), self.road.right(s)))[:, 2])
 
 
-def spans(table: RoadTable, strip: Callable[[Road], BaseGeometry]) -> list[Span]:
-    """The decks and tunnels of roads with heights, whose pavements from above `strip` tells."""
+def spans(table: RoadTable, strips: Mapping[str, BaseGeometry]) -> list[Span]:
+    """The decks and tunnels of roads with heights, by the pavements of all from above."""
     raised = np.array([i for i, road in enumerate(table.roads) if road.has_heights], dtype=int)
-    passed = list(_passages(table, raised, strip))
+    passed = list(_passages(table, raised, strips))
     ways = _ways(table, raised if passed else raised[:0])
     found = []
     for number in raised.tolist():
         road = table.roads[number]
         tunnels = [(at.from_m, at.to_m) for at in road.tunnels]
         given = [(at.from_m, at.to_m) for at in road.bridges]
-        over = [end for at in passed if at.lower is not road for end in _over(*ways[number], at)]
+        below = (at for at in passed if at.lower is not road and ways[number][1][..., 2].max() - at.z > PASSAGE_M)
+        over = [end for at in below for end in _over(*ways[number], at)]
         found += [_span(road, *ends, is_tunnel=True) for ends in tunnels]
         for low, high in _joined(given + over, road):
             is_given = any(a < high and b > low for a, b in given)
@@ -110,27 +112,30 @@ def _ways(
     their line and their right edge."""
     if not numbers.size:
         return {}
-    stations = [np.linspace(0.0, end_m, 2 + int(end_m / step_m)) for end_m in table.end_m[numbers].tolist()]
-    counts = [len(s) for s in stations]
-    road, s = np.repeat(numbers, counts), np.concatenate(stations)
+    end_m = table.end_m[numbers]
+    counts = 2 + (end_m / step_m).astype(int)
+    road, s = np.repeat(numbers, counts), spaced(0.0 * end_m, end_m, counts)
     left, right = table.edges(road, s)
     points = np.stack([table.base_points(road, s, t) for t in (left, 0 * s, right)])
-    each = np.split(points, np.cumsum(counts)[:-1], axis=1)
-    return dict(zip(numbers.tolist(), zip(stations, each, strict=True), strict=True))
+    each = (at.swapaxes(0, 1) for at in parted(points.swapaxes(0, 1), counts))
+    return dict(zip(numbers.tolist(), zip(parted(s, counts), each, strict=True), strict=True))
 
 
 def _passages(
-    table: RoadTable, numbers: Int[np.ndarray, " k"], strip: Callable[[Road], BaseGeometry]
+    table: RoadTable, numbers: Int[np.ndarray, " k"], strips: Mapping[str, BaseGeometry]
 ) -> Iterator[_Passage]:
     roads, ways = [table.roads[i] for i in numbers], [rows for _, rows in _ways(table, numbers, COARSE_STEP_M).values()]
     low, high = ([lead(rows[1, :, 2]) for rows in ways] for lead in (np.min, np.max))
-    rings = [np.concatenate([rows[0, :, :2], rows[2, ::-1, :2]]) for rows in ways]
-    outlines = [shapely.convex_hull(shapely.Polygon(ring)) for ring in rings]
-    pairs = shapely.STRtree(outlines).query(outlines, predicate="intersects").T.tolist() if outlines else []
+    if not ways:
+        return
+    numbers = np.repeat(np.arange(len(ways)), [2 * rows.shape[1] for rows in ways])
+    sides = np.concatenate([rows[[0, 2], :, :2].reshape(-1, 2) for rows in ways])
+    outlines = shapely.convex_hull(shapely.multipoints(sides, indices=numbers))
+    pairs = shapely.STRtree(outlines).query(outlines, predicate="intersects").T.tolist()
     for i, j in pairs:
         if i == j or high[j] - low[i] < PASSAGE_M:
             continue
-        shared = intersection(strip(roads[i]), strip(roads[j]))
+        shared = intersection(strips[roads[i].id], strips[roads[j].id])
         for area in shapely.get_parts(shared):
             if area.area < LEAST_M2:
                 continue

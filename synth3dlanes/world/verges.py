@@ -21,14 +21,12 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.road_table import Nearby
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Markings
-from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars
+from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars, Spread
 from synth3dlanes.world.areas import NOTHING, polygon_between, union
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, FarHills, TerrainGrid, far_dam, on_faces
 from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.spans import EMBANKMENT_SLOPE, Span
-
-Spread = Float[np.ndarray, "*#n"]
 
 # Depths and widths for fine cells of the terrain; farther away they grow in proportion to the cell.
 PRESS_M = 0.3

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import road_from_cam, turned
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.map_roads import map_network
+from synth3dlanes.roads.map_roads import bare_roads, map_network
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import paper_network
 from synth3dlanes.scene.host import HostCamera, Lidar
@@ -308,5 +308,5 @@ def surfaces_of(scene: Scene, network: Network) -> AnySurfaces:
 def scene_network(scene: Scene) -> Network:
     """The roads of a scene."""
     if scene.map is not None:
-        return map_network(scene.map, scene.terrain, scene.start.y_m)
+        return map_network(scene.map, bare_roads(scene.map, scene.terrain), scene.terrain, scene.start.y_m)
     return paper_network(scene.paper_road, scene.terrain)

@@ -70,7 +70,7 @@ def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(networ
     s = RNG.uniform(0, 1, 300) * table.end_m[road]
     t = RNG.uniform(-7, 7, 300)
     xy = table.xy(road, s, t)
-    at_s, at_t, is_foot = table.project(road, xy, s + RNG.uniform(-2, 2, 300))
+    at_s, at_t, is_foot = table.project(road, xy, table.lines_at(road, s + RNG.uniform(-2, 2, 300)))
     assert is_foot.all()
     np.testing.assert_allclose(table.xy(road, at_s, at_t), xy, rtol=0, atol=1e-8)
     near = np.abs(at_s - s) < 1

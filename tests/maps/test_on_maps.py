@@ -18,6 +18,7 @@ from synth3dlanes.labels.labels import to_json as labels_text
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
 from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.roads.map_roads import bare_roads
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.roads.maps.plan import plan_points
@@ -145,8 +146,8 @@ def test_the_ground_meets_the_roads_and_goes_on_as_hills() -> None:
             for x, y, h in ((60.0, 40.0, 8.0), (-50.0, -60.0, -6.0))
         )
     )
-    ground = terrain_of(roads, hills)
-    points = road_points(roads.roads, hills)
+    bare = bare_roads(roads, hills)
+    ground, points = terrain_of(bare, hills), road_points(bare, hills)
     apart = points[:, 2] - height_at(ground, points[:, :2])
     assert np.abs(apart).max() < 0.25
     # Between the roads and the ends of the grid the hills are there.
