@@ -143,13 +143,13 @@ class Network:
         """The roads that begin beside a road."""
         return [other for other in self.roads if other.parting is not None and other.parting.road is road]
 
-    def is_on_other(self, road: Road, xy_world: Points2) -> Bool[np.ndarray, " n"]:
-        """Which points lie on the pavement of another road."""
+    def is_on_other(self, road: Road, xy_world: Points2, s: Scalars) -> Bool[np.ndarray, " n"]:
+        """Which points, at these stations of a road, lie on the pavement of another one, of roads that share them."""
         found = np.zeros(len(xy_world), dtype=bool)
         for other in self.roads:
             if other is not road:
                 near = other.may_reach(xy_world, np.zeros(len(xy_world)))
-                found[near] |= other.outside(*other.line.project(xy_world[near])) <= 0
+                found[near] |= other.outside(*other.line.project(xy_world[near], s[near])) <= 0
         return found
 
     def stations(self, s: AnyScalars) -> AnyScalars:

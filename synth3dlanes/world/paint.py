@@ -173,7 +173,7 @@ def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     aside = curve.shifted(road.lane_width_m / LANE_COLUMNS / 2).xy_world(s) - xy
     over_m = (height_at(terrain, xy + aside) + height_at(terrain, xy - aside)) / 2 - height_at(terrain, xy)
     hidden = over_m > HOLLOW_M
-    hidden[hidden] = ground.network.is_on_other(road, xy[hidden])
+    hidden[hidden] = ground.network.is_on_other(road, xy[hidden], s[hidden])
     return np.where(hidden, over_m, 0.0)
 
 

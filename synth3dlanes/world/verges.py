@@ -186,7 +186,7 @@ class Verges:
         for road, s, (left, *grass, right) in self._pavement_lines(xy_world, reach_m):
             for t in (left, right, *grass):
                 points = road.points(s, t)
-                alone = stretches(~self.network.is_on_other(road, points[:, :2]))
+                alone = stretches(~self.network.is_on_other(road, points[:, :2], s))
                 yield from (points[first:end] for first, end in alone if end - first > 1)
 
     def strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:

@@ -26,7 +26,7 @@ from synth3dlanes.world.elements import TrafficElement, traffic_elements
 from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
-from synth3dlanes.world.host_way import HostWay
+from synth3dlanes.world.host_way import EndlessWay, HostWay
 from synth3dlanes.world.map_meshes import AreaSurfaces
 from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
@@ -295,13 +295,13 @@ def surfaces_of(scene: Scene, network: Network) -> AnySurfaces:
     hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     driven_m = driven_m if shot.views is None else shot.views.reach_m
-    way = HostWay(network, camera.y_m, driven_m, shot.behind_m > 0)
+    place = network, camera.y_m, driven_m, shot.behind_m > 0
     # Nothing else asks how roads are given.
     if network.stretches is not None:
         x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
-        areas = PavedAreas(way)
+        areas = PavedAreas(way := HostWay(*place))
         return AreaSurfaces(Ground(way, areas, scene.markings, replace(hills, center_world=(x, y))), areas)
-    verges = Verges(way, scene.markings, hills)
+    verges = Verges(way := EndlessWay(*place), scene.markings, hills)
     return Surfaces(Ground(way, verges, scene.markings, hills), verges)
 
 
