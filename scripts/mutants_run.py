@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from scripts.mutants import LIMIT_S, Mutant, files_of_tests
+from scripts.mutants import LIMIT_S, LINKS, Mutant, files_of_tests
 
 # Worlds that use most of what draws and labels; they run first, and once without a fault, which checks all types.
 FIRST = "tests/test_frozen.py::test_a_world_is_as_it_was"
@@ -47,15 +47,28 @@ def codes(code: types.CodeType) -> Iterator[types.CodeType]:
             yield from codes(part)
 
 
-def apply(path: Path, text: bytes) -> None:
+def places(path: str) -> set[str]:
+    """Where a file of the checkout is in the copy, also by the names that it is installed by."""
+    linked = {f"{name}{path.removeprefix(target)}" for name, target in LINKS.items() if path.startswith(f"{target}/")}
+    return {str(Path.cwd() / name) for name in {path, *linked}}
+
+
+def loaded(path: str) -> Iterator[types.FunctionType]:
+    """The functions of a file."""
+    names = places(path)
+    return (
+        item for item in gc.get_objects() if type(item) is types.FunctionType and item.__code__.co_filename in names
+    )
+
+
+def apply(path: str, text: bytes) -> None:
     """Give the functions of a module that is loaded the code of another text."""
     new: dict[str, list[types.CodeType]] = {}
-    for code in codes(compile(text, str(path), "exec", dont_inherit=True)):
+    for code in codes(compile(text, path, "exec", dont_inherit=True)):
         new.setdefault(code.co_qualname, []).append(code)
     found: dict[str, list[types.FunctionType]] = {}
-    for item in gc.get_objects():
-        if type(item) is types.FunctionType and item.__code__.co_filename == str(path):
-            found.setdefault(item.__code__.co_qualname, []).append(item)
+    for item in loaded(path):
+        found.setdefault(item.__code__.co_qualname, []).append(item)
     for name, functions in found.items():
         lines = sorted({function.__code__.co_firstlineno for function in functions})
         for function in functions:
@@ -95,7 +108,7 @@ def in_a_fork(session: pytest.Session, mutant: Mutant, items: list[pytest.Item])
         resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_S + ENDLESS_S, LIMIT_S + ENDLESS_S))
         found = "the end of pytest"
         try:
-            apply(path, mutant.applied(text))
+            apply(mutant.path, mutant.applied(text))
             found = failed(session, items)
         finally:
             os.write(write, f"{found}.".encode())
@@ -123,6 +136,8 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
     forget()
     for row in json.loads((folder / "mutants.json").read_text()):
         mutant = Mutant(**row)
+        if next(loaded(mutant.path), None) is None:
+            continue  # no test imports it: a process of its own may
         files = [
             path for some in files_of_tests(Path.cwd(), Path.cwd() / mutant.path, [mutant.function]) for path in some
         ]
