@@ -78,7 +78,7 @@ def town_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     host_places = lines.route(host.lanes).xy(host.at_m + np.arange(0.0, farthest_m + 1.0, WAY_STEP_M))
     meetings = partial(draw_meetings, town_map, host_places, of, shot.duration_s)
     usual = Usual.draw(own, bodies.rng, flow("traffic"))
-    traffic = simulate(town_map, lines, town.host, body, usual, shot.duration_s, meetings)
+    traffic = simulate(lines, town.host, body, usual, shot.duration_s, meetings)
 
     def stand(scene: Scene, ground: Ground) -> Roadside:
         draws = StreetDraws(of("town", "town_fronts"), of("roadside"), of("structures"), own)

@@ -44,6 +44,7 @@ class LaneLines:
     """The lanes of a town by name, as `LaneLine`, and routes along them, each made once."""
 
     def __init__(self, town_map: TownMap) -> None:
+        self.town_map = town_map
         self.connectors = {at.lane: at for rules in town_map.junctions for at in rules.junction.connectors}
         self.streets = {street.id: street for street in town_map.streets}
         self._made: dict[str, LaneLine] = {}

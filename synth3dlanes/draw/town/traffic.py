@@ -113,7 +113,6 @@ def plan_host(town_map: TownMap, lines: LaneLines, own: Draw, rng: Rng) -> HostP
 
 
 def simulate(
-    town_map: TownMap,
     lines: LaneLines,
     host: HostPlan,
     draw_body: Callable[[bool], CarBody],
@@ -125,7 +124,7 @@ def simulate(
     Where the host does not get there, with fewer cars. `draw_body` draws a car that is long only if it may be."""
     for share in (1.0, 0.4, 0.0):
         fewer = usual._replace(flow=usual.flow * share)
-        found = _Simulation(town_map, lines, host, draw_body, fewer).run(duration_s, meetings)
+        found = _Simulation(lines.town_map, lines, host, draw_body, fewer).run(duration_s, meetings)
         if found is not None:
             return found
     raise AssertionError("a host alone gets to its place")
