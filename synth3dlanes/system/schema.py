@@ -95,8 +95,6 @@ EXPECTED = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type", "dataclass_type"), "expected an object"),
 }
 WITHOUT_VALUE = ("missing", "extra_forbidden", "unexpected_keyword_argument", "json_invalid", "value_error")
-# Similarity of two words (difflib's ratio) from which one may have been meant: `render` is no misspelt `riders` (0.67).
-LEAST_CLOSE = 0.7
 
 
 class DocumentPart(BaseModel):
@@ -181,7 +179,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     digits (`hdl64e`); "" where there is none."""
     known, plain = list(known), _plain(word)
     same = [name for name in known if plain in (_plain(name), "".join(part[:1] for part in name.split("_")))]
-    close = same or difflib.get_close_matches(word, known, n=1, cutoff=LEAST_CLOSE)
+    close = same or difflib.get_close_matches(word, known, n=1)
     return f"; did you mean {close[0]}?" if close and plain else ""
 
 
