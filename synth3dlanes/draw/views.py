@@ -59,9 +59,8 @@ def _placed(of: DrawsOf, world: World, name: str, rng: np.random.Generator) -> H
     camera = draw_camera(of("camera", f"camera/{name}"), views.lane, views.y_m)
     for _ in range(TRIES):
         u_station, u_lane = rng.random(2).tolist()
-        y_m, lane = round(views.y_m + views.reach_m * u_station, SCENE_DECIMALS), 1
-        if scene.road is not None:
-            lane = lane_of_host(of.params.camera.lane, scene.road.lanes_present(y_m)).draw(u_lane)
+        y_m = round(views.y_m + views.reach_m * u_station, SCENE_DECIMALS)
+        lane = lane_of_host(of.params.camera.lane, len(world.network.host_ways(y_m))).draw(u_lane)
         placed = camera.model_copy(update={"lane": lane, "y_m": y_m})
         host = np.asarray(host_footprint(world_from_host(world.network, placed)))
         if not len(others) or not overlaps_any(host, others):

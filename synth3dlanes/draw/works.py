@@ -99,10 +99,10 @@ def _numbered(road: PaperRoad, camera: HostCamera) -> HostCamera:
 
 def draw_devices(scene: Scene, ground: Ground, of: DrawsOf) -> Iterator[Thing]:
     """The cones or barrels along road works, and the barricades behind their front."""
-    if scene.road is None or scene.road.works is None:
+    works, network, own = scene.roads.works, ground.network, of("works", "works_devices")
+    if works is None:
         return
-    works, network, own = scene.road.works, ground.network, of("works", "works_devices")
-    lanes, road, kind, spacing_m = WorksLanes(scene.road, works), network.main, own("devices"), own("spacing_m")
+    lanes, road, kind, spacing_m = WorksLanes(scene.paper_road, works), network.main, own("devices"), own("spacing_m")
     models, has_barricade = scene.assets.thing_models(kind), own("barricade")
     number = 1 + int(own.rng.random() * len(models))
     aside_m = lanes.outward * (ASIDE_M + models[number - 1].width_m / 2)

@@ -113,8 +113,8 @@ def _shaded_share(scene: Scene, labels: Labels) -> float:
     for x_m, y_m, radius_m, height_m in _casters(scene):
         along_m, aside_m = ((xy_world - [x_m, y_m]) @ np.column_stack([away, [-away[1], away[0]]])).T
         shaded |= (along_m > 0) & (along_m < height_m * length) & (np.abs(aside_m) < radius_m)
-    onwards = -1 if scene.road is not None and scene.road.flip_lateral else 1
-    for crossing in scene.roadside.crossings if scene.road is not None else ():
+    onwards = -1 if scene.roads.flip_lateral else 1
+    for crossing in scene.roadside.crossings:
         if crossing.kind == "bridge":
             shaded |= np.abs(xy_world[:, 1] - onwards * crossing.s_m) < crossing.width_m / 2
     return float(shaded.mean())

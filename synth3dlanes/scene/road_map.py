@@ -197,9 +197,10 @@ class RoadMap(DocumentPart):
     source: str = ""
     digest: str = ""
     given_frame: tuple[Coordinate, Coordinate, Number, Number] | None = None
-    # As the paper's numbers have them: its roads have no works, and left and right in the lane graph are those of each
-    # lane's own traffic.
+    # As the paper's numbers have them: there are no works and no flips, and left and right in the lane graph are those
+    # of each lane's own traffic.
     works: ClassVar[None] = None
+    flip_lateral: ClassVar[bool] = False
     location: ClassVar[Literal["urban", "nonurban"]] = "urban"
     sides_are_hosts: ClassVar[bool] = False
 
