@@ -47,7 +47,7 @@ def on_faces(mesh: meshes.Mesh, rng: np.random.Generator) -> tuple[np.ndarray, n
 
 def is_shown_of_exit(place: RoadPlaces) -> np.ndarray:
     """Points of the exit that are not on its seam, which goes on below the main road or the exit's own verge."""
-    main, branch = place.ground.network.roads
+    main, branch = place.paved.network.roads
     s, t = place.on[branch.id]
     return (place.t > main.right(place.s)) & (t > branch.left(s))
 
