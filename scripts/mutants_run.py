@@ -82,7 +82,7 @@ def apply(path: str, text: bytes) -> None:
 def failed(session: pytest.Session, items: list[pytest.Item]) -> str:
     """The first test that fails within the limit, or nothing."""
     end_s = time.process_time() + LIMIT_S
-    for item, after in zip(items, [*items[1:], None], strict=True):
+    for item, after in zip(items, [*items[1:], None], strict=False):
         before = session.testsfailed
         item.config.hook.pytest_runtest_protocol(item=item, nextitem=after)
         if session.testsfailed > before:
