@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from synth3dlanes.blender.assets import load_meshes
 from synth3dlanes.blender.sky_file import read_sky
@@ -56,7 +57,7 @@ def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
     """Load all assets; raise FormatError if a file has changed since it was checked."""
     folder = scan(Path(library.folder)) if library.folder else NOTHING
     own = library.assets
-    return LoadedAssets(
+    loaded = LoadedAssets(
         _own_meshes(folder, "cars", own.cars) or load_meshes([car.name for car in CARS]),
         _own_meshes(folder, "trees", own.trees) or load_meshes([tree.name for tree in TREES]),
         _own_textures(folder, "roads", own.roads) or tuple(our_texture(f"road_{k}") for k in (1, 2, 3)),
@@ -67,6 +68,24 @@ def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
         ),
         {kind: _things(folder, own, name, kind) for name, kind in THING_FOLDERS.items()},
     )
+    things = (pose for models in loaded.things.values() for poses in models for pose in poses)
+    for mesh in (*loaded.cars, *loaded.trees, *things):
+        _fix_normals(mesh)
+    return loaded
+
+
+def _fix_normals(mesh: bpy.types.Mesh) -> None:
+    """Split a mesh along its sharp edges and store its normals, as Cycles would for every picture anew."""
+    if mesh.normals_domain != "CORNER":
+        return
+    mesh.split_faces()
+    normals = np.zeros(3 * len(mesh.loops), dtype=np.float32)
+    mesh.corner_normals.foreach_get("vector", normals)
+    # What the normals were computed from; custom ones are stored in another form.
+    for name in ("sharp_edge", "sharp_face", "custom_normal"):
+        if name in mesh.attributes:
+            mesh.attributes.remove(mesh.attributes[name])
+    mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER").data.foreach_set("vector", normals)
 
 
 def _things(
