@@ -13,7 +13,7 @@ from synth3dlanes.blender.lens import make_lens, set_lens
 from synth3dlanes.blender.light import STUDIO, add_haze, add_lights, make_world, set_light
 from synth3dlanes.blender.load_assets import LoadedAssets, load_assets
 from synth3dlanes.blender.materials import Materials, make_materials, set_materials, set_snow_caps, set_translucency
-from synth3dlanes.blender.polygons import corners_of, polygons
+from synth3dlanes.blender.polygons import polygons
 from synth3dlanes.blender.shaders import car_paint, new_material
 from synth3dlanes.blender.structures import structure_mesh
 from synth3dlanes.imaging.daylight import Daylight
@@ -238,10 +238,8 @@ def _host(studio: Studio, view: View) -> list[MeshInstance]:
 
 def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
     """A Blender mesh of smooth quads with its UV layer in metres."""
-    data = polygons("surface", mesh.vertices_world, mesh.faces)
+    data = polygons("surface", mesh.vertices_world, mesh.faces, mesh.uv_m)
     data.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", mesh.material.astype(np.int32))
-    layer = data.uv_layers.new(name="UVMap")
-    layer.uv.foreach_set("vector", mesh.uv_m[corners_of(mesh.faces)].astype(np.float32).ravel())
     for material in materials:
         data.materials.append(material)
     data.update(calc_edges=True)
