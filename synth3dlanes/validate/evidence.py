@@ -11,16 +11,16 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import LidarPoints, Sweep
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
 from synth3dlanes.params.distributions import Distribution
-from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Ids, Passes, Points3, RgbImage, Scalars
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.bodies import BODIES, Boxes
+from synth3dlanes.validate.faces import NEAR_M, NearestFaces, pavement_of
 from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.paint import WorldPaint, beyond_symbols
 from synth3dlanes.validate.pixels import MAX_PIXELS, luma, some_pixels
-from synth3dlanes.validate.places import AnyPlaces, places
+from synth3dlanes.validate.places import Places, is_single
 from synth3dlanes.world.world import World
 
 # Cosine of the angle between the viewing direction and a pixel's ray, of a lens, from which on depth tells a place.
@@ -29,14 +29,14 @@ LEAST_AHEAD = 0.05
 BORDER_PX = 0.2
 # Points are moved onto the road along the line of sight by at most this.
 MAX_FLOAT_M = 0.05
-# Rows of the pavement are 1 m apart where labels are; beams see others behind the host.
-FINE_M = 1.5
+# Upward part of the normals of what is no kerb.
+LEVEL = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
     """What pixels or beams of a lidar show: points in the world, their distances ahead of the camera or from the lidar,
-    and their ids as far as there are; of pixels their rows and columns. The ground below is computed once."""
+    and their ids as far as there are; of pixels their rows and columns."""
 
     world: World
     eye_world: Float[np.ndarray, "3"]
@@ -61,43 +61,32 @@ class Seen:
         )
 
     @cached_property
-    def places(self) -> AnyPlaces:
-        """The points' places on the roads, from above."""
-        return places(self.world.ground, self.points_world[:, :2])
+    def places(self) -> Places:
+        """The points' places beside lines, from above."""
+        return Places(self.points_world[:, :2])
 
     @cached_property
-    def up_world(self) -> Points3:
-        """The unit normals of the pavement below."""
-        up = np.column_stack([-self.places.slope(), np.ones(len(self))])
-        return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
+    def is_near(self) -> Bool[np.ndarray, " n"]:
+        """Which points are where faces are asked for."""
+        away_m = np.abs(self.points_world - self.world.view.eye_world)[:, :2]
+        return np.asarray(away_m.max(axis=1, initial=0) < NEAR_M)
 
     @cached_property
-    def above_m(self) -> Scalars:
-        """How far the points are above the pavement, along its normal."""
-        ground_m = height_at(self.world.scene.terrain, self.points_world[:, :2]) + self.places.raised()
-        return (self.points_world[:, 2] - ground_m) * self.up_world[:, 2]
-
-    @cached_property
-    def firm(self) -> "Seen":
-        """The points on ground of one height; of beams those where rows of the pavement are as close as labels are."""
-        firm = self.at(self.places.is_firm())
-        return firm.at(firm.places.is_fine(FINE_M)) if self.is_lidar else firm
+    def pavement(self) -> NearestFaces:
+        """The faces of the pavement that are nearest to the points."""
+        return pavement_of(self.world).nearest(self.points_world)
 
     @cached_property
     def on_road(self) -> "Seen":
         """Points that float over the road, moved along the line of sight onto it, where this is reliable."""
         sight = self.points_world - self.eye_world
         sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-        slope = gradient_at(self.world.scene.terrain, self.points_world[:, :2])
-        falls = (sight[:, :2] * slope).sum(axis=1) - sight[:, 2]
-        terrain_m = height_at(self.world.scene.terrain, self.points_world[:, :2])
-        over_m = self.points_world[:, 2] - terrain_m - self.places.raised()
         with np.errstate(divide="ignore", invalid="ignore"):
-            way_m = np.clip(np.where(falls > 0, over_m / falls, np.inf), -1, 1)
-        on = (np.abs(way_m) < MAX_FLOAT_M) & ~self.places.on_slope()
-        moved = self.points_world + way_m[:, None] * sight
+            way_m = -self.pavement.above_m / (sight * self.pavement.up_world).sum(axis=1)
+        on = (np.abs(way_m) < MAX_FLOAT_M) & (self.pavement.up_world[:, 2] > LEVEL)
+        moved = self.points_world[on] + way_m[on, None] * sight[on]
         ids = {name: values[on] for name, values in self.ids.items()}
-        return Seen(self.world, self.eye_world, moved[on], self.range_m[on], ids, self.pixels_at(on))
+        return Seen(self.world, self.eye_world, moved, self.range_m[on], ids, self.pixels_at(on))
 
     @cached_property
     def beyond_symbols_m(self) -> Float[np.ndarray, "m n"]:
@@ -107,11 +96,6 @@ class Seen:
     def pixels_at(self, which: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> Int[np.ndarray, "k 2"] | None:
         """The rows and columns of some of the points."""
         return None if self.pixels is None else self.pixels[which]
-
-    @property
-    def below_eye_m(self) -> Scalars:
-        """How far the eye is above the points, along the same normal."""
-        return np.asarray(((self.eye_world - self.points_world) * self.up_world).sum(axis=1))
 
     def number(self, kind: str) -> Int[np.ndarray, " n"]:
         """The number of the thing of a kind that each point is of; -1 of none, and without instance ids."""
@@ -179,7 +163,7 @@ class Evidence:
         """Which points of each lane are not where roads lie over each other."""
         lanes = self.labels.lanes
         points = transform(self.camera.world_from_cam, np.concatenate([lane.xyz_cam for lane in lanes]))
-        single = places(self.world.ground, points[:, :2]).is_single()
+        single = is_single(self.world.ground, points[:, :2])
         ends = np.cumsum([len(lane.xyz_cam) for lane in lanes])[:-1]
         return {lane.id: of for lane, of in zip(lanes, np.split(single, ends), strict=True)}
 

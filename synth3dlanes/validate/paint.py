@@ -17,7 +17,7 @@ from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.assets.catalogue import ROAD_MEANS
 from synth3dlanes.scene.scene import Scene, Symbol
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
-from synth3dlanes.validate.places import AnyPlaces, places
+from synth3dlanes.validate.places import Places
 from synth3dlanes.world.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.world.symbols import Polygon, SymbolShape, dense, shape
 from synth3dlanes.world.world import World
@@ -111,7 +111,7 @@ class WorldPaint:
         steps = np.gradient(points_cam, axis=0)
         along = steps / np.linalg.norm(steps, axis=1, keepdims=True)
         curve = self._curves.get(lane.id)
-        s = None if curve is None else places(self.world.ground, points_world[:, :2]).station(curve)
+        s = None if curve is None else Places(points_world[:, :2]).station(curve)
         if curve is not None and s is not None and curve.is_measured:
             # Roads of maps may be banked.
             aside = np.full(len(s), ACROSS_M)
@@ -148,11 +148,11 @@ class WorldPaint:
         markings = self.world.scene.markings
         return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
 
-    def right_m(self, id_: str, place: AnyPlaces) -> Scalars:
+    def right_m(self, id_: str, place: Places) -> Scalars:
         """How far points on the road are to the right of a line; infinite where it is not near."""
         return self.world.network.rightward * place.right_of(self._curves[id_])
 
-    def beyond_m(self, id_: str, place: AnyPlaces, end_m: float = END_M) -> Scalars:
+    def beyond_m(self, id_: str, place: Places, end_m: float = END_M) -> Scalars:
         """Distance of points on the road outside a line's paint, across it or (reduced by `end_m`) along it; negative
         inside."""
         right_m, s = self.right_m(id_, place), place.station(self._curves[id_])
@@ -194,7 +194,7 @@ def _merged(stretches: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
 # -- symbols
 
 
-def beyond_symbols(world: World, place: AnyPlaces) -> Float[np.ndarray, "m n"]:
+def beyond_symbols(world: World, place: Places) -> Float[np.ndarray, "m n"]:
     """Distance of points on the road outside the paint of each symbol, negative inside. The symbols of a scene are
     compared in metres beside and along their lanes, those of a map from above; the meshes are not used."""
     of_scene = [_beyond_m(world, symbol, place) for symbol in world.scene.symbols]
@@ -202,7 +202,7 @@ def beyond_symbols(world: World, place: AnyPlaces) -> Float[np.ndarray, "m n"]:
     return np.array(found).reshape(len(found), len(place.xy_world))
 
 
-def _beyond_m(world: World, symbol: Symbol, place: AnyPlaces) -> Scalars:
+def _beyond_m(world: World, symbol: Symbol, place: Places) -> Scalars:
     """Distance of points on the road outside a symbol's paint, negative inside."""
     network, form = world.network, shape(world.ground, symbol)
     if symbol.kind == "gore":

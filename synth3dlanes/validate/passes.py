@@ -12,7 +12,6 @@ from synth3dlanes.scene.things import KINDS as SEMANTIC_KINDS
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Result, counted, judged
-from synth3dlanes.validate.standing import terrain_height
 from synth3dlanes.world.height_map import cells_road
 
 # Number of pixels that may be wrong, and at most about this many are asked for their normals.
@@ -81,7 +80,7 @@ def check_sky(evidence: Evidence) -> Iterator[Result]:
         way_m = np.abs((last[(rays[:, :2] > 0).astype(int), [0, 1]] - eye_world[:2]) / rays[:, :2]).min(axis=1)
     ends = eye_world + way_m[:, None] * rays
     pixel_m = way_m / evidence.camera.img_from_cam[0, 0]
-    is_hole = ends[:, 2] < terrain_height(evidence.world.ground, ends[:, :2]) - pixel_m
+    is_hole = ends[:, 2] < evidence.world.ground.mesh_heights(ends[:, :2]) - pixel_m
     u, v = columns[is_hole], rows[is_hole]
     place = f" (u {u.min()}-{u.max()}, v {v.min()}-{v.max()})" if len(u) else ""
     reason = f"semantic: expected ground below the horizon, got sky at {{wrong}} pixels{place}"

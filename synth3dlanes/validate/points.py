@@ -15,7 +15,7 @@ from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.things import KINDS, SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes, Points2, Scalars
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result, Signed, counted, judged
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result, Signed, counted
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.validate.pixels import Squares, around, depth_between
 
@@ -34,12 +34,8 @@ MASKS = ("terrain_visible", "object_visible")
 OBJECTS = [kind.semantic_id for kind in KINDS if kind.series and not kind.is_ground]
 # A mask moved along its line by one point must have MIN_MOVED more wrong points and MOVED times as many as unmoved.
 MIN_MOVED, MOVED = 3, 2
-# Depth by this factor off is in another unit; objects hide few points that the labels have as visible.
-OTHER_UNIT, MIN_SCALED = 1.5, 10
-# Beyond this distance a pixel at a crest shows what is behind it.
-SCALED_M = 30.0
-# Range ahead for the test of the surface's height over the data set.
-HEIGHT_WITHIN_M = 25.0
+# Range ahead for the test of the surface's height over the data set, and the least number of points in it.
+HEIGHT_WITHIN_M, MIN_NEAR = 25.0, 10
 # Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
 SMOOTH = 1.2
 # How much nearer than a point, in depth, a shoulder must be to be taken for a kerb before it.
@@ -82,8 +78,6 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
     measures: list[Measure] = []
     above_m = [np.zeros(0)]
     moved = np.zeros(3, dtype=int)
-    if "depth" in passes:
-        yield from _scale(evidence)
     for lane in evidence.labels.lanes:
         uv = camera.project(lane.xyz_cam)
         strip = evidence.paint.strip(camera, lane, lane.xyz_cam)
@@ -108,7 +102,7 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
             yield from judge(lane.id, measure)
     yield from _judge_moved(moved)
     near_m = np.concatenate(above_m)
-    if len(near_m) >= MIN_SCALED and not evidence.scene.shot.frame:
+    if len(near_m) >= MIN_NEAR and not evidence.scene.shot.frame:
         yield Signed("surface_above_m", float(np.median(near_m)))
     yield from joined(measures)
 
@@ -146,19 +140,6 @@ def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes, is_single: B
             smooth &= ~(semantic == SEMANTIC_IDS["terrain"]).any(axis=0)
     smooth &= np.isfinite(error)
     return SurfaceErrors(y_m[smooth], error[smooth] * y_m[smooth], error[smooth] * across_m[smooth])
-
-
-def _scale(evidence: Evidence) -> Iterator[Result]:
-    """Finding if depth is in another unit."""
-    camera, depth_m = evidence.camera, evidence.passes["depth"]
-    points = np.concatenate([lane.xyz_cam[lane.visible] for lane in evidence.labels.lanes])
-    points = points[(points[:, 1] > 0) & (points[:, 1] < SCALED_M)]
-    if len(points) < MIN_SCALED:
-        return
-    uv = np.clip(camera.project(points), 0, np.array(depth_m.shape[::-1]) - 1).astype(int)
-    times = float(np.median(depth_m[uv[:, 1], uv[:, 0]] / points[:, 1]))
-    reason = f"depth: expected metres along the viewing direction, got {times:.4g} times the labels'"
-    yield from judged("points.unit", times, reason, 1 / OTHER_UNIT, OTHER_UNIT)
 
 
 def _behind_narrow(evidence: Evidence, lane: Lane, uv: Points2) -> Bool[np.ndarray, " n"]:

@@ -26,7 +26,6 @@ from synth3dlanes.validate.bodies import may_show_objects, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result, judged
 from synth3dlanes.validate.paint import Strip
-from synth3dlanes.validate.places import places
 from synth3dlanes.world.world import World
 
 LEAST_PX_PER_M = 1e-3
@@ -193,7 +192,7 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[LineProfiles]:
     some = np.arange(0, len(ends_cam), ROOM_EVERY)
     outside_m = np.full((len(ends_cam), 3), np.nan)
     ends = transform(camera.world_from_cam, ends_cam[some].reshape(-1, 3))
-    outside_m[some] = places(world.ground, ends[:, :2]).outside().reshape(-1, 3)
+    outside_m[some] = world.ground.clearance(ends[:, :2]).reshape(-1, 3)
     at = np.cumsum([len(cut.profiles) for cut in cuts])[:-1]
     of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
     for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):

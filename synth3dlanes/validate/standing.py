@@ -3,19 +3,16 @@
 Compares with the meshes that Blender renders, which are flat between their rows, instead of the formulas.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.scene.roadside import Building, Crossing
-from synth3dlanes.system.arrays import Matrix4, Points2, Points3, Scalars
+from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.faces import ground_of, pavement_of
 from synth3dlanes.validate.findings import Measure, Result, counted
-from synth3dlanes.validate.places import places
-from synth3dlanes.world import meshes
-from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.placement import TREE_SINK_M
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.spans import PASSAGE_M
@@ -35,18 +32,15 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
     """Findings, and the measures `wheel_gap_m`, `tree_gap_m` and `structure_gap_m`: gaps between what stands and the
     meshes of the ground."""
     world, camera = evidence.world, evidence.camera
-    pavement, verges = world.site.surfaces.pavement, world.site.surfaces.verges
     trunks = world.site.trees_world + np.array([0, 0, TREE_SINK_M])
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
-    for name, points, surfaces, has_terrain, limit_m in (
-        ("wheel_gap_m", _wheels(world), pavement, False, MAX_WHEEL_M),
-        ("tree_gap_m", trunks, verges, True, MAX_TREE_M),
-        ("structure_gap_m", feet, [*pavement, *verges], True, MAX_TREE_M),
+    for name, points, faces, limit_m in (
+        ("wheel_gap_m", _wheels(world), pavement_of(world), MAX_WHEEL_M),
+        ("tree_gap_m", trunks, ground_of(world), MAX_TREE_M),
+        ("structure_gap_m", feet, ground_of(world), MAX_TREE_M),
     ):
         points = points[_in(camera.world_from_cam, points)[:, 1] > 0]
-        ground_m = mesh_height(surfaces, points[:, :2], points[:, 2] + PASSAGE_M)
-        if has_terrain:
-            ground_m = np.fmax(ground_m, terrain_height(world.ground, points[:, :2]))
+        ground_m = faces.height(points[:, :2], points[:, 2] + PASSAGE_M)
         known = np.isfinite(ground_m)
         gap_m = np.abs(points[:, 2] - ground_m)[known]
         yield Measure(name, _in(camera.world_from_cam, points)[known, 1], gap_m)
@@ -71,55 +65,6 @@ def _in(world_from_frame: Matrix4, points_world: Points3) -> Points3:
     return transform(invert(world_from_frame), points_world)
 
 
-def mesh_height(surfaces: Sequence[meshes.Mesh], xy: Points2, most_m: Scalars | float = np.inf) -> Scalars:
-    """Height of the highest face at each point, at most `most_m`; of the lowest where all are higher, NaN where there
-    is none."""
-    most_m = np.broadcast_to(most_m, len(xy))
-    height_m, over_m = np.full(len(xy), -np.inf), np.full(len(xy), np.inf)
-    by_y = np.argsort(xy[:, 1])
-    y = xy[by_y, 1]
-    for mesh in surfaces:
-        corners = mesh.vertices_world[mesh.faces]
-        low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-        # First by y alone, which separates most of a road's faces: each has a run of the points in their order.
-        start, end = np.searchsorted(y, low[:, 1]), np.searchsorted(y, high[:, 1], side="right")
-        n = end - start
-        face = np.repeat(np.arange(len(n)), n)
-        i = by_y[np.arange(len(face)) + (start - np.cumsum(n) + n)[face]]
-        over = (low[face, 0] <= xy[i, 0]) & (xy[i, 0] <= high[face, 0])
-        i, face = i[over], face[over]
-        for triangle in ([0, 1, 2], [0, 2, 3]):
-            found_m = _on_triangles(corners[face][:, triangle], xy[i])
-            is_over = found_m > most_m[i]
-            np.fmax.at(height_m, i[~is_over], found_m[~is_over])
-            np.fmin.at(over_m, i[is_over], found_m[is_over])
-    height_m = np.where(np.isfinite(height_m), height_m, over_m)
-    return np.where(np.isfinite(height_m), height_m, np.nan)
-
-
-def _on_triangles(triangles: Float[np.ndarray, "n 3 3"], xy: Points2) -> Scalars:
-    """Height of each triangle at its point, NaN for points outside the triangle."""
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(triangles[:, 1:] - triangles[:, :1], 0, -1)
-    x, y = (xy - triangles[:, 0, :2]).T
-    area = ax * by - ay * bx
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (x * by - y * bx) / area, (ax * y - ay * x) / area
-        inside = (np.abs(area) > 1e-9) & (np.minimum(a, b) > -1e-9) & (a + b < 1 + 1e-9)
-        return np.where(inside, triangles[:, 0, 2] + a * az + b * bz, np.nan)
-
-
-def terrain_height(ground: Ground, xy: Points2) -> Scalars:
-    """Height of the terrain mesh, interpolated bilinearly in its cells."""
-    xs, ys = ground.paved.grid.axes
-    j = np.clip(np.searchsorted(xs, xy[:, 0]) - 1, 0, len(xs) - 2)
-    i = np.clip(np.searchsorted(ys, xy[:, 1]) - 1, 0, len(ys) - 2)
-    corners = np.stack([xs[[j, j + 1, j, j + 1]], ys[[i, i, i + 1, i + 1]]], axis=-1)
-    z = ground.mesh_heights(corners)
-    a, b = (xy[:, 0] - xs[j]) / (xs[j + 1] - xs[j]), (xy[:, 1] - ys[i]) / (ys[i + 1] - ys[i])
-    near, far = z[0] + a * (z[1] - z[0]), z[2] + a * (z[3] - z[2])
-    return np.asarray(near + b * (far - near))
-
-
 def check_roadside(evidence: Evidence) -> Iterator[Result]:
     """Findings about structures on a pavement; poles may stand on the walkways of a map, and below its decks. What
     stands on a median is left to the road's own checks, and what has no pole hangs."""
@@ -137,8 +82,7 @@ def check_roadside(evidence: Evidence) -> Iterator[Result]:
     n_places = [len(places_xy) for _, places_xy, _ in asked]
     feet = np.concatenate([places_xy for _, places_xy, _ in asked])
     numbers, is_building = (np.repeat([row[i] for row in asked], n_places) for i in (0, 2))
-    place = places(world.ground, feet)
-    inside_m = -np.where(is_building, place.outside(), place.off_carriageways())
+    inside_m = -np.where(is_building, world.ground.clearance(feet), world.ground.paved.off_carriageways(feet))
     inside_m[world.ground.is_stacked(feet)] = -np.inf
     for number in np.unique(numbers[inside_m > ROOM_M]).tolist():
         own_m = inside_m[numbers == number]

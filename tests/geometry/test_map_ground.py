@@ -7,7 +7,7 @@ from synth3dlanes.formats.lane_map import REACH_M, lane_segments
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland, Polynomial, RoadMap
 from synth3dlanes.truth.ground_truth import label
-from synth3dlanes.validate.standing import mesh_height
+from synth3dlanes.validate.faces import mesh_height
 from synth3dlanes.world.world import resolve
 from tests.map_scenes import ARM_M, FOUR_WAY, HALF_M, HILLS, WIDTH_M, crossing, map_scene, sections_road
 

@@ -6,7 +6,7 @@ import pytest
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.system.arrays import Points3
-from synth3dlanes.validate.standing import mesh_height
+from synth3dlanes.validate.faces import mesh_height
 from synth3dlanes.world.meshes import Mesh
 from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road

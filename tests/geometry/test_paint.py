@@ -7,7 +7,7 @@ from scipy.ndimage import label as clusters
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.params.params import load_params
 from synth3dlanes.truth.ground_truth import label
-from synth3dlanes.validate.standing import mesh_height
+from synth3dlanes.validate.faces import mesh_height
 from synth3dlanes.world.paint import DOT_HEIGHT_M, DOT_M, DOTS_M
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, seen_on_flat_ground

@@ -70,6 +70,7 @@ class Row(NamedTuple):
     index: int = 0
     shots: Shots = SINGLE
     map: str = ""
+    changes: tuple[str, ...] = ()
 
 
 def _rows() -> Iterator[tuple[str, Row]]:
@@ -94,6 +95,8 @@ def _rows() -> Iterator[tuple[str, Row]]:
     for name in MAPS:
         yield f"map of {name}", Row("streets", 0, SINGLE, name)
     yield "clip on a map, frame 3", Row("streets", 3, clip, "bends")
+    for index in (1, 2):
+        yield f"works {index}", Row("streets", index, changes=("works.present=true", "road.topology=1"))
 
 
 ROWS = dict(_rows())
@@ -108,7 +111,8 @@ def _place(name: str) -> MapPlace:
 
 def scenes_of(row: Row) -> Scenes:
     """What the row's sample is drawn from."""
-    return Scenes(load_params(row.preset), 58, "frozen", shots=row.shots, map=_place(row.map) if row.map else None)
+    params = load_params(row.preset, row.changes)
+    return Scenes(params, 58, "frozen", shots=row.shots, map=_place(row.map) if row.map else None)
 
 
 def sample(name: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.scene.roadside import MAX_RAILS
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.validate.standing import mesh_height
+from synth3dlanes.validate.faces import mesh_height
 from synth3dlanes.world.height_map import height_map
 from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M
 from synth3dlanes.world.world import World

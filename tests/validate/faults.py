@@ -279,7 +279,9 @@ FAULTS = [
     Fault("lane_width_m edited in the index", partial(edit_index, "lane_width_m", 0.1), "lane_width_m"),
     Fault("max_grade edited in the index", partial(edit_index, "max_grade", 0.01), "max_grade"),
     Fault("test made of train's scenes", under_new_numbers, "scene"),
-    Fault("depth x 1.005", of_pass("depth", lambda depth_m, _: depth_m * np.float32(1.005)), "depth"),
+    Fault(
+        "depth x 1.005", of_pass("depth", lambda depth_m, _: depth_m * np.float32(1.005)), "depth|the pavement within"
+    ),
     Fault(
         "n_lanes edited in the scene",
         of_json(SCENE, lambda document: document["road"].update(n_lanes=document["road"]["n_lanes"] + 1)),
@@ -291,8 +293,8 @@ FAULTS = [
 
 WORLDS = [
     World("world: lanes 1 % wider", scaled("road.lane_width_m", 1.01), "paint", needs_many=True),
-    World("world: ramp 10 % higher", higher_ramp, "ramp"),
-    World("world: focal length 1 % longer", longer_lens, "focal|near road"),
+    World("world: ramp 10 % higher", higher_ramp, "the pavement within"),
+    World("world: focal length 1 % longer", longer_lens, "focal|the pavement within"),
     World("world: cx 1 px to the right", to_the_side, "right", needs_many=True),
     World("world: exit angle 0.3 deg wider", wider_exit, "exit|paint|pavement|ramp"),
     World("world: hills 2 % higher", higher_hills, "hills|terrain"),

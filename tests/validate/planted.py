@@ -41,7 +41,7 @@ from tests.validate import redone
 from tests.validate.faults import FAULTS, WORLDS, Fault, in_samples
 from tests.validate.faults import World as Changing
 from tests.validate.sealing import Members, check, read_members, seal
-from tests.validate.subtle import OF_STREETS, SUBTLE
+from tests.validate.subtle import OF_STREETS, OF_WORKS, SUBTLE
 
 IMAGE = "jpg"
 # Few samples a pixel: passes are taken at the pixels' centres, and do not depend on them.
@@ -49,6 +49,8 @@ SETTINGS = RenderSettings(samples=2, passes=ALL_PASSES, device="cpu")
 # Something of every kind in every scene.
 STREETS = ["weather.kind=any", "weather.daytime=any", "road.n_oncoming=2", "road.median_m=4", "symbols.arrow_rows=2"]
 STREETS += ["roadside.median=guardrail", "host.bonnet=0.12"]
+# Road works in every scene, by day.
+WORKS = ["works.present=true", "road.topology=1", "weather.kind=clear", "weather.daytime=day"]
 # Faults that files do not tell, or not always: of pictures, and of what was rendered from another scene.
 AGAIN = {f"image: {name}": change for name, change in redone.PICTURES.items()}
 OTHERS = [Changing(f"world: {name}", changes, ": ") for name, changes in redone.WORLDS.items()]
@@ -129,6 +131,13 @@ def render_streets(folder: Path, seed: int, n: int, workers: int) -> tuple[Path,
     clean = folder / "streets"
     assert generate(Plan(clean, n, streets(seed), workers), lambda event: None).exit_code == 0
     return clean, OF_STREETS
+
+
+def render_works(folder: Path, seed: int, n: int, workers: int) -> tuple[Path, list[Fault]]:
+    """A clean data set of n samples of `streets` with road works, and the faults that need these."""
+    clean, recipe = folder / "works", Recipe(Scenes(load_params("streets", WORKS), seed, "train"), SETTINGS, IMAGE)
+    assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
+    return clean, OF_WORKS
 
 
 def render_unseen(folder: Path, seed: int, n: int, workers: int) -> list[Fault]:
@@ -256,11 +265,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rendered = options.data or Path(folder, "rendered")
         clean, faults = render(rendered, load_params(options.params), options.seed, options.n, options.workers)
         of_streets, more = render_streets(rendered, options.seed, options.n_streets, options.workers)
+        of_works, along = render_works(rendered, options.seed, options.n_streets, options.workers)
         unseen = render_unseen(rendered, options.seed, options.n_streets, options.workers)
         results = []
 
         def rows() -> Iterator[str]:
-            for root, planted in ((clean, faults), (of_streets, [*more, *unseen])):
+            for root, planted in ((clean, faults), (of_streets, more), (of_works, along), (of_streets, unseen)):
                 for result in table(root, [fault for fault in planted if options.only in fault.name], Path(folder)):
                     results.append(result)
                     yield result.row()

@@ -1,7 +1,7 @@
 """Faults that few measures see: of labels, pictures, passes, sweeps and files, as bugs of a generator would make them.
 
 SUBTLE may be planted in any data set, OF_STREETS need what `streets` has: many cars, oncoming lanes, structures,
-symbols, a bonnet and a lidar.
+symbols, a bonnet and a lidar; OF_WORKS need road works.
 """
 
 from collections.abc import Callable
@@ -209,6 +209,49 @@ def other_cars_behind(sweep: Sweep) -> Sweep:
     return replace(sweep, instance=ids)
 
 
+# -- road works
+
+
+def is_temporary(lane: dict[str, Any]) -> bool:
+    """Whether a lane of labels is a line that holds along works alone."""
+    return bool(lane["id"].startswith("works_line"))
+
+
+def where_they_were(document: dict[str, Any]) -> None:
+    """Temporary lines labelled a metre aside, where the removed ones are."""
+    for lane in filter(is_temporary, document["lanes"]):
+        lane["xyz_cam"] = [[round(x + 1.0, 4), y, z] for x, y, z in lane["xyz_cam"]]
+
+
+def as_usual_lines(document: dict[str, Any]) -> None:
+    """Temporary lines labelled as white."""
+    for lane in filter(is_temporary, document["lanes"]):
+        lane["color"] = "white"
+
+
+def unlabelled(document: dict[str, Any]) -> None:
+    """Temporary lines without labels."""
+    document["lanes"] = [lane for lane in document["lanes"] if not is_temporary(lane)]
+
+
+def without_temporary_lines(passes: dict[str, Pixels], labels: Labels) -> dict[str, Pixels]:
+    """Temporary lines as road."""
+    lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
+    own = [instance_id("delimiter", i) for i, name in enumerate(lines) if name.startswith("works_line")]
+    at = np.isin(passes["instance"], own)
+    semantic = np.where(at, SEMANTIC_IDS["road"], passes["semantic"]).astype("u1")
+    return {**passes, "semantic": semantic, "instance": np.where(at, 0, passes["instance"]).astype("u2")}
+
+
+def device_aside(document: dict[str, Any]) -> None:
+    """The cone or barrel with most pixels labelled half a metre aside."""
+    devices = [item for item in document["objects"] if item["category"] in ("cone", "barrel")]
+    if devices:
+        seen = [item["seen_box_px"] or [0, 0, 0, 0] for item in devices]
+        device = devices[int(np.argmax([(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in seen]))]
+        device["center_cam"][0] = round(device["center_cam"][0] + 0.5, 4)
+
+
 # -- files
 
 
@@ -244,10 +287,14 @@ SUBTLE = [
     Fault("all paint erased", by_ids(without_paint), "of paint brighter"),
     Fault("paint of one line erased", by_ids(partial(without_paint, only=0)), "of paint brighter"),
     Fault("white lines yellow", by_ids(in_other_paint), "expected white paint, got yellow"),
-    Fault("depth rounded to 5 cm", of_pass("depth", rounded), "near road within"),
-    Fault("depth 1 cm too long", of_pass("depth", lambda depth_m, _: depth_m + np.float32(0.01)), "near road within"),
+    Fault("depth rounded to 5 cm", of_pass("depth", rounded), "the pavement within"),
     Fault(
-        "depth in millimetres", of_pass("depth", lambda depth_m, _: depth_m * np.float32(1000)), "metres along", True
+        "depth 1 cm too long", of_pass("depth", lambda depth_m, _: depth_m + np.float32(0.01)), "the pavement within"
+    ),
+    Fault(
+        "depth in millimetres",
+        of_pass("depth", lambda depth_m, _: depth_m * np.float32(1000)),
+        "m of the rendered surface",
     ),
     Fault("a hole in the ground", of_passes(with_a_hole), "sky at 1 pixels"),
     Fault("height map 3 cm up", in_samples(lifted), "got 2858 of 2858 elsewhere"),
@@ -270,4 +317,12 @@ OF_STREETS = [
     Fault("bonnet missing", of_passes(without_bonnet), "expected the bonnet", True),
     Fault("rear half of the sweep three columns on", of_sweep(rear_turned), "lidar"),
     Fault("ids of the next car behind the host", of_sweep(other_cars_behind), "lidar: expected points of car"),
+]
+
+OF_WORKS = [
+    Fault("works: lines labelled where they were before", of_json(LABELS, where_they_were), "xyz_cam.0.0: expected"),
+    Fault("works: yellow lines labelled white", of_json(LABELS, as_usual_lines), 'color: expected "yellow"'),
+    Fault("works: lines without labels", of_json(LABELS, unlabelled), "(lanes|left|right): expected"),
+    Fault("works: passes without the lines", of_passes(without_temporary_lines), "of the line in all of its paint"),
+    Fault("works: a cone labelled 0.5 m aside", of_json(LABELS, device_aside), "center_cam.0: expected|in its box"),
 ]

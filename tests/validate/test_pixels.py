@@ -205,7 +205,7 @@ ONE_SAMPLE: dict[str, tuple[Callable[[Evidence], Evidence], str]] = {
     ),
     "terrain and road swapped": (
         lambda s: with_pass(s, "semantic", lambda ids: swapped(ids, ROAD, TERRAIN)),
-        "semantic: expected pavement within its edges",
+        "passes: expected the pavement within",
     ),
     "road and paint swapped": (
         lambda s: without(with_pass(s, "semantic", lambda ids: swapped(ids, ROAD, MARKING)), "instance"),
@@ -214,7 +214,7 @@ ONE_SAMPLE: dict[str, tuple[Callable[[Evidence], Evidence], str]] = {
     "all passes 1 px to the right": (all_to_the_right, "instance: expected paint where the line is painted"),
     "depth 0.5 % too large": (
         lambda s: with_pass(s, "depth", lambda depth: depth * np.float32(1.005)),
-        "depth: expected the road's distances as the scene's, got them 0.005",
+        "passes: expected the pavement within 0.002 m of the scene's",
     ),
     "sky hit": (
         lambda s: with_pass(s, "depth", lambda depth: np.where(np.isfinite(depth), depth, np.float32(1e10))),

@@ -49,7 +49,9 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple:
 
 @pytest.fixture
 def small_streets(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planted, "STREETS", [*planted.STREETS, "camera.width_px=320", "camera.height_px=240"])
+    for name in ("STREETS", "WORKS"):
+        small = [*getattr(planted, name), "camera.width_px=320", "camera.height_px=240"]
+        monkeypatch.setattr(planted, name, small)
 
 
 def first(clean: Path, n: int, to: Path) -> Path:
@@ -94,8 +96,9 @@ def missed(results: list) -> list[str]:
 
 
 @pytest.mark.thorough
-def test_every_fault_of_what_streets_have_is_found_and_named(small_streets, tmp_path):
-    clean, faults = planted.render_streets(tmp_path, STREETS_SEED, STREETS_N, 1)
+@pytest.mark.parametrize("render", [planted.render_streets, planted.render_works])
+def test_every_fault_of_what_streets_and_works_have_is_found_and_named(small_streets, tmp_path, render):
+    clean, faults = render(tmp_path, STREETS_SEED, STREETS_N, 1)
     assert missed(list(planted.table(clean, faults, tmp_path))) == []
 
 

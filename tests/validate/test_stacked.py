@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from synth3dlanes.labels.labels import Lane
 from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.validate.faces import mesh_height
 from synth3dlanes.validate.labels import order
-from synth3dlanes.validate.standing import mesh_height
 from synth3dlanes.world.meshes import Mesh
 from tests.map_scenes import FOUR_WAY, map_scene
 
