@@ -41,6 +41,10 @@ class Faces:
 
     def __init__(self, meshes: Sequence[Mesh], eye_world: Float[np.ndarray, "3"] | None = None) -> None:
         corners = np.concatenate([np.zeros((0, 4, 3)), *(mesh.vertices_world[mesh.faces] for mesh in meshes)])
+        one, other, third = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
+        # Blender splits a quad with an inward corner at that one.
+        is_inward = (np.cross(one, other) * np.cross(other, third)).sum(axis=1) < 0
+        corners[is_inward] = np.roll(corners[is_inward], 1, axis=1)
         material = np.concatenate([np.zeros(0, dtype=int), *(mesh.material for mesh in meshes)])
         low, high = (reduce(of, corners[..., :2].swapaxes(0, 1)) for of in (np.minimum, np.maximum))
         near = np.ones(len(corners), dtype=bool)

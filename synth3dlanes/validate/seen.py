@@ -27,6 +27,7 @@ from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.world.camera import project
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
+from synth3dlanes.world.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M
 from synth3dlanes.world.solids import SURFACES
 
 # Range of pavement and terrain, and how far they may be from their faces: in 312 samples one point in 4,000 of a sample
@@ -186,7 +187,9 @@ def _against_passes(evidence: Evidence, swept: Seen) -> Iterator[Result]:
 
 
 def _surface(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    yield PartSeen("the pavement", seen.pavement.above_m[seen.is_near])
+    """Tar and the places of removed lines float over the pavement, less than paint does."""
+    above_m, tar_m = seen.pavement.above_m, np.interp(seen.range_m, PAINT_LIFT_AT_M, PAINT_LIFT_M)
+    yield PartSeen("the pavement", np.where((above_m > 0) & (above_m < tar_m), 0, above_m)[seen.is_near])
 
 
 def _kind(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
@@ -255,13 +258,13 @@ def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Ground inside a line's paint that shows none, of any line."""
     on = seen.on_road
     near, is_bare = (
-        cKDTree(on.points_world[:, :2]),
+        cKDTree(on.points_world),
         np.isin(on.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT]),
     )
     for lane in evidence.labels.lanes:
         if lane.id in evidence.paint.ids and len(on):
             line_world = transform(evidence.camera.world_from_cam, lane.xyz_cam)
-            beside = near.query_ball_point(line_world[:, :2], BESIDE_M)
+            beside = near.query_ball_point(line_world, BESIDE_M)
             at = np.zeros(len(on), dtype=bool)
             at[np.concatenate(beside).astype(int)] = True
             beyond_m = evidence.paint.beyond_m(lane.id, on.places.at(at), -END_M)
