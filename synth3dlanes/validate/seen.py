@@ -25,6 +25,7 @@ from synth3dlanes.validate.findings import PROOF_M, Measure, Result, counted, ju
 from synth3dlanes.validate.paint import END_M
 from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
 from synth3dlanes.validate.pixels import around, depth_between
+from synth3dlanes.validate.places import is_single
 from synth3dlanes.world.camera import project
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
 from synth3dlanes.world.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M
@@ -255,8 +256,9 @@ def _paint(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 
 
 def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    """Ground inside a line's paint that shows none, of any line."""
+    """Ground inside a line's paint that shows none, of any line. Below another road paint may be hidden."""
     on = seen.on_road
+    single = is_single(evidence.world.ground, on.points_world[:, :2])
     near, is_bare = (
         cKDTree(on.points_world),
         np.isin(on.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT]),
@@ -267,6 +269,7 @@ def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
             beside = near.query_ball_point(line_world, BESIDE_M)
             at = np.zeros(len(on), dtype=bool)
             at[np.concatenate(beside).astype(int)] = True
+            at &= single
             beyond_m = evidence.paint.beyond_m(lane.id, on.places.at(at), -END_M)
             yield PartSeen("the line", np.where(is_bare[at], np.inf, 0)[beyond_m < -MAX_BEYOND_M], lane.id)
 
