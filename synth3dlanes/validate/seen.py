@@ -31,7 +31,7 @@ from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
 from synth3dlanes.world.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M
 from synth3dlanes.world.solids import SURFACES
 
-# Range of pavement and terrain, and how far they may be from their faces: in 312 samples one point in 4,000 of a sample
+# Range of pavement and terrain, and how far they may be from their faces: in 108 samples one point in 4,000 of a sample
 # is farther, at the most.
 RANGE_M, HILLS_M, MAX_OFF_M = 110.0, 120.0, 0.002
 # Limit of the normals' median error, as a chord; they are smoothed over faces, in the median by up to 0.004.
