@@ -257,7 +257,7 @@ class TownTraffic:
         while k < len(driver.route.lanes) and starts[k] - driver.at_m < LOOK_M:
             for other, at_m in self._on.get(driver.route.lanes[k], ()):
                 ahead_m = starts[k] + at_m - driver.at_m
-                if other is driver or ahead_m <= 0 or (ahead_m == 0 and id(other) > id(driver)):
+                if other is driver or ahead_m <= 0:
                     continue
                 free_m = ahead_m - (driver.length_m + other.length_m) / 2
                 if free_m < gap_m:
