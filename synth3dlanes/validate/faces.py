@@ -23,8 +23,8 @@ ROOM_M, ON_SIDE = 1e-3, 1e-5
 # Triangles as Blender renders a quad.
 SPLIT = ([0, 1, 2], [0, 2, 3])
 
-Triangles = Float[np.ndarray, "k 3 3"]
-Numbers = Int[np.ndarray, " k"]
+FaceCorners = Float[np.ndarray, "k 3 3"]
+FaceNumbers = Int[np.ndarray, " k"]
 
 
 class NearestFaces(NamedTuple):
@@ -87,7 +87,7 @@ class Faces:
         height_m = np.where(np.isfinite(height_m), height_m, over_m)
         return np.where(np.isfinite(height_m), height_m, np.nan)
 
-    def _candidates(self, xy_world: Points2) -> Iterator[tuple[Numbers, Triangles, Numbers]]:
+    def _candidates(self, xy_world: Points2) -> Iterator[tuple[FaceNumbers, FaceCorners, FaceNumbers]]:
         """Places and triangles whose faces may have them: the numbers of the places, the triangles and their
         materials."""
         i, face = self._tree.query(shapely.points(xy_world))
@@ -113,7 +113,7 @@ def mesh_height(meshes: Sequence[Mesh], xy_world: Points2, most_m: AnyScalars | 
     return Faces(meshes).height(xy_world, most_m)
 
 
-def _on_planes(triangles: Triangles, points: Float[np.ndarray, "k 3"]) -> tuple[np.ndarray, ...]:
+def _on_planes(triangles: FaceCorners, points: Float[np.ndarray, "k 3"]) -> tuple[np.ndarray, ...]:
     """Of the foot of each point on the plane of its triangle: its shares of both sides from the first corner; and the
     normals of the planes, of the triangles' double area, and this. Not a number where a triangle has no area."""
     side, other = np.moveaxis(triangles[:, 1:] - triangles[:, :1], 1, 0)

@@ -44,7 +44,7 @@ GONE_M, GONE_REACH_M = (3.0, 12.0), 600.0
 NO_PAINT = Mesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=int), np.zeros((0, 2)), np.zeros(0, dtype=int))
 
 Intervals = Float[np.ndarray, "_ 2"]
-Places = Float[np.ndarray, " _"]
+Lengths = Float[np.ndarray, " _"]
 
 
 class Stripe(NamedTuple):
@@ -252,7 +252,7 @@ class _DrawnRows(NamedTuple):
     s: Scalars
     length_m: Scalars
     painted: Bool[np.ndarray, " m"]
-    dots: Places
+    dots: Lengths
 
 
 def _within(curve: LaneCurve, rows: Scalars) -> Float[np.ndarray, " m"]:
@@ -314,7 +314,7 @@ def _dots_per_dash(markings: Markings) -> int:
     return int(np.clip(markings.dash_cycle_m * markings.dash_fraction / (2 * DOT_M), 1, DOTS))
 
 
-def _dots(markings: Markings, dashes: Intervals, length: Scalars, away_m: Scalars) -> tuple[Places, Intervals]:
+def _dots(markings: Markings, dashes: Intervals, length: Scalars, away_m: Scalars) -> tuple[Lengths, Intervals]:
     """The centres of the dots in place of near dashes, and the painted intervals with these dots. `away_m` is the
     distance from the host at each `length`."""
     is_near = np.interp(dashes[:, 0], length, away_m) < DOTS_M
@@ -324,7 +324,7 @@ def _dots(markings: Markings, dashes: Intervals, length: Scalars, away_m: Scalar
     return centers, painted[np.argsort(painted[:, 0])]
 
 
-def _disc(dots: Places, at: Scalars) -> tuple[Scalars, Scalars]:
+def _disc(dots: Lengths, at: Scalars) -> tuple[Scalars, Scalars]:
     """Width, as a share of the diameter, and height of octagonal discs at places along the line; width 1 elsewhere."""
     radii = 2 / DOT_M * np.abs(at[:, None] - dots).min(axis=1)
     is_disc, is_top = radii < 1 + 1e-6, radii < OCTAGON + 1e-6
