@@ -128,11 +128,9 @@ class RunLog:
     copies it there."""
 
     def __init__(self, root: Path, name: str, url: str = "") -> None:
-        folder = Folder(root)
-        folder.make("logs")
         self._root, self._url = root, url
         self._path = root / "logs" / name
-        self._stream = self._opened(folder)
+        self._stream = self._opened(Folder(root))
 
     def __enter__(self) -> "RunLog":
         return self
@@ -141,13 +139,14 @@ class RunLog:
         self._stream.close()
 
     def _opened(self, folder: Folder) -> BinaryIO:
-        """The log; for a store, locked against runs that put the logs of killed ones."""
+        """The log; for a store, locked against runs that put the logs of killed ones, and remove them."""
         path = self._path.relative_to(self._root)
-        while self._url:
+        while True:
+            folder.make("logs")
             with suppress(FileNotFoundError):
-                if stream := claimed(folder.append(path), self._path, waits=True):
+                stream = folder.append(path)
+                if not self._url or claimed(stream, self._path, waits=True):
                     return stream
-        return folder.append(path)
 
     def write(self, line: bytes) -> None:
         self._stream.write(line)
