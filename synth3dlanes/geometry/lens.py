@@ -98,8 +98,8 @@ class Lens(DocumentPart):
         return float(_radius(self, np.array([angle_rad]))[0][0])
 
     def angle_rad(self, radius: float) -> float:
-        """The angle from the viewing direction of what the lens has at a radius, as opposed to `radius`; that at which
-        its field ends for radii beyond it."""
+        """The angle from the viewing direction, in radians, of a ray that meets the image at `radius`; the inverse of
+        `radius`. Beyond the lens's field it is the angle at which the field ends."""
         angle = float(_angle(self, np.array([radius]))[0])
         return self.field_rad if np.isnan(angle) else angle
 
@@ -193,7 +193,7 @@ def _tangential(lens: Lens, straight: AnyPoints2) -> tuple[AnyPoints2, Float[np.
     factor, slope = _factor(lens, s)
     across = a * factor + 2 * p1 * a * b + p2 * (s + 2 * a * a) + s * (s1 + s2 * s)
     down = b * factor + p1 * (s + 2 * b * b) + 2 * p2 * a * b + s * (s3 + s4 * s)
-    # The derivatives of what the prism adds, by s.
+    # Derivatives of the thin-prism terms with respect to s.
     across_by_s, down_by_s = s1 + 2 * s2 * s, s3 + 2 * s4 * s
     aa = factor + 2 * slope * a * a + 2 * p1 * b + 6 * p2 * a + 2 * a * across_by_s
     bb = factor + 2 * slope * b * b + 6 * p1 * b + 2 * p2 * a + 2 * b * down_by_s

@@ -36,7 +36,7 @@ def resampled(points: Float[np.ndarray, "n d"], n: int) -> Float[np.ndarray, "m 
 
 
 def stretches(kept: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
-    """The first and the last (exclusive) number of each unbroken run of what is kept."""
+    """The first and the last (exclusive) index of each unbroken run of true values."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], kept, [False]]).astype(int)))
     return [(first, end) for first, end in ends.reshape(-1, 2).tolist()]
 

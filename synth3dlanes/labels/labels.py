@@ -67,7 +67,7 @@ class CameraLabel:
         return self.lens.rays(self.img_from_cam, uv)
 
     def points(self, uv: Float[np.ndarray, "*n 2"], depth_m: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n 3"]:
-        """The points that pixels (u, v) see at these planar depths, which are those of the pass `depth`."""
+        """The points seen by pixels (u, v) at planar depths, as the pass `depth` has them."""
         rays = self.rays(uv)
         return np.asarray(rays * (depth_m / rays[..., 1])[..., None])
 
@@ -75,19 +75,23 @@ class CameraLabel:
 @with_config(STRICT)
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One curve, in the host's driving direction. `left` and `right` are ids: of the delimiters that bound a centre
-    line on its own stretch (behind the split, before the merge), or of the centre lines that a delimiter bounds there;
-    None outside the road, and where that line is out of range. In a clip they are the same in every frame, and may name
-    lines that only other frames of it have. `color` and `double` (two stripes, the points in the middle between them)
-    are None for centre lines and in older labels. `object_visible` is None until the scene has been rendered.
-    `direction` is that of the traffic in a centre line's lane; a delimiter is `oncoming` if it bounds only such lanes.
-    Older labels may lack `same`. `pair` names the stripes of a double line, from the left, where they differ: its
-    `marking` is `solid` then. Older labels have none. `std_m` is how certain each point is: standard deviations across
-    the lane, level, and in height. Only labels that were measured (`lift`) have it: those of scenes are exact.
+    """One curve, in the host's driving direction.
 
-    In labels of a map, points of a `crossing` line go as its traffic does (docs/network.md). `junction` is the one that
-    the line is in, and `connector` says whether it is the way of a lane through a junction. Both are None in labels
-    of the paper's roads, whose document lacks them."""
+    `left` and `right` are ids. For a centre line they name the delimiters that bound it on its own stretch (behind the
+    split, before the merge); for a delimiter, the centre lines that it bounds there. They are None outside the road,
+    and where the neighbour is out of range. In a clip they are the same in every frame, and may name lines that only
+    other frames have.
+
+    `color` and `double` (two stripes; the points are in the middle between them) are None for centre lines and in older
+    labels. `pair` names the stripes of a double line, from the left, where they differ; its `marking` is `solid` then.
+    `object_visible` is None until the scene has been rendered. `direction` is the direction of traffic in a centre
+    line's lane; a delimiter is `oncoming` if all lanes that it bounds are. `std_m` has the standard deviations of each
+    point: across the lane, level, and in height. Only measured labels (`lift`) have it; labels of scenes are exact.
+    Older labels may lack `same` and `pair`.
+
+    In labels of a map, points of a `crossing` line go in the direction of its traffic (docs/network.md). `junction` is
+    the id of the line's junction, `connector` says whether the line is a lane's way through a junction. Both are None
+    in labels of the paper's roads, whose document lacks them."""
 
     id: Name
     kind: LaneKind
@@ -221,10 +225,10 @@ class Labels:
     `camera` holds pitch and height over the plane that touches the road at the host; `horizon` is the plane through the
     farthest visible point of the host lane (the paper's 'horizon' variant), None if no point is visible or the camera
     does not look ahead.
-    `symbols` are those of the scene, in its order: arrows, stop lines, crosswalks and gores, none of which is a lane.
-    `lidar` is that of the scene, if it has one. `objects` are its cars, then its people, riders and road works, each in
-    its order; None in older labels, whose seen shares of cars are `older_shares`. `traffic_elements` are the heads of
-    signals and faces of signs near the camera, in the order of their ids; None in older labels.
+    `symbols` are the scene's arrows, stop lines, crosswalks and gores, in its order; none of them is a lane. `lidar` is
+    the scene's lidar, if it has one. `objects` are the scene's cars, then its people, riders and road works, each in
+    the scene's order; None in older labels, which have the seen shares of cars in `older_shares`. `traffic_elements`
+    are the heads of signals and faces of signs near the camera, in the order of their ids; None in older labels.
     """
 
     camera: CameraLabel
@@ -256,7 +260,7 @@ class Labels:
 
 def to_json(labels: Labels) -> str:
     """The labels as one line of JSON: points rounded to 0.1 mm, matrices to 1e-9; equal labels give equal text.
-    Every key is there, but those of maps in labels without one, so that all labels of a kind are of one schema."""
+    Every key is there, so that all labels have one schema; labels without a map lack the keys of maps."""
     camera, lidar, of_map = labels.camera, labels.lidar, labels.graph.yields is not None
     document: dict[str, Any] = {
         "format": LABELS_FORMAT,
@@ -335,7 +339,7 @@ def _documents(items: tuple[ObjectLabel, ...] | None) -> list[dict[str, Any]] | 
 
 
 def _document(values: dict[str, Any], of_map: bool) -> dict[str, Any]:
-    """The values of a document, without those of maps alone if it is of none."""
+    """The values of a document; without a map, the keys that only maps have are left out."""
     return {key: value for key, value in values.items() if of_map or key not in OF_MAPS}
 
 

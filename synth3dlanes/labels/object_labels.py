@@ -28,8 +28,8 @@ from synth3dlanes.system.json_arrays import (
 )
 from synth3dlanes.system.schema import STRICT, Unit
 
-# Corners of a box of size 2 in the frame of its object: those of its front, then of its rear, each from the top left
-# one on, clockwise as seen from behind.
+# Corners of a box of size 2 in the frame of its object: four of the front, then four of the rear, each four from the
+# top left, clockwise as seen from behind.
 CORNERS = np.array([[x, y, z] for y in (1.0, -1.0) for x, z in ((-1, 1), (1, 1), (1, -1), (-1, -1))])
 
 NonNegative = Annotated[int, Field(ge=0)]
@@ -48,17 +48,18 @@ class ObjectLabel:
     height, along x, y and z of its frame. `center_cam` is the middle of the box, `rotation_wxyz` the unit quaternion
     that turns vectors of its frame into the camera's. `velocity_cam` is the velocity over the ground along the
     camera's axes, metres per second; None in single pictures, which have no time.
-    `box_px` is the rectangle of what of the 3D box is inside the image, None where nothing is; `unclipped_box_px` that
-    of the whole 3D box, None where it reaches behind the camera, out of its lens's field or a million pixels away;
-    `truncation` the share of the 3D box that is outside the image. `seen_box_px` is the rectangle of the pixels that
-    show the object, None without any and until rendered. `visible_fraction` is the share of its pixels in the image in
-    which it is seen, 0 without any, None until rendered. `lidar_points` counts the points of the sweep on it, None
-    without a lidar.
 
-    Traffic elements alone have `kind`, the form of a light's lenses, `lane` over a lane, or what a sign shows; `state`,
-    what a signal shows in this picture, None of a sign; and `lanes`, the ids of segments of the lane graph that they
-    govern. They have no `velocity_cam`, `truncation` and `lidar_points`; their `visible_fraction` is measured on the
-    image's pixels."""
+    `box_px` bounds the part of the 3D box that is inside the image, None where no part is. `unclipped_box_px` bounds
+    the whole 3D box, None where it reaches behind the camera, out of the lens's field or a million pixels away.
+    `truncation` is the share of the 3D box that is outside the image. `seen_box_px` bounds the pixels that show the
+    object, None where no pixel does, and until rendered. `visible_fraction` is the share of the object's pixels in the
+    image that nothing hides, 0 without any, None until rendered. `lidar_points` counts the points of the sweep on the
+    object, None without a lidar.
+
+    Traffic elements alone have `kind` (the form of a light's lenses, `lane` over a lane, or what a sign shows), `state`
+    (what a signal shows in this picture; None for a sign) and `lanes` (the ids of the segments of the lane graph that
+    they govern). They have no `velocity_cam`, `truncation` and `lidar_points`; their `visible_fraction` is measured on
+    the image's pixels."""
 
     id: Annotated[int, Field(ge=1)]
     category: ObjectCategory

@@ -41,7 +41,7 @@ def left_out() -> Any:
 
 
 def coefficient() -> Any:
-    """A coefficient of the lens; `dataset.json` leaves out those that are 0."""
+    """A coefficient of the lens; `dataset.json` leaves out coefficients that are 0."""
     return Field(default=ZERO, exclude_if=lambda value: value == ZERO)
 
 

@@ -34,7 +34,7 @@ MotionBlur = Annotated[Real, reals(0, 1)]
 NoiseLevel = Annotated[Real, reals(0, 32)]
 # The largest number of a model or texture if the assets are unknown.
 MAX_NUMBER = 9999
-# Kinds of weather and times of day, each a group of what it replaces.
+# Kinds of weather and times of day. Each is a group of the parameters that it replaces.
 KINDS = ("clear", "cloudy", "fog", "rain", "snow")
 DAYTIMES = ("day", "dusk", "night")
 # The keys that these groups replace, by their own names.
@@ -65,9 +65,9 @@ IN_REFERENCE = (*KINDS, *DAYTIMES, "structures", "town_streets")
 
 
 def numbers(kind: AssetKind) -> PlainValidator:
-    """The legal numbers of models or textures of one kind, which are those of the `Assets` in the validation's context.
-    A range or weights over all built-in ones, as in the presets, mean all of a user's own. Without a context, as in
-    `dataset.json`, any number is legal."""
+    """The legal numbers of models or textures of one kind: the numbers in the `Assets` of the validation's context. A
+    range or weights over all built-in models, as in the presets, mean all models of a user's own folder. Without a
+    context, as in `dataset.json`, any number is legal."""
     return PlainValidator(lambda read, info: _parse_numbers(read, kind, info.context))
 
 
@@ -360,8 +360,8 @@ BuildingSide = Annotated[Real, reals(3, 200)]
 
 
 class StructureParams(Group):
-    """Places and sizes of what stands beside and over the road. Distances between things, and those of lamps and
-    delineators from the edge, are drawn once, the others for each thing."""
+    """Places and sizes of what stands beside and over the road. Distances between things, and distances of lamps and
+    delineators from the edge, are drawn once a scene; all others are drawn for each thing."""
 
     lamp_aside_m: Aside
     delineator_aside_m: Aside

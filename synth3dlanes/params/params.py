@@ -156,7 +156,7 @@ class Params(Group):
         }
 
     def keeping(self, own: Iterable[str]) -> "Params":
-        """The parameters with these keys of the user's own, too; those that no weather replaces need not be kept."""
+        """The parameters where these keys, too, are the user's own, so that weather does not replace them."""
         return self.model_copy(update={"kept": tuple(sorted({*self.kept, *own} & self.open_to().keys()))})
 
     def under(self, kind: str, daytime: str) -> "Params":
@@ -251,7 +251,7 @@ def _read_file(source: str, by: _File | None = None) -> _File:
 
 
 def files_of(source: str | Mapping[Any, Any]) -> list[_File]:
-    """A preset, a file, or the keys of one, and those that it is based on, itself last. Raises InputError."""
+    """A preset, a file, or the keys of a file, preceded by the files that it is based on. Raises InputError."""
     if isinstance(source, str):
         files = [_read_file(source)]
     else:
@@ -437,7 +437,7 @@ def _problems(error: ValidationError, where: str, places: Mapping[str, str]) -> 
 
 
 def _keys(group: tuple[int | str, ...]) -> Iterable[str]:
-    """The keys of a group, of none for other names; without a group those of all parameters."""
+    """The keys of a group, none for an unknown group; for the empty path the names of the groups."""
     if not group:
         return Params.model_fields
     model = Params.model_fields[str(group[0])].annotation if group[0] in Params.model_fields else None

@@ -44,17 +44,17 @@ Comments = dict[tuple[str, str], str]
 def params_yaml(params: Params, source: str = REFERENCE) -> str:
     """The parameters as a complete YAML file that `load_params` reads back to equal Params.
 
-    Comments are those of the preset or file `source` and of what it is based on, or of the reference preset where these
-    have none.
+    Comments come from the preset or file `source` and its bases, or from the reference preset where these have none.
     """
     return _yaml(source, _head(files_of(source)[-1].text), forms(params), params.kept)
 
 
 def changes_yaml(params: Params, source: str) -> str:
     """The parameters as a YAML file with a preset as `base` and the keys that differ from it, which `load_params` reads
-    back to equal Params; the complete file for a preset without changes. `params` are those of `source` with changes.
+    back to equal Params; the complete file for a preset without changes. `params` are `source` with changes.
 
-    The preset is the one that `source` is or is based on, or that `params` differ least from.
+    The base is the preset `source`, the preset that the file `source` is based on, or the preset from which `params`
+    differ in the fewest keys.
     """
     preset = preset_under(source) or nearest_preset(params)[0]
     file, base = files_of(source)[-1], load_params(preset)

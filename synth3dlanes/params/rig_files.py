@@ -36,7 +36,7 @@ def load_rig(source: str) -> tuple[CameraSpec, ...]:
 
 
 def _camera(name: Any, camera: Any, where: str, folder: Path) -> CameraSpec:
-    """A camera of a rig: its keys, or the name or file of one that stands alone."""
+    """A camera of a rig: its keys, or the name or file of a camera."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise InputError(f"{where}: expected a camera's name of letters, digits, _ . and -, got {shown(name)}")
     if not isinstance(camera, str):

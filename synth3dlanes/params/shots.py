@@ -48,8 +48,8 @@ class Shots(Group):
 
     @property
     def behind_m(self) -> float:
-        """How far behind the host lanes are labelled, in metres: as far as ahead if a camera looks sideways or back,
-        else 0."""
+        """The range of labels behind the host, in metres: the range ahead if a camera looks sideways or back, else
+        0."""
         return 0.0 if all(spec.looks_ahead for spec in self.cameras) else MAX_BEHIND_M
 
     @property

@@ -117,7 +117,7 @@ class Shot(DocumentPart):
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> "Shot":
-        """Check that the frame and the camera are among those of the shot, and that views are no clips."""
+        """Check that the shot has this frame and this camera, and that a shot with views is no clip."""
         if self.views is not None and self.n_frames > 1:
             raise ValueError(f"views: expected none of a clip, got {self.views.n}")
         for name in ("frame", "camera"):

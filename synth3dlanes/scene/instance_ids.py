@@ -1,8 +1,8 @@
 """Instance ids of pixels and lidar points: one rule for all kinds of things.
 
-Cars, trees, symbols and `things` (people, riders, road works) are numbered from 0 in the order of the scene, delimiters
-in that of the labels, then those that have no points there, structures in that of the site; the host has one bonnet.
-0 is nothing. Which series a kind of thing has is in `things.KINDS`.
+Cars, trees, symbols and `things` (people, riders, road works) are numbered from 0 in the order of the scene, structures
+in the order of the site. Delimiters are numbered in the order of the labels; delimiters without a labelled point
+follow. The host has one bonnet. Id 0 is nothing. `things.KINDS` has the series of each kind.
 """
 
 from typing import NamedTuple
@@ -60,7 +60,7 @@ def instance_id(kind: str, number: int) -> int:
 
 
 def thing_of(id_: int) -> tuple[str, int]:
-    """The kind and the number of what an id is of; "nothing" and 0 of id 0."""
+    """The kind and the number of the thing with an id; "nothing" and 0 for id 0."""
     if id_ <= 0:
         return "nothing", 0
     ids = max(ids for ids in RANGES if ids.first_id <= id_)
@@ -68,7 +68,7 @@ def thing_of(id_: int) -> tuple[str, int]:
 
 
 def kind_indices(ids: Integer[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
-    """The indices in KINDS of what ids are of; -1 for 0."""
+    """The indices in KINDS of the things with these ids; -1 for id 0."""
     return np.asarray(_KIND_INDICES[_ranges(ids)])
 
 

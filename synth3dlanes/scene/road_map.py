@@ -24,7 +24,7 @@ JUMP_M = 0.03
 Station = Annotated[float, Field(ge=-1e5, le=1e5)]
 Length = Annotated[float, Field(gt=0, le=1e5)]
 GroundPoint = tuple[Number, Number]
-# Of a file, whose coordinates may be those of a UTM grid.
+# A file's coordinate, in metres; it may be one of a UTM grid.
 Coordinate = Annotated[float, Field(ge=-1e8, le=1e8)]
 # A lane by ROAD.SECTION.NUMBER, such as `12.0.-1`.
 LaneName = Name
@@ -155,8 +155,8 @@ class MapRoad(DocumentPart):
 
 
 class MapJunction(DocumentPart):
-    """A junction: the outline of its pavement from above (empty: that of its roads together), and pairs of its lanes,
-    the first of which yields to the second."""
+    """A junction: the outline of its pavement from above (empty: the union of its roads), and pairs of its lanes; the
+    first lane of a pair yields to the second."""
 
     id: Name
     outline: tuple[GroundPoint, ...] = ()
@@ -165,8 +165,8 @@ class MapJunction(DocumentPart):
 
 class MapPaint(DocumentPart):
     """Paint that bounds no lane. An arrow is in the middle of `lane` at station `s_m` of its road, in the direction of
-    its traffic; a stop or give-way line crosses the lane there. A crosswalk fills `outline`, four
-    corners, of which the first two are across the road, with bars along it from there to the other two."""
+    its traffic; a stop or give-way line crosses the lane there. A crosswalk fills the four corners of `outline`: the
+    first two are its near edge, across the road; its bars run along the road from that edge to the other."""
 
     kind: SymbolKind
     lane: LaneName | None = None

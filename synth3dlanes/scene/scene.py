@@ -302,9 +302,9 @@ class PlanInstant(DocumentPart):
 class Thing(DocumentPart):
     """A person, a rider or a piece of road works, upright at a world position `above_m` over the ground, at the start
     of a clip. `yaw_rad` is where it faces, counter-clockwise from world y. Models are numbered from 1 in the catalogue
-    of the kind; `colors` are those of the model's paints, `phase` is that of its steps, pedals or wheels. In a clip it
-    goes along `track`, smoothly from instant to instant, and stands before and after it; without one it goes ahead at
-    `speed_m_s`, which with one is its speed at the clip's start."""
+    of the kind; `colors` has a colour for each paint of the model, `phase` is the phase of its steps, pedals or wheels.
+    In a clip it follows `track`, smoothly from instant to instant, and stands still before and after it; without a
+    track it goes straight ahead at `speed_m_s`. With a track, `speed_m_s` is its speed at the clip's start."""
 
     kind: ThingKind
     model: AssetNumber
@@ -381,8 +381,8 @@ class Weather(DocumentPart):
 
 class Scene(DocumentPart):
     """One picture of one world. `(seed, split, index)` identify the random draw of the world. `sky` is 0 for the
-    built-in sky, or the number of a user's sky, counted from 1. Its roads are either `road`, those of the paper, or
-    `map`; of a town's map `town` has the values that it was drawn from."""
+    built-in sky, or the number of a user's sky, counted from 1. Its roads are either `road`, the paper's model, or
+    `map`; `town` has the values that a town's map was drawn from."""
 
     format: Literal["synth3dlanes.scene"]
     version: Literal[1]
@@ -430,7 +430,7 @@ class Scene(DocumentPart):
 
     @property
     def start(self) -> HostCamera:
-        """The camera at the place around which the world is built: the host's own, or that of its first view."""
+        """The camera around which the world is built: the host's own, or the camera of its first view."""
         views = self.shot.views
         if views is None:
             return self.camera
@@ -466,7 +466,7 @@ class Scene(DocumentPart):
 
     @property
     def paper_road(self) -> PaperRoad:
-        """The paper's road, of a scene that has one."""
+        """The scene's road in the paper's model."""
         assert self.road is not None, "asked only of scenes without a map"
         return self.road
 

@@ -38,10 +38,10 @@ class ObjectClass:
 class Kind:
     """A semantic class: its id in the pass `semantic`; the series of its instance ids, "" for stuff, which has none;
     its colour in our pictures, with the word for it, and in Cosmos's segmentation videos (Cityscapes' where it has the
-    class). `reflectance` is that of clips' points, `is_ground` of what lies flat, `is_capped` of what snow lies on,
-    `is_cleared` of that from which most drivers have removed it, `keeps_pace` of what is assumed to drive as fast as
-    the host, which motion leaves sharp, `is_own` of what moves with the camera. `glow` is what shines of it in the dark
-    or in the host's headlights. `objects` are its categories of labels."""
+    class). `reflectance` is the reflectance of lidar points on it. `is_ground`: it lies flat. `is_capped`: snow lies on
+    it. `is_cleared`: most drivers have removed the snow. `keeps_pace`: it is assumed to drive as fast as the host, so
+    motion blur leaves it sharp. `is_own`: it moves with the camera. `glow` is its part that shines in the dark or in
+    the host's headlights. `objects` are its categories of labels."""
 
     name: str
     semantic_id: int
@@ -67,7 +67,7 @@ VEHICLES = (
     ObjectClass("bus", "Misc", "BUS", "vehicle.bus.rigid", "bus"),
     ObjectClass("trailer", "Truck", "TRUCK", "vehicle.truck", "heavy_truck"),
 )
-# A rider's box is around what he rides, too, as those of KITTI, nuScenes and Cosmos are.
+# A rider's box includes the bicycle or motorcycle, as in KITTI, nuScenes and Cosmos.
 PEDESTRIAN = ObjectClass("pedestrian", "Pedestrian", "PEDESTRIAN", "human.pedestrian.adult", "person")
 CYCLIST = ObjectClass("cyclist", "Cyclist", "BICYCLIST", "vehicle.bicycle", "rider")
 MOTORCYCLIST = ObjectClass("motorcyclist", "Misc", "MOTORCYCLIST", "vehicle.motorcycle", "rider")
@@ -129,8 +129,8 @@ KIND_OF_CATEGORY: dict[ObjectCategory, Kind] = {of.category: kind for kind in KI
 
 
 def classes_in(name: ClassNaming, of_elements: bool = False) -> dict[ObjectCategory, str]:
-    """The classes of a format by our categories of objects, or of traffic elements; without those that it has no class
-    for."""
+    """A format's classes by our categories of objects, or of traffic elements. Categories without a class there are
+    left out."""
     rows = (of for kind in KINDS for of in kind.objects if of.is_element == of_elements)
     found = {of.category: str(getattr(of, name)) for of in rows}
     return {category: class_ for category, class_ in found.items() if class_}

@@ -1,8 +1,8 @@
 """Traffic elements of a scene: signals and signs at free places, and the signals over the lanes of a gantry. Pure data.
 
-World frame, metres and radians. A place is that of the foot of its pole. `yaw_rad` is the direction of the traffic that
-the element is for, counter-clockwise from world y; its face looks the other way. `lanes` are the ids of the segments of
-the lane graph that it governs.
+World frame, metres and radians. A place is the foot of the pole. `yaw_rad` is the direction of the governed traffic,
+counter-clockwise from world y; the face looks the other way. `lanes` are the ids of the governed segments of the lane
+graph.
 """
 
 from typing import Annotated, Literal

@@ -16,9 +16,9 @@ class RoadWorks(DocumentPart):
     or on their `inner` side. Over `taper_m` from their front on, the closed area widens from the edge of the pavement;
     over `end_taper_m` it ends. They close the shoulder and, if so, the outermost lane, which ends where they begin.
 
-    The edge line of their side moves in by `taken_m`, and that of the other side moves out by `shift_m`, onto its
-    shoulder; the open lanes share the width between both. Lines that move are temporary ones of a colour and a width of
-    their own; those in whose place they are have been removed, which is visible with a contrast of `removed`. Lines `as
+    The edge line of their side moves in by `taken_m`. The edge line of the other side moves out by `shift_m`, onto its
+    shoulder; the open lanes share the width between both. Moved lines are temporary: they have a colour and a width of
+    their own. The permanent lines that they replace were removed; their traces have the contrast `removed`. Lines `as
     before` do not move."""
 
     start_m: Metres

@@ -1,8 +1,8 @@
 """Tables of parquet and Arrow files (feather), whose decoded sizes are bounded before anything is decoded.
 
-A value that is stored once may be that of a million rows, and a kilobyte of a compressed page a megabyte. Arrow makes
-room for whatever a file says; so what it says is read first: the headers of parquet's pages (Thrift's compact protocol)
-and of Arrow's batches (FlatBuffers).
+One stored value may stand for a million rows, and one compressed kilobyte may decode to a megabyte. Arrow allocates the
+memory that a file announces, so the announced sizes are read first: from the headers of parquet's pages (Thrift's
+compact protocol) and of Arrow's batches (FlatBuffers).
 """
 
 import struct
@@ -73,8 +73,8 @@ class TableBounds:
 
 
 def read_parquet(data: bytes, where: str, bounds: TableBounds, columns: Sequence[str] | None = None) -> pa.Table:
-    """A table with all of its columns, or those of the named ones that it has. Raises FormatError for more rows or
-    bytes than the bounds allow, one of DAMAGED for damaged bytes."""
+    """A table with all of its columns, or with those of `columns` that exist. Raises FormatError for more rows or bytes
+    than the bounds allow, an error of DAMAGED for damaged bytes."""
     # By this thread and from memory: a process that ends while Arrow's threads hold its files is aborted.
     with pq.ParquetFile(pa.BufferReader(data)) as file:
         metadata, known = file.metadata, file.schema_arrow.names
@@ -167,7 +167,7 @@ def _pages(data: bytes, chunk: Any, where: str) -> Iterator[_Piece]:
     while at < end and seen < chunk.num_values:
         try:
             header, at = _struct(data, at)
-            # Of a page of values, of the second version of one, or of a dictionary.
+            # The header of a data page of version 1, of version 2, or of a dictionary page.
             about = header.get(5) or header.get(8) or header.get(7) or {}
             n_bytes, n_stored, n_values = header[2], header[3], about.get(1, 0)
             encoding = about.get(4 if 8 in header and 5 not in header else 2)
@@ -242,7 +242,7 @@ def _zigzag(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _batches(data: bytes) -> Iterator[_Piece]:
-    """The batches of an Arrow file, also those of its dictionaries, by their headers."""
+    """The batches of an Arrow file, dictionary batches included, by their headers."""
     (size,) = struct.unpack_from("<i", data, len(data) - 10)
     start = len(data) - 10 - size
     if not 0 <= size <= start:

@@ -71,7 +71,7 @@ def how_to_install(extra: str) -> str:
 
 
 def is_of_environment(error: BaseException | None) -> bool:
-    """Whether an error came from the environment, not from what the user gave; also one that was told by another."""
+    """Whether an error, or an error that caused it, came from the environment and not from the user's input."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in ENVIRONMENT:
             return True

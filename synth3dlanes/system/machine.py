@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psutil
 
-# Memory of a process that computes with arrays, and of one that renders, with room to spare.
+# Upper bounds of the memory of a process that computes with arrays, and of a process that renders.
 PROCESS_BYTES, RENDERER_BYTES = 1 << 29, 1 << 30
 # The group of this process by controller, and where controllers are mounted.
 GROUPS, MOUNT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
@@ -29,7 +29,8 @@ def renderers_here() -> int:
 
 
 def usable_cores(groups: Path = GROUPS, mount: Path = MOUNT) -> int:
-    """The cores that this process may keep busy: those of its affinity, and of them what quotas allow in whole."""
+    """The number of cores that this process may keep busy: the cores of its affinity, at most the whole cores of its
+    quota."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quotas = [
         *(_share(*text.split()[:2]) for text in _values(groups, mount, "", "cpu.max")),
@@ -60,7 +61,7 @@ def _share(quota: str, period: str = "100000") -> float | None:
 
 
 def _values(groups: Path, mount: Path, controller: str, name: str) -> Iterator[str]:
-    """The contents of the files of this name from this process's group up to the outermost one that can be seen.
+    """The contents of the files with this name, from this process's group up to the outermost visible group.
     `controller` is "" in version 2 of cgroups, which has one tree."""
     try:
         lines = [line.split(":", 2) for line in groups.read_text().splitlines()]
@@ -69,7 +70,7 @@ def _values(groups: Path, mount: Path, controller: str, name: str) -> Iterator[s
     for _, controllers, path in filter(lambda line: len(line) == 3, lines):
         if controller not in controllers.split(","):
             continue
-        # In a container the path may be the host's, of which only the end or nothing is there.
+        # In a container the path may be the host's: the container may have only its last part, or nothing.
         root = next((found for found in (mount / controllers, mount / controller) if found.is_dir()), mount)
         folder = root / path.lstrip("/")
         for place in (folder, *folder.parents):

@@ -170,7 +170,7 @@ def shown(value: Any) -> str:
 
 
 def unknown_key(key: str, known: Iterable[str]) -> str:
-    """What is wrong with a key, with the known one that it is close to."""
+    """The message for an unknown key, with the most similar known key."""
     return f"unknown key{did_you_mean(key, known)}"
 
 

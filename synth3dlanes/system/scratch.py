@@ -1,4 +1,4 @@
-"""Temporary folders of this process. The next process that asks for one removes those of processes that were killed."""
+"""Temporary folders of this process. A process that asks for one first removes the folders of killed processes."""
 
 import fcntl
 import os

@@ -1,4 +1,4 @@
-"""The shared libraries of the system that Blender needs: the Debian packages of those that this machine lacks.
+"""The shared libraries that Blender needs and this machine lacks, as names of Debian packages.
 
 As a program (`scripts/setup`, before anything is installed) it prints them on one line.
 """
@@ -19,7 +19,7 @@ PACKAGES = {
     "libICE.so.6": "libice6",
     "libGL.so.1": "libgl1",
 }
-# What the dynamic linker says of one that is missing.
+# The dynamic linker's message for a missing library.
 NOT_FOUND = re.compile(r"(\S+\.so[\w.]*): cannot open shared object file")
 
 

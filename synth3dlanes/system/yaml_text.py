@@ -1,7 +1,7 @@
 """YAML of plain values, within bounds; every problem is a line that names the file and the line in it.
 
-Plain values are those of YAML's core schema: null, true and false, numbers, text, lists and mappings. Repeated keys are
-errors. Reading a file is the only side effect.
+Plain values are YAML's core schema: null, true and false, numbers, text, lists and mappings. Repeated keys are errors.
+Reading a file is the only side effect.
 """
 
 import re

@@ -74,7 +74,7 @@ class ThingModel:
 
     @property
     def poses(self) -> range:
-        """The numbers of its poses: 0 at rest, then those of the cycle."""
+        """The numbers of its poses: 0 is at rest, the others are the cycle."""
         return range(self.n_poses + 1)
 
     def pose(self, phase: float, is_moving: bool) -> int:

@@ -200,7 +200,7 @@ def pose_files(files: dict[str, Path]) -> tuple[dict[str, list[Path]], list[str]
 
 
 def digest(*paths: Path) -> str:
-    """The SHA-256 of a file's bytes; for several files, that of their digests joined by spaces."""
+    """The SHA-256 of a file's bytes; for several files, the SHA-256 of their digests joined by spaces."""
     digests = []
     for path in paths:
         with open_regular(path) as stream:
