@@ -46,7 +46,7 @@ class LocalFiles(LocalFileSystem):  # type: ignore[misc]
 SAMPLE = re.compile(r".+:\d+")
 """The address of a sample: `DIR/train:00000017`."""
 EXPECTED = "expected a folder or an address that fsspec can open"
-# Errors of a connection or of a server that may well be gone in a minute, beside those of Python; `REFUSALS` are not.
+# Errors of a connection or a server that may be over in a minute, in addition to Python's own. `REFUSALS` are lasting.
 OUTAGES = {
     "aiohttp": ("ClientConnectionError", "ClientPayloadError"),
     "botocore.exceptions": ("ConnectionError", "HTTPClientError", "IncompleteReadError"),

@@ -1,7 +1,7 @@
 """The columns of a shard's index: the bytes of each sample, the parameters of its scene, a summary of its labels.
 
-Columns have the names of `scene.json`; those of markings and camera begin with `marking_` and `camera_`. So a query
-reads `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade > 0.1`.
+Columns have the names of `scene.json`; columns of markings and of the camera begin with `marking_` and `camera_`. So a
+query reads `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade > 0.1`.
 """
 
 import json
@@ -63,8 +63,8 @@ def index_row(
     numbers: tuple[int, int, int] | None = None,
 ) -> dict[str, Any]:
     """One row of the index. `places` maps the name of each member to its offset and size in the tar. `sha256` is the
-    digest of all bytes of the sample in the tar, from its first header to its last block. `numbers` are those of the
-    clip, the frame and the camera of a sample without a scene."""
+    digest of all bytes of the sample in the tar, from its first header to its last block. `numbers` are the numbers of
+    the clip, the frame and the camera, for a sample without a scene."""
     row: dict[str, Any] = {"key": key, "index": int(key), "sha256": sha256}
     if scene is not None and scene.shot.n_frames * scene.shot.n_cameras * scene.shot.n_views > 1:
         # Views of a world are counted as frames are.
@@ -77,8 +77,8 @@ def index_row(
 
 
 def numbers_of(scene: Scene | None, labels: Labels) -> dict[str, Any]:
-    """What a row of the index says of a scene and its labels, wherever these are stored; without a scene, of the
-    camera and the lanes alone."""
+    """The columns that follow from a scene and its labels alone, wherever these are stored; without a scene, the
+    columns of the camera and the lanes."""
     if scene is None:
         camera, k = labels.camera, labels.camera.img_from_cam
         known = {

@@ -1,6 +1,6 @@
 """`croissant.json` beside `dataset.json`: the data set in the terms of Croissant (https://mlcommons.org/croissant/).
 
-Data sets grow, so no digests of files stand here; the index of a shard has that of each sample.
+Data sets grow, so it has no digests of files; the index of a shard has the digest of each sample.
 """
 
 import json

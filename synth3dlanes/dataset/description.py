@@ -159,7 +159,7 @@ def updated_description(before: bytes | None, recipe: dict[str, Any], split: str
 
 
 def differences(found: Any, asked: Any, name: str = "") -> Iterator[str]:
-    """One line for every key where a recipe differs from that of the data set. A missing licence is no difference."""
+    """One line for every key in which a recipe differs from the data set's. A missing licence is no difference."""
     if (name == "license" and None in (found, asked)) or (name == "render.device" and asked == "auto"):
         return
     if isinstance(found, dict) and isinstance(asked, dict):

@@ -1,5 +1,5 @@
-"""A data set in a folder of this machine: its `dataset.json` and what lies beside it and follows
-from it alone (the card of the hub, and Croissant's description), and the lock that one run at a time has on a shard.
+"""A data set in a folder of this machine: its `dataset.json`, the files beside it that follow from it (the card of the
+hub, and Croissant's description), and the lock on a shard, which one run at a time holds.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -22,9 +22,9 @@ COMPANIONS: dict[str, tuple[Callable[[Mapping[str, Any]], bytes], str]] = {
 
 
 def updated_companions(before: Mapping[str, bytes | None], description: bytes, where: str) -> dict[str, bytes]:
-    """The files that a data set shall have beside this `dataset.json`, which lies at `where`.
+    """The files that belong beside a `dataset.json` at `where`, with their contents.
 
-    `before` has the contents of each, None where there is none; one that a user has made their own stays.
+    `before` has the present contents of each, None where there is none. A file that a user has edited stays.
     """
     contents = parse_description(description, where)
     return {

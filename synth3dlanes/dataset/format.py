@@ -164,7 +164,7 @@ def write_passes(passes: Mapping[str, Shaped[np.ndarray, "..."]]) -> bytes:
     """The passes as one OpenEXR image with ZIP compression, which is lossless.
 
     Channels in float32: `depth` is planar y_cam in metres at the pixel's centre, infinite where nothing is hit;
-    `height` is metres over the road plane (`geometry.height_map`); `range` is that of a `Sweep`. Channels in half
+    `height` is metres over the road plane (`world.height_map`); `range` is a sweep's, in metres. Channels in half
     precision: `normal.X`, `normal.Y`, `normal.Z`; `semantic` and `instance`, which are float32 if an id exceeds 2048.
     """
     channels: dict[str, np.ndarray] = {}

@@ -323,7 +323,7 @@ def _require_parts_of_files(files: Any, path: str) -> None:
 
 
 def find(place: str) -> tuple[Reader, int]:
-    """The reader of the split, and the position in it, of a sample named like `DIR/train:00000017`."""
+    """The split's reader and the position of a sample, by its name, as `DIR/train:00000017`."""
     url, colon, key = place.rpartition(":")
     if not (url and colon and key.isdecimal()):
         raise FormatError(f"{place}: expected a split's folder, a colon and a key, as in DIR/train:00000017")

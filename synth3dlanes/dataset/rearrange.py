@@ -62,10 +62,10 @@ def split_dataset(source: Reader, shares: Mapping[str, float], seed: int, out: s
 
 
 def merge(sources: Sequence[str], out: str) -> dict[str, int]:
-    """Put data sets of one recipe together, each sample under its own number; returns how many each split has.
+    """Merge data sets of one recipe; every sample keeps its number. Returns the number of samples of each split.
 
-    Shards that one source alone has are linked where the file system can. Raises InputError where recipes differ or
-    two hold the same sample. The result is what one run would have made, and `generate` may continue it.
+    Shards that only one source has are linked where the file system can. Raises InputError where recipes differ or two
+    sources have the same sample. The result equals the data set of one run, and `generate` may continue it.
     """
     found = [reader for source in sources for reader in readers(source)]
     if not found:
@@ -91,7 +91,7 @@ def merge(sources: Sequence[str], out: str) -> dict[str, int]:
 
 
 def how_derived(source: Reader) -> dict[str, Any]:
-    """The key `derived` for a new data set that is made from one that was itself derived."""
+    """The key `derived` for a data set that is made from a derived data set."""
     return {key: value for key, value in source.description.items() if key == "derived"}
 
 

@@ -1,5 +1,5 @@
-"""Images and labels of any camera, converted to those of a pinhole camera without roll, for networks and formats that
-know no other camera.
+"""Images and labels of any camera, converted to a pinhole camera without roll, for networks and formats that know no
+other camera.
 
 Both cameras have the same optical centre, so the place of every pixel in the other image is exact, whatever its depth.
 """
@@ -73,8 +73,8 @@ def rectified_image(image: RgbImage, camera: CameraLabel) -> RgbImage:
 
 
 def rolled_from_level(camera: CameraLabel, img_from_level: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The homography K R K'^-1 from pixels of a level pinhole with the matrix `img_from_level` to those of the rolled
-    one."""
+    """The homography K R K'^-1 from pixels of a level pinhole with the matrix `img_from_level` to pixels of the rolled
+    pinhole."""
     return np.asarray(camera.img_from_cam @ level_from_cam(camera).T @ np.linalg.inv(img_from_level))
 
 

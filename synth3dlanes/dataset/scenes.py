@@ -51,7 +51,7 @@ def find_scene(where: str) -> tuple[str, Scene]:
 
 @checked
 def read_scene(reader: Reader, i: int) -> Scene:
-    """The scene of one sample, read without its image and labels. Raises InputError for one that has none."""
+    """The scene of one sample, read without its image and labels. Raises InputError for a sample without a scene."""
     if is_lifted(reader.description):
         known = "one that was lifted from a real drive, of which only the image and the lanes are known"
         raise InputError(f"{reader.url}:{reader.key(i)}: expected a sample with a scene, got {known}")

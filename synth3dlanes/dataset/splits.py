@@ -1,4 +1,4 @@
-"""The splits of a data set, or the one that is named. Reads indices; addresses are those of fsspec."""
+"""The splits of a data set, or one named split. Reads indices; addresses are fsspec's."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -66,11 +66,11 @@ def split_size(reader: Reader) -> int:
 
 
 def split_name(reader: Reader) -> str:
-    """The name of the split, which is that of its folder."""
+    """The name of the split: the name of its folder."""
     return reader.url.rpartition("/")[2]
 
 
 def data_set_name(reader: Reader) -> str:
-    """The name of the data set, which is that of the folder above the split's."""
+    """The name of the data set: the name of the folder above the split's."""
     place = reader.url if is_url(reader.url) else str(Path(reader.url).resolve())
     return place.rsplit("/", 2)[-2]

@@ -1,10 +1,10 @@
-"""What is made for a store lies on this machine until the store has it, whatever happens to the run or to the store.
+"""Samples made for a store are kept on this machine until the store has them, whatever happens to the run or the store.
 
     SPOOL/s3-lanes-v1-0f3a9c/train-00017/     the shard as in a data set: train/00017.parts, .tar, .parquet; failed/
     SPOOL/s3-lanes-v1-0f3a9c/train-00017-1/   another run's, which makes the same shard at the same time
 
 SPOOL is a folder that outlives processes and restarts (`spool_root`). Each shard's folder is locked by the run that
-works in it. It goes once the store has all that is in it; one that a killed run has left is taken over by the next.
+works in it, and removed once the store has its contents. The next run takes over the folder of a killed run.
 """
 
 import fcntl
@@ -53,7 +53,7 @@ def made(folder: Path) -> Folder:
 
 
 def spooled(url: str, split: str, recipe: str) -> list[int]:
-    """The numbers, in order, of the shards of a split of which earlier runs left something here."""
+    """The numbers, in order, of the shards of a split that have files of earlier runs here."""
     numbers = set()
     for path in spool_of(url, recipe).glob(f"{split}-*"):
         name = re.fullmatch(rf"{re.escape(split)}-(\d+)(-\d+)?", path.name)

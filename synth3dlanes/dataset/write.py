@@ -48,10 +48,10 @@ class TarSpan:
 
 @dataclass(frozen=True)
 class Shard:
-    """Shard `number` of the split in `folder`; `names` are the members of each of its samples, in order, and `recipe`
-    is what they are made from (`description.recipe_text`), for its index; "" for none. `run` names the run that makes
-    it, if workers write its parts. `frames` are those of a clip, by which samples without a scene are numbered. A
-    folder that is relative to a data set becomes one here by `within`."""
+    """Shard `number` of the split in `folder`. `names` are the members of each sample, in order. `recipe` is the
+    samples' recipe (`description.recipe_text`) for the index, or "". `run` names the run that makes the shard, if
+    workers write its parts. `frames` are a clip's frames, which number samples without a scene. `within` turns a
+    folder that is relative to a data set into a path."""
 
     folder: Path
     number: int
@@ -252,8 +252,8 @@ class Shard:
 
 
 def scan(path: Path, names: tuple[str, ...]) -> tuple[dict[int, TarSpan], str]:
-    """The whole samples of a tar up to the first fault, by index, and what that fault is ("" for none). Raises OSError
-    for a tar that cannot be read: of that one nothing is known."""
+    """The whole samples of a tar up to the first fault, by index, and the fault in words ("" for none). Raises OSError
+    for a tar that cannot be read."""
     places: dict[int, TarSpan] = {}
     group: list[tuple[str, int, int]] = []
     try:

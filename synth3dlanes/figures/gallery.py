@@ -60,7 +60,7 @@ def draw_clip(frames: Sequence[RgbImage], fps: float, width_px: int | None = Non
     if width_px is not None and width > width_px:
         width, height = width_px, round(height * width_px / width)
     first, *others = (Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS) for frame in frames)
-    # Whole milliseconds, of a GIF hundredths of seconds, that add up to the clip's duration.
+    # Whole milliseconds (for a GIF, hundredths of a second) that add up to the clip's duration.
     unit_ms = 10 if kind == "gif" else 1
     ends_ms = unit_ms * np.round(1000 / unit_ms / fps * np.arange(len(frames) + 1)).astype(int)
     stream = io.BytesIO()

@@ -131,8 +131,8 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
 
 
 def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> None:
-    """View from above, driving direction to the right: roads, lanes, objects, trees, the camera's field of view and
-    those of the rig's other cameras, and the lidar's points in the colours of their semantic ids."""
+    """View from above, driving direction to the right: roads, lanes, objects, trees, the fields of view of the camera
+    and of the rig's other cameras, and the lidar's points in the colours of their semantic ids."""
     for left, right in view.roads.values():
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     for camera in (*others, view.labels.camera):

@@ -37,7 +37,7 @@ FACE = np.array(
 
 
 def objects_in_image(labels: Labels) -> Iterator[tuple[ObjectLabel, list[Polyline2]]]:
-    """The objects, then the traffic elements in the image with their lines, but for those that are hidden."""
+    """The objects, then the traffic elements in the image that are not hidden, with their lines."""
     for item in (*(labels.objects or ()), *(labels.traffic_elements or ())):
         if item.box_px is not None and (item.visible_fraction is None or item.visible_fraction >= LEAST_SEEN):
             yield item, list(lines_img(labels.camera, item))

@@ -1,7 +1,7 @@
 """A sample with its whole clip and rig as a recording for the viewer of Rerun (rerun.io), the extra `rerun`.
 
-All is in the world frame, metres: of each frame, at its time, cameras with images, lanes, boxes, traffic elements and
-lidar; once, of a sample with a scene, the ground, the roads and their paint.
+World frame, metres. Each frame has, at its time, cameras with images, lanes, boxes, traffic elements and lidar. A
+sample with a scene has, once, the ground, the roads and their paint.
 """
 
 from collections.abc import Sequence
@@ -31,9 +31,9 @@ from synth3dlanes.system.errors import InputError, MissingPackageError, how_to_i
 if TYPE_CHECKING:
     import rerun
 
-# What does not move is recorded without a time.
-# Names of what has boxes: that which is no traffic element, and that which is.
+# The two groups of boxes.
 GROUPS = ("objects", "traffic_elements")
+# These do not move, so they are recorded without a time.
 STILL = ("terrain", "road", "paint", "trees", "structures")
 LANE_RADIUS_M, POINT_RADIUS_M, IMAGE_PLANE_M = 0.06, 0.04, 3.0
 # The viewer's camera: x right, y down, z along the viewing direction.

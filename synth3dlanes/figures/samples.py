@@ -1,4 +1,4 @@
-"""What figures show, of what a user names: a scene.json with its rendered image, a sample such as
+"""The contents of figures, by the user's name for them: a scene.json with its rendered image, a sample such as
 `DIR/train:00000017`, or some samples of a data set."""
 
 from collections.abc import Sequence
@@ -26,9 +26,9 @@ from synth3dlanes.truth.ground_truth import ground_truth
 
 @dataclass(frozen=True, eq=False)
 class ShownScene:
-    """A scene with its name (of a sample: its key) and its labels; a sample that was lifted from a real drive has no
-    scene. What else there is of it: its image, passes and lidar sweep; the frames of its clip, of which it is that of
-    `shot`; and what all cameras of its rig see at its instant."""
+    """A scene with its name (for a sample, its key) and its labels; a sample that was lifted from a real drive has no
+    scene. The rest is there if it exists: image, passes and lidar sweep; the frames of its clip, in which `shot` says
+    the sample's place; and the views of all cameras of its rig at its instant."""
 
     scene: Scene | None
     labels: Labels
@@ -122,8 +122,8 @@ class Clip:
 
 
 def load_clip(where: str) -> Clip:
-    """The frames, by the same camera, of the clip that a sample `DIR/SPLIT:KEY` belongs to. Raises InputError for a
-    single picture."""
+    """The frames of the clip of a sample `DIR/SPLIT:KEY`, by the same camera. Raises InputError for a single
+    picture."""
     reader, i = find(where)
     shot = _shot(reader, i)
     if shot.n_frames == 1:

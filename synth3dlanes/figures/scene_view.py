@@ -166,8 +166,8 @@ class SceneView:
 
 
 def frustum(camera: CameraLabel, corners_img: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    """Rays of points of the image, scaled to y = 1; of those that a lens sees far aside or not at all, the nearest on
-    the way to the middle that can be drawn."""
+    """Rays of points of the image, scaled to y = 1. A point that the lens sees far aside or not at all is moved towards
+    the middle of the image until its ray can be drawn."""
     middle = camera.img_from_cam[:2, 1]
     rays = np.full((len(corners_img), 3), [0.0, 1.0, 0.0])
     for share in np.linspace(0.05, 1, 20):

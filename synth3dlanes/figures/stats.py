@@ -38,8 +38,8 @@ _ROUNDING = 1e-4
 class ParameterStatistics:
     """One parameter: its declared distribution, its drawn values, and how well they agree. `test` is "KS" (continuous),
     "chi2" (discrete), "equal" (constant), or the reason why there is no test. If the rules give the parameter several
-    distributions, `low` and `high` cover all of them, the test is that of the values that agree least, and its p value
-    is multiplied by the number of tests."""
+    distributions, `low` and `high` cover all of them; the test with the least p value is reported, its p value
+    multiplied by the number of tests."""
 
     key: str
     declared: str
@@ -114,9 +114,9 @@ class Statistics:
 
 
 def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool = False) -> SceneStatistics:
-    """Compare every parameter that scenes hold with the distributions that the rules (`sampling.rules`) give it; with a
-    user's own camera, those of the host's place alone. A name counts as its place in the list. Keeps all drawn
-    values."""
+    """Compare every parameter that scenes hold with the distributions that the rules (`draw.rules`) give it. With a
+    user's own camera, of the camera's parameters only the host's place is compared. A name counts as its place in the
+    list. Keeps all drawn values."""
     rules = ParameterRules(params)
     topologies: Counter[str] = Counter()
     drawn: dict[str, dict[Distribution | None, list[float]]] = defaultdict(lambda: defaultdict(list))
@@ -359,7 +359,7 @@ class Histogram:
 
     @property
     def is_of_integers(self) -> bool:
-        """Whether each bin is that of an integer."""
+        """Whether each bin is for one integer."""
         return bool((self.edges % 1 == 0.5).all())
 
 

@@ -19,7 +19,7 @@ _TOP, _BOTTOM = 0.65, 0.5
 
 
 def statistics_table(scenes: SceneStatistics, labels: LabelStatistics | None) -> RenderableType:
-    """Tables of the parameters as declared and as drawn, of the topologies, and of the label quantities."""
+    """Tables of the parameters as declared and as drawn, the topologies, and the label quantities."""
     tables = [] if not scenes.n_scenes else _of_scenes(scenes)
     if labels is None:
         return Group(*tables)

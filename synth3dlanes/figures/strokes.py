@@ -15,14 +15,14 @@ Style = Literal["full", "dotted", "hollow"]
 """Seen; hidden; and the outline of a line in which another is drawn: a label under a detection."""
 
 _SUPERSAMPLING = 4
-# A mask has no longer edge, so that one of the largest image takes 64 MB.
+# The longest edge of a mask. The largest mask takes 64 MB.
 _MASK_PX = 8192
 # Greatest length and turn of pieces of a line that are joined into one.
 _STRAIGHT_PX, _STRAIGHT_RAD = 40.0, 0.035
 _DOTTED_OPACITY = 0.6
-# Widths of a hollow line and of its inside, in those of a full one.
+# Widths of a hollow line and of its inside, in widths of a full line.
 _HOLLOW, _INSIDE = 3.6, 2.2
-# Of coordinates: those of a wild detection have no bound, and Pillow counts in 32 bits.
+# The largest coordinate drawn: a wild detection has no bound, and Pillow counts in 32 bits.
 _FARTHEST_PX = 1e6
 
 

@@ -59,8 +59,8 @@ class DefaultTiming:
 
 @dataclass(frozen=True)
 class Bench:
-    """The result of `bench`. Seconds are those of one worker for one image: of `frames` of a clip, or one of the
-    `views` of a world, on the `map` of a file if it has a name. `memory_mib` is the mean of each quarter of the run."""
+    """The result of `bench`. Seconds are one worker's for one image. Clips have `frames` frames, worlds `views` views;
+    `map` is the name of the given map, if there is one. `memory_mib` is the mean of each quarter of the run."""
 
     params: str
     frames: int

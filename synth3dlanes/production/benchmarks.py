@@ -56,7 +56,7 @@ class Benchmark(DocumentPart):
         return labels_digest(label(world, world.view) for world in worlds)
 
     def problems(self, split: str, out: str | Path) -> Iterator[str]:
-        """A line where the labels of a split in the data set `out` are not those of the benchmark."""
+        """A line where the labels of a split in the data set `out` differ from the benchmark's."""
         reader, expected = Reader(f"{out}/{split}"), self.splits[split]
         if len(reader) != expected.n:
             yield f"{reader.url}: expected {expected.n} samples, got {len(reader)}"
@@ -80,9 +80,9 @@ def load_benchmark(source: str) -> Benchmark:
 
 
 def labels_digest(labels: Iterable[Labels]) -> str:
-    """The SHA-256 of what does not depend on the machine in labels: lanes, symbols and camera, but nothing rendered.
+    """The SHA-256 of what all machines agree on in labels: lanes, symbols and camera, but nothing rendered.
 
-    Points are taken in whole centimetres of the 0.1 mm of `labels.json`: the last digits of two machines may differ.
+    Points are rounded to whole centimetres, because the last digits of `labels.json` may differ between machines.
     """
     digest = hashlib.sha256()
     for one in labels:

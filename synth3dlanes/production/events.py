@@ -17,8 +17,8 @@ LEVEL_OF = {
 
 @dataclass(frozen=True)
 class Event:
-    """One event, and the state of the run at that time. `eta_s` is None until there is a rate. Kinds are those of
-    LEVEL_OF."""
+    """One event, and the state of the run at that time. `eta_s` is None until there is a rate. LEVEL_OF has the
+    kinds."""
 
     kind: str
     message: str

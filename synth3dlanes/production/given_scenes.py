@@ -61,7 +61,7 @@ def drawn(
     scenes: Iterable[Scene], params: Params, assets: Assets, where: str, own_camera: bool = False
 ) -> tuple[DrawKey, ...]:
     """The draws of scenes, each once. Raises InputError if there are none, and for a scene that these parameters do not
-    draw; with a camera of the user's own, that of the parameters does not count."""
+    draw. With a camera of the user's own, the parameters' camera is not compared."""
     found: dict[DrawKey, None] = {}
     for scene in scenes:
         if len(found) < CHECKED:

@@ -54,23 +54,23 @@ from synth3dlanes.system.files import write
 from synth3dlanes.system.schema import DocumentPart, problem_line, shown, unknown_key
 from synth3dlanes.system.yaml_text import read_yaml, text_of, to_yaml
 
-# Parameters that a file of a camera or a rig has in place of those of the scene: all but the host's place on the road.
+# The scene's parameters that a camera or rig file replaces: all but the host's place on the road.
 KEYS_OF_CAMERA_FILES = (
     *("camera.height_m", "camera.pitch_deg", "camera.width_px", "camera.height_px", "camera.horizontal_fov_deg"),
     *("camera.roll_deg", "camera.principal_offset_px"),
 )
-# Parameters of what a given map has itself.
+# Parameters without effect on a given map, which has these properties itself.
 KEYS_OF_ROADS = (
     *("road.", "town.", "town_streets.", "mountain.", "symbols.", "roadside.", "structures."),
     *("camera.lane", "camera.y_m", "cars.parked"),
 )
-# Fields of which a job has one, and those that have no effect without another.
+# Fields that exclude each other, and fields that have no effect without another field.
 EXCLUSIVE = (
     *(("n", "splits"), ("split", "splits"), ("camera", "rig"), ("samples", "quality")),
     *(("like", "map"), ("like", "where")),
 )
 NEEDED = {"spreads": "like", "at": "map", "tries": "where"}
-# Fields that name files, always, and those that may name what is ready.
+# Fields that always name files, and fields that may name something built in.
 FILES, NAMES = ("out", "like", "map", "assets"), ("params", "camera", "rig", "lidar")
 
 
@@ -197,10 +197,10 @@ def number(about: str, **bounds: Any) -> Any:
 
 
 class Job(DocumentPart):
-    """Which data to make, and where. Its values are those of `synth3dlanes generate`; in Python some may be values of
-    this library in place of names and paths, as `Params`, `CameraSpec`, `Library` and `Scene`.
+    """Which data to make, and where. Its fields are the options of `synth3dlanes generate`; in Python, values of this
+    library (`Params`, `CameraSpec`, `Library`, `Scene`) may take the place of names and paths.
 
-    Raises InputError with a line for every field that is wrong, and for one that has no effect.
+    Raises InputError with a line for every field that is wrong or has no effect.
     """
 
     n: Annotated[int | None, number("Number of samples in the split.", ge=0, le=MAX_SAMPLES)] = None
@@ -474,7 +474,7 @@ class Job(DocumentPart):
         )
 
     def changed(self, fields: Mapping[str, Any]) -> "Job":
-        """The job with these fields in place of its own and of those that they exclude."""
+        """The job with these fields changed, and without the fields that they exclude."""
         excluded = {name for pair in EXCLUSIVE for name in pair if set(pair) & fields.keys()} - fields.keys()
         kept = {name: getattr(self, name) for name in self.model_fields_set - excluded}
         return Job(**{**kept, **fields})
@@ -505,8 +505,8 @@ class Job(DocumentPart):
 
 
 def load_job(path: Path, changes: Mapping[str, Any] | None = None) -> Job:
-    """Read the job in a YAML file, or that of a `dataset.json`, with some fields changed. Paths in it are relative to
-    its folder.
+    """Read the job of a YAML file or of a `dataset.json`, with some fields changed. Paths in it are relative to its
+    folder.
 
     Raises InputError or FormatError with a line for each problem, beginning with the path.
     """
@@ -549,7 +549,7 @@ def job_of_description(description: Mapping[str, Any]) -> Job:
 
 
 def pictures_of(made: Provenance) -> dict[str, Any]:
-    """The fields of a job whose pictures are as those of a data set."""
+    """The fields of a job that makes pictures like a data set's."""
     shots, render = made.shots, made.render
     return {
         "seed": made.seed,
@@ -568,7 +568,7 @@ def pictures_of(made: Provenance) -> dict[str, Any]:
 def make(
     job: Job, notify: Callable[[Event], None] = lambda event: None, warn: Callable[[str], None] = lambda line: None
 ) -> RunReport:
-    """Make what a job asks for, split by split, until one cannot be finished; the report is that of all."""
+    """Make the splits of a job in order, until one cannot be finished. The report covers all of them."""
     reports: list[RunReport] = []
     for plan in job.plans(warn):
         reports.append(generate(plan, notify, job.executor, job.address))
@@ -578,7 +578,7 @@ def make(
 
 
 def _lines(problem: ErrorDetails) -> list[str]:
-    """A line for what is wrong with a field, of a rule of several fields a line each."""
+    """A line for a problem of a field; for a rule about several fields, a line for each of them."""
     steps = problem["loc"]
     problem["loc"] = (*steps[:1], *(step for step in steps[1:] if step not in TAGS))
     if problem["type"] == "extra_forbidden" and len(steps) == 1:
@@ -617,7 +617,7 @@ def _beside(path: Path, name: str) -> str:
 
 
 def _moved(document: Mapping[str, Any], to: Callable[[str], str]) -> dict[str, Any]:
-    """The fields of a job with each relative path changed; names of what is ready, and URLs, stay."""
+    """The fields of a job with each relative path changed; names of built-in things, and URLs, stay."""
     moved = dict(document)
     for name in (*FILES, *NAMES):
         value = moved.get(name)

@@ -237,8 +237,7 @@ class _Run:
         self.joins[number] = self.joiner.submit(_join_shard, self.shards[number], self.plan.n)
 
     def _joined(self, number: int, join: Future[dict[int, str]]) -> None:
-        """Join a shard. A part that proves broken is made again, as often as one that fails; a full disk is waited
-        for."""
+        """Join a shard. A broken part is made again, with as many tries as a failed one. A full disk is waited for."""
         error = join.exception()
         if is_full(error):
             self.unjoined.append(number)

@@ -32,7 +32,7 @@ try:
 except ModuleNotFoundError as error:
     raise MissingPackageError(f"Ray is not installed: {how_to_install('cluster')}") from error
 
-# More workers would wait for the last sample of a shard, fewer for shards: the cores that one task asks for at most.
+# The most cores that one task asks for. More workers would idle while the last sample of a shard is made.
 MAX_WORKERS = 8
 MAX_NODE_DEATHS = 20
 # The lock of a task whose node died can outlive it on a network file system.

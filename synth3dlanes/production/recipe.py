@@ -37,9 +37,9 @@ from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.height_map import height_map
 from synth3dlanes.world.world import View, World
 
-# The fewest scenes that the share of those that fit is estimated from.
+# The least number of drawn scenes from which the share that fits a condition is estimated.
 PROBED = 30
-# Columns that say nothing of a scene, and those that are known once it is rendered.
+# Columns that say nothing about a scene, and columns that are known only once it is rendered.
 OF_FILES = ("key", "index", "sha256", *PLACE_COLUMNS)
 OF_PICTURES = ("object_hidden_fraction", "n_visible_centerlines", "n_visible_delimiters")
 
@@ -138,7 +138,7 @@ class Recipe:
 
     @property
     def cameras(self) -> tuple[CameraSpec | CameraParams, ...]:
-        """The cameras that see every scene: those of the shots, or that of the parameters."""
+        """The cameras that see every scene: the shots' cameras, or the parameters' camera."""
         return self.scenes.shots.cameras or (self.scenes.params.camera,)
 
     @property

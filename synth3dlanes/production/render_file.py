@@ -63,7 +63,7 @@ def render_members(
     where: str,
     pool: Pool | None = None,
 ) -> dict[str, bytes]:
-    """The members of a sample of the scene, made in a worker process: a new one, or that of a pool.
+    """The members of a sample of the scene, made in a worker process: a new process, or the pool's.
 
     Raises MissingPackageError without Blender, InputError for a device that is not there, WorkerError if Blender fails;
     the message begins with `where`.

@@ -22,7 +22,7 @@ Executor = Literal["local", "ray"]
 def generate(
     plan: Plan, notify: Callable[[Event], None], executor: Executor = "local", address: str = "auto"
 ) -> RunReport:
-    """Make the missing samples of a plan. `notify` is called with every event. `address` is that of the Ray cluster.
+    """Make the missing samples of a plan. `notify` is called with every event. `address` names the Ray cluster.
 
     Raises if the run cannot start: MissingPackageError without Blender or Ray, DiskFullError without room, InputError
     without the device or the cluster, or if the destination has samples of another recipe, ClaimedError if another run
@@ -45,8 +45,8 @@ def _run(
     n_workers: int,
     is_driver: bool = False,
 ) -> RunReport:
-    """Lock the shards, make the samples, report. `n_workers` is the number of workers in total; those of a driver are
-    on other machines, which lock their shards themselves."""
+    """Lock the shards, make the samples, report. `n_workers` is the total number of workers. A driver's workers are on
+    other machines, which lock their shards themselves."""
     destination, split = plan.destination, plan.recipe.scenes.split
     # Checked first, so that a refused run leaves nothing behind.
     expected = plan.expected(n_workers)

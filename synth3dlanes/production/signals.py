@@ -27,8 +27,8 @@ def stop(number: int, _: FrameType | None = None) -> None:
 
 
 def handle(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> dict[int, Any]:
-    """Install a handler for all stopping signals, except those that are ignored, as nohup does. Returns the handlers
-    before."""
+    """Install a handler for all stopping signals but the ignored ones (nohup ignores SIGHUP). Returns the previous
+    handlers."""
     before: dict[int, Any] = {number: signal.getsignal(number) for number in STOPPING}
     for number, old in before.items():
         if old is not signal.SIG_IGN:

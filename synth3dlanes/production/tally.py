@@ -118,7 +118,7 @@ class RunTally:
         self._made = set(self._missing_before - self.missing)
 
     def report(self) -> RunReport:
-        """The report of what has been done so far."""
+        """The report of the run up to now."""
         return RunReport(
             len(self._made),
             self.asked - len(self.missing),

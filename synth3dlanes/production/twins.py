@@ -105,7 +105,7 @@ def twin_recipes(source: str, vary: str, device: str, library: Library = BUILT_I
         )
         for k in range(1, len(shown) + 1)
     ]
-    # A camera file has bounds of its own, which those of a scene are.
+    # A camera file's values are bounded by the scene, not by the parameters.
     is_of_file = bool(scenes.shots.cameras) and path.startswith("camera.")
     for recipe, value in zip(recipes, values, strict=True):
         unfit = [] if is_of_file and not again else problems_of(scenes.params, path, value)

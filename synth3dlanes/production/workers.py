@@ -107,7 +107,7 @@ class Worker:
 
     @property
     def cpu_s(self) -> float:
-        """The CPU seconds of the worker; once it has ended, those that were seen last."""
+        """The CPU seconds of the worker; after its end, the last reading."""
         with suppress(psutil.Error):
             used = psutil.Process(self.process.pid).cpu_times()
             return float(used.user + used.system)
