@@ -82,8 +82,8 @@ def load_params(
 ) -> Params:
     """Read a preset (by name) or a YAML file, then apply overrides such as `cars.n=3`.
 
-    Values of your own come before those of weather and time of day; issues a Python warning for each that does not fit
-    them, as a high sun at night. Raises InputError with a line for every problem.
+    Values of your own take precedence over values that follow from weather and time of day; a value that does not fit
+    these, such as a high sun at night, issues a Python warning. Raises InputError with a line for every problem.
     """
     params = _load_params(str(source), several(overrides), assets.assets)
     for line in contradictions(params):
@@ -208,10 +208,10 @@ def export_dataset(
     summary of what was written.
 
     `out` is a new folder, or the folder of an earlier export of the same data, whose frames are kept. `size_px` is
-    (width, height) of the images, by default that of the format. `cameras` are names of cameras of a rig; by default
-    those that look ahead, or all cameras for formats that keep images unchanged. `workers` is the number of processes,
-    0 for one per core. Raises InputError for a wrong argument, and for a format, a size or a camera that does not
-    exist. `Export(...).write` does the same and reports its progress.
+    (width, height) of the images, by default the format's. `cameras` are names of cameras of a rig, by default the
+    cameras that look ahead, or all cameras for formats that keep images unchanged. `workers` is the number of
+    processes, 0 for one per core. Raises InputError for a wrong argument, and for a format, a size or a camera that
+    does not exist. `Export(...).write` does the same and reports its progress.
     """
     return Export(str(source), Path(out), format_name, size_px, tuple(several(cameras))).write(workers)
 
@@ -342,8 +342,8 @@ def validate_dataset(
 def dataset_stats(
     source: str | Path | Params, *, n: int = 2000, seed: int = 0, assets: Library = BUILT_IN
 ) -> "synth3dlanes.figures.stats.Statistics":
-    """Compute statistics of at most `n` samples, evenly spaced, of a data set or a split: of their scenes, if they have
-    any, and their labels. Given parameters, draw `n` scenes and compute statistics of these, without labels.
+    """Compute statistics of the labels, and of the scenes if there are any, of at most `n` samples of a data set or a
+    split, evenly spaced. Given parameters, draw `n` scenes and compute their statistics, without labels.
 
     `document()` of the result returns JSON values.
     """

@@ -74,7 +74,8 @@ class Rendered:
 class Renderer:
     """Renders scenes one after the other in one process of its own, so that only the first waits for Blender to start.
 
-    Use it as a context manager, or call `close`. Arguments and errors are those of `render`; pictures are equal bytes.
+    Use it as a context manager, or call `close`. It takes the arguments of `render`, raises the same errors and returns
+    the same bytes.
     """
 
     @checked

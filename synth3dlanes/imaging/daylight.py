@@ -34,7 +34,7 @@ SUN_STRENGTH = 3.4
 OVERCAST_LOSS = 0.65  # share of the daylight that a closed layer of clouds reflects upwards
 FOG_AIRLIGHT = 0.6  # radiance of thick fog as a share of E / pi
 GROUND_ALBEDO = 0.14
-# Luminance of the host's headlights on the road before it, as a level of daylight: that of a cloudy day over 5000.
+# Luminance of the host's headlights on the road ahead, as a level of daylight: a 5000th of a cloudy day's.
 HEADLIGHT_LEVEL = 3e-4
 # The light for which full metering leaves the exposure unchanged.
 REFERENCE_SUN = Light(sun_zenith_rad=0.5, sun_azimuth_rad=0.0, exposure=1.0, metering=1.0)

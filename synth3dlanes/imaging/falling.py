@@ -69,7 +69,7 @@ def add_falling(
 def _streaks(
     kind: Precipitation, strength: float, scene: Scene, view: View, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """The share of each pixel that streaks cover, and 1 / distance squared of what covers it."""
+    """The share of each pixel that streaks cover, and 1 / distance squared of the streaks there."""
     camera = view.camera
     n = int(kind.n * strength * camera.width_px * camera.height_px / (480 * 360))
     u = rng.random((n, 5))

@@ -1,6 +1,6 @@
-"""What is on the glass before the lens: drops of water, which refract, and dirt, which takes and scatters light.
+"""The glass before the lens: drops of water, which refract, and dirt, which absorbs and scatters light.
 
-The glass is no object of the scene: masks and passes are those of clear glass.
+The glass is no object of the scene: masks and passes are as through clear glass.
 """
 
 import numpy as np
@@ -11,7 +11,8 @@ from synth3dlanes.system.arrays import LinearImage
 # Drops at full strength, their radii as shares of the image's height, and how much smaller than the picture the upside
 # down view in a drop is.
 N_DROPS, RADII, SMALLER = 90, (0.006, 0.03), 9.0
-# Dirt: grids of smooth noise, the share of light that the dirtiest glass takes, and that of the mean picture it adds.
+# Dirt: grids of smooth noise, the share of light that the dirtiest glass absorbs, and the share of the mean picture
+# that it adds.
 DIRT_GRIDS, TAKEN, SCATTERED = ((5, 7), (17, 23), (60, 80)), 0.45, 0.12
 
 

@@ -18,7 +18,7 @@ def cosines(camera: HostCamera, direction_cam: Float[np.ndarray, "3"]) -> Float[
 
 
 def azimuths(camera: HostCamera, world_from_cam: Matrix4) -> Float[np.ndarray, "h w"]:
-    """The azimuths (world, radians) of the rays of all pixels; of a pinhole one row, that of its principal point."""
+    """The azimuths (world, radians) of the rays of all pixels; for a pinhole only the row of its principal point."""
     if camera.lens.is_pinhole:
         x, _ = _tangents(camera)
         rays_cam = np.stack([x, np.ones_like(x), np.zeros_like(x)], axis=1)[None]
@@ -41,7 +41,7 @@ def points(
 def points_away(
     camera: HostCamera, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """The points in the camera frame that pixels see at distances from the eye, of a pinhole at depths y."""
+    """The points in the camera frame seen by pixels at distances from the eye; for a pinhole, at depths y."""
     if not camera.lens.is_pinhole:
         return np.asarray(rays(camera, uv) * away_m[:, None])
     found = [(uv[:, 0] - camera.cx_px) / camera.fx_px, np.ones(len(uv)), (camera.cy_px - uv[:, 1]) / camera.fy_px]

@@ -29,7 +29,7 @@ class LidarPoints(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A lidar's range image with the ids of what was hit: infinite, 0 and 0 without a return."""
+    """A lidar's range image, and the ids at the hits. Without a return the range is infinite and the ids are 0."""
 
     lidar: LidarLabel
     range_m: Float32[np.ndarray, "beams azimuths"]

@@ -55,7 +55,7 @@ def hang(sky: UserSky, scene: Scene, light: Daylight) -> Float[np.ndarray, "3 H 
 def resized(
     upper: Float[np.ndarray, "3 a b"], height: int = HORIZON, width: int = SKY_SHAPE[1]
 ) -> Float[np.ndarray, "3 h w"]:
-    """Resize to the dome's upper half: by area means along an axis that shrinks, by nearest pixel along one that
+    """Resize to the dome's upper half: by area means along an axis that shrinks, by nearest pixel along an axis that
     grows."""
     for axis, size in ((1, height), (2, width)):
         n = upper.shape[axis]

@@ -45,10 +45,10 @@ class Video:
 
 @contextmanager
 def open_video(path: Path) -> Iterator[Video]:
-    """The first video of a file, as it is to be shown: turned as the file says, by quarter turns.
+    """The first video of a file, turned as the file says, by quarter turns.
 
-    Raises FormatError, here or at the frame, for what is no video, for one that is cut or damaged, whose frames change
-    in size or are of more than MOST_PIXELS; OSError like `open`; MissingPackageError without PyAV.
+    Raises FormatError, here or at the frame, for a file that is no video, that is cut or damaged, or whose frames
+    change in size or have more than MOST_PIXELS; OSError like `open`; MissingPackageError without PyAV.
     """
     av = _pyav()
     with open_regular(path) as stream:

@@ -1,8 +1,9 @@
-"""Argoverse 2: a log of its sensor data set. The host's frame is that of its vehicle, at the middle of the rear axle.
+"""Argoverse 2: a log of its sensor data set. The host's frame is the vehicle's, at the middle of the rear axle.
 
 Sources: Wilson et al., "Argoverse 2: Next generation datasets for self-driving perception and forecasting", 2021, and
-the package av2. Points and vehicle look along x, y is to their left. Files of scans are in the vehicle's frame, of both
-lidars, the car's motion within a turn undone; here they are in the upper lidar's. Images are undistorted.
+the package av2. In the frames of points and vehicle x is ahead and y left. A file of a scan has the points of both
+lidars in the vehicle's frame, with the car's motion within a turn undone; here they are in the upper lidar's frame.
+Images are undistorted.
 """
 
 from pathlib import Path
@@ -33,8 +34,8 @@ def is_argoverse(folder: Path) -> bool:
 
 
 def read_argoverse(folder: Path, camera: str = "") -> Drive:
-    """A log: its lidar, one of its cameras (the one that looks ahead unless another is named), and its poses, whose
-    world is the city's. Raises FormatError."""
+    """A log: its lidar, one of its cameras (by default the front camera), and its poses in the city's frame. Raises
+    FormatError."""
     camera = camera or DEFAULT_CAMERA
     scans = _by_time(folder / "sensors" / "lidar", ".feather")
     images = _by_time(folder / "sensors" / "cameras" / camera, ".jpg")

@@ -24,10 +24,10 @@ GROUND_REACH_M, GROUND_OFF_M, TRIES = 15.0, 0.12, 200
 LEAST_WIDE = 1e-3
 # Lidars of cars and trucks over the ground, and how far a road and a mount may lean.
 LOWEST_M, HIGHEST_M, MOST_TILT_DEG = 0.3, 4.5, 12.0
-# Pairs of scans, how far apart they are, and what of them is compared: what stands on the ground.
+# The number of compared pairs of scans, and the least and the greatest distance between the scans of a pair.
 PAIRS, LEAST_APART_M, MOST_APART_M = 6, 1.5, 8.0
 REACH_M, STANDING_M, HIGHEST_STANDING_M, MOST_POINTS, LEAST_STANDING = 35.0, 0.3, 5.0, 3000, 40
-# Least height within a square of what stands upright.
+# Least height that points in one square of the ground span if something upright stands there.
 UPRIGHT_M = 0.6
 # Scans that fit together are a few centimetres apart, sparse ones some decimetres; distances count up to CAP_M. Another
 # reading is named where its distance is below the share BETTER_RATIO of the first one's.
@@ -182,7 +182,7 @@ def _pairs(drive: Drive, scale: float, plane: GroundPlane) -> list[ScanPair]:
 
 
 def _standing(xyz_lidar: Points3, plane: GroundPlane) -> Float[np.ndarray, "_ 3"]:
-    """Points within reach of what stands upright: seen at several heights over one place."""
+    """Points within reach on upright things: several heights are seen over one place."""
     over = xyz_lidar @ plane.normal + plane.height_m
     reached = np.linalg.norm(xyz_lidar, axis=1) < REACH_M
     chosen = (over > STANDING_M) & (over < HIGHEST_STANDING_M) & reached
@@ -197,7 +197,7 @@ def _standing(xyz_lidar: Points3, plane: GroundPlane) -> Float[np.ndarray, "_ 3"
 
 
 def _misfit(drive: Drive, pairs: Sequence[ScanPair], reading: Reading) -> float:
-    """How far, in the median of pairs, the points of a scan are from those of the other, up to 1 m each."""
+    """The distance between the points of two scans, up to 1 m for a point: the median of the pairs."""
     place = drive.host_from_lidar if not reading.is_place_inverse else invert(drive.host_from_lidar)
     off = []
     for pair in pairs:

@@ -168,7 +168,7 @@ MAX_COORDINATE = 1e7
 ENDINGS = (".bin", ".npy", ".pcd", ".feather")
 # The names that files give to what a point reflects.
 INTENSITIES = ("intensity", "i", "reflectance", "reflectivity", "remission")
-# What numpy raises for headers that are none; it takes some for those of Python 2, and warns of them.
+# What numpy raises for broken headers. It takes some of them for headers of Python 2, and warns.
 HEADER_ERRORS = (
     ValueError,
     TypeError,

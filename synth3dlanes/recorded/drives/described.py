@@ -75,8 +75,8 @@ class _Described(DocumentPart):
 
 
 def read_described(path: Path) -> Drive:
-    """The drive of a file `drive.yaml`; paths in it are below its folder. Raises InputError for the file itself, and
-    FormatError for those that it names."""
+    """The drive of a file `drive.yaml`; paths in it are below its folder. Raises InputError for the file itself,
+    FormatError for a file that it names."""
     document, problems = read_yaml(text_of(path, str(path)), str(path))
     if problems:
         raise InputError(*problems)
@@ -134,8 +134,8 @@ def _given(rows: Any, where: str) -> Matrix4:
 
 
 def _track(path: Path, axes: AxesName, of_files: TimedFiles) -> PoseTrack:
-    """The poses of a file, by its ending and its columns: KITTI's have no times, and are those of the scans, or of the
-    images where there are none."""
+    """The poses of a file, by its ending and its columns. KITTI's poses have no times: they belong to the scans, or to
+    the images of a drive without scans."""
     if path.suffix == ".feather":
         return read_pose_feather(path, axes)
     if path.suffix == ".json":

@@ -119,7 +119,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class MadeFrames(Sequence[DriveFrame]):
-    """`n` frames, of which `make` makes each from its number; none is kept."""
+    """`n` frames. `make` makes a frame from its number, each time anew."""
 
     n: int
     make: Callable[[int], DriveFrame]

@@ -51,9 +51,10 @@ def is_kitti_sequence(folder: Path) -> bool:
 
 
 def read_kitti_raw(folder: Path, camera: str = "") -> Drive:
-    """A drive of the raw data: `FOLDER/velodyne_points`, `oxts` and `image_02` (or that of another camera, 0 to 3),
-    with the calibration in FOLDER or the folder above it. Points are seen from where the lidar was when it looked
-    ahead: the car's motion within a turn is undone. The world's x is east, y north, z up. Raises FormatError."""
+    """A drive of the raw data: `FOLDER/velodyne_points`, `oxts` and the images of a camera (0 to 3, by default
+    `image_02`), with the calibration in FOLDER or the folder above it. The car's motion within a turn is undone: all
+    points are in the lidar's frame at the moment when it looked ahead. The world's x is east, y north, z up. Raises
+    FormatError."""
     number = _camera_number(camera)
     calibrations = _calibration_folder(folder)
     rectified = read_calibration(calibrations / "calib_cam_to_cam.txt")
@@ -75,9 +76,9 @@ def read_kitti_raw(folder: Path, camera: str = "") -> Drive:
 
 
 def read_kitti_sequence(folder: Path, camera: str = "") -> Drive:
-    """A sequence of the odometry benchmark: `FOLDER/calib.txt`, `times.txt`, `velodyne`, `image_2` (or that of another
-    camera), and its poses in `FOLDER/poses.txt` or `FOLDER/../../poses/NAME.txt`, those of camera 0. Points already
-    have the car's motion undone. Raises FormatError."""
+    """A sequence of the odometry benchmark: `FOLDER/calib.txt`, `times.txt`, `velodyne`, the images of a camera (by
+    default `image_2`), and the poses of camera 0 in `FOLDER/poses.txt` or `FOLDER/../../poses/NAME.txt`. The car's
+    motion within a turn is already undone in the points. Raises FormatError."""
     number = _camera_number(camera)
     where = folder / "calib.txt"
     calibration = read_calibration(where)
@@ -130,8 +131,8 @@ def _rotated(calibration: dict[str, Float[np.ndarray, " _"]], key: str, where: s
 def _camera(
     calibration: dict[str, Float[np.ndarray, " _"]], key: str, cam_from_velo: Matrix4, where: str, images: TimedFiles
 ) -> DriveCamera:
-    """The camera of a projection matrix K [I | t], relative to rectified camera 0; its size is that of the first image,
-    or twice its principal point where there is none."""
+    """The camera of a projection matrix K [I | t], relative to rectified camera 0. Its size is the first image's, or
+    twice the principal point if there is no image."""
     projection = _numbers(calibration, key, 12, where).reshape(3, 4)
     matrix = projection[:, :3]
     fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]

@@ -109,8 +109,8 @@ OFF_M, LEAST_M = 0.03, 5.0
 
 
 def lifted_marks(reader: Reader, drive: Drive) -> tuple[MarkedLane, ...]:
-    """The delimiters of a split that was lifted from this drive, each once, in the drive's world. They keep their ids,
-    by which they take the place of what pictures show when the drive is lifted again. Raises InputError for a split of
+    """The delimiters of a split that was lifted from this drive, each once, in the drive's world. They keep their ids:
+    when the drive is lifted again, a marked lane replaces the lane with its id. Raises InputError for a split of
     another drive."""
     derived = reader.description.get("derived") or {}
     if derived.get("lifted") != drive.name:

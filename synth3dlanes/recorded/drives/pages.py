@@ -126,7 +126,7 @@ def _add(tiles: dict[tuple[int, int], np.ndarray], points: Points3, intensity: S
 
 
 def _filled(tile: Float[np.ndarray, "3 h w"]) -> Float[np.ndarray, "3 h w"]:
-    """The sums of a tile; cells without points get those of their neighbours, so that gaps between beams close."""
+    """The sums of a tile. Cells without points get their neighbours' sums, so that gaps between beams close."""
     around = ndimage.uniform_filter(tile, (0, FILLED_CELLS, FILLED_CELLS), mode="constant") * FILLED_CELLS**2
     # A sum of zeros may come back as a small number.
     around[:, around[0] < 0.5] = 0
@@ -223,5 +223,5 @@ def review_page(split: ReviewedSplit, frames: Iterable[ReviewedFrame], before: R
 
 
 def _drive_id(lane: Lane) -> str:
-    """A lane's id in its whole drive: that of a frame may name a piece of it."""
+    """A lane's id in its whole drive, without the part that names a piece of it in a frame."""
     return lane.id.partition(".")[0]

@@ -18,7 +18,7 @@ from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import DocumentPart, parse
 
 AxesName = Literal["rfu", "flu", "rdf"]
-# Ours; those of vehicles and lidars (x forward, y left, z up); those of cameras (x right, y down, z forward).
+# Our axes; vehicles' and lidars' (x forward, y left, z up); cameras' (x right, y down, z forward).
 OURS_FROM: dict[AxesName, Matrix4] = {
     "rfu": np.eye(4),
     "flu": np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
@@ -30,7 +30,7 @@ ORTHONORMAL = 2e-3
 
 def rigid(rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"], where: str) -> Matrix4:
     """The transform of a rotation and a translation. Raises FormatError, whose message begins with `where`, for a
-    matrix that is no rotation: one that mirrors an axis, or has a scale."""
+    matrix that is no rotation: it mirrors an axis, or has a scale."""
     product = rotation @ rotation.T
     if not np.abs(product - np.eye(3)).max() <= ORTHONORMAL:
         scale = float(np.cbrt(np.abs(np.linalg.det(rotation))))
@@ -138,8 +138,8 @@ def track(path: Path, times_s: Scalars, matrices: Float[np.ndarray, "n 4 4"]) ->
 
 
 def read_kitti_poses(path: Path, times_s: Scalars, axes: AxesName) -> PoseTrack:
-    """A line of 12 numbers for each frame, three rows of a rotation and a translation: the pose, in the world, of what
-    has these axes. The world has them too."""
+    """A line of 12 numbers for each frame, three rows of a rotation and a translation: the pose in the world of a body
+    with these axes. The world has the same axes."""
     rows = read_rows(path, 12, "three rows of a pose")
     if len(rows) != len(times_s):
         raise FormatError(f"{path}: expected a pose for each of {len(times_s)} times, got {len(rows)}")

@@ -89,8 +89,8 @@ def smooth(lines: list[SeenLine]) -> Smooth | None:
     stations = np.floor(min(line.s.min() for line in lines)) + np.arange(n) * STATION_STEP_M
     solved, weight, scale, spread = None, 1.0, 1.0, np.ones(2)
     for _ in range(ROUNDS):
-        # Shifts are taken at the curve of the previous round. By its own places, a line that is off to the near side
-        # would count more than one that is off to the far side.
+        # Shifts are taken at the curve of the previous round. At its own places, a line that is off to the near side
+        # would count more than a line that is off to the far side.
         curve = places.d if solved is None else solved.curve[places.at]
         slope = np.zeros(len(curve)) if solved is None else np.gradient(solved.curve)[places.at]
         moved, own = moved_by(
@@ -102,7 +102,7 @@ def smooth(lines: list[SeenLine]) -> Smooth | None:
         solved = _solved(places, moved[:, :2], target, weight * precision / TOGETHER / scale**2, spread)
         left = target - solved.curve[places.at] - (moved[:, :2] * solved.shifts[places.of]).sum(axis=1)
         gap = np.abs(left) * np.sqrt(precision)
-        # How large shifts are is found from those of this very line, as they are and as they may be.
+        # The variance of shifts is estimated from this line's shifts and their own variances.
         found = (solved.shifts**2).sum(axis=0) + k * solved.shift_variance
         spread = np.clip(np.sqrt((found + STATED_LINES) / (k + STATED_LINES)), *SCALES)
         scale = min(max(1.4826 * float(np.median(gap)), OWN_SHARE * float(spread.max())), SCALES[1])

@@ -260,7 +260,7 @@ def fit_ground(cloud: WorldPoints, path: Path, precision: Precision) -> GroundMa
 def _filled(
     values: Float[np.ndarray, "rows cols"], wanted: Bool[np.ndarray, "rows cols"]
 ) -> Float[np.ndarray, "rows cols"]:
-    """Values where they are wanted: those of the nearest cells that have some."""
+    """Values where they are wanted, from the nearest cells that have values."""
     nearest = scipy.ndimage.distance_transform_edt(np.isnan(values), return_distances=False, return_indices=True)
     return np.where(wanted, values[tuple(nearest)], np.nan)
 

@@ -13,9 +13,9 @@ MAX_VALUE = 1000.0
 
 @dataclass(frozen=True)
 class Precision:
-    """Standard deviations: of lines in pixels, of poses in metres and degrees, of the places of lidar and camera on the
-    host (the same in all frames), of marks in the top view in metres. Where the lines of many frames agree better or
-    worse, up to three times, that counts instead."""
+    """Standard deviations: of lines in pixels, of poses in metres and degrees, of the mounting of lidar and camera on
+    the host (the same in all frames), of marks in the top view in metres. Where the lines of many frames agree better
+    or worse, their own deviation replaces them, within a factor of three."""
 
     lanes_px: float = 2.0
     pose_m: float = 0.02

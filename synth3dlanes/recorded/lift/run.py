@@ -31,9 +31,9 @@ def lifted_frames(drive: Drive, precision: Precision | None = None, around: int 
     """The labels of every frame of a drive that nobody rejected, in order.
 
     Each is made from the scans and 2D lanes of at least `around` frames before and after it. A lane keeps its id
-    through the drive. A marked lane takes the place of the one that pictures show there or that has its id; lanes that
-    lie where a person rejected one are left out. Raises InputError, which names the drive, for one whose points and
-    poses do not fit.
+    through the drive. A marked lane replaces the lane that pictures show there, and the lane with its id. Lanes at a
+    place where a person rejected a lane are left out. Raises InputError, which names the drive, if its points and poses
+    do not fit.
     """
     precision = precision or Precision()
     kept = drive.kept()
@@ -87,8 +87,8 @@ def _same(track: Track, before: Stretch, now: Stretch, taken: set[str]) -> str |
 
 
 def _judged(stretch: Stretch, rejected: Sequence[RejectedLane]) -> tuple[Stretch, frozenset[str]]:
-    """The stretch without rejected lanes and those that marked ones replace, with its centre lines; and which of the
-    rejected were found."""
+    """The stretch with its centre lines, without rejected lanes and without lanes that marked lanes replace; and which
+    rejected lanes were found."""
     lanes = _without_replaced(stretch.tracks)
     found: set[str] = set()
     for lane in rejected:
@@ -102,7 +102,7 @@ def _judged(stretch: Stretch, rejected: Sequence[RejectedLane]) -> tuple[Stretch
 
 
 def _without_replaced(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks without those of pictures that a marked one replaces."""
+    """The tracks, without tracks of pictures that marked tracks replace."""
     marked = [track for track in tracks if track.is_marked and track.kind == "delimiter"]
     plans = [np.column_stack([track.s, track.d]) for track in marked]
     ids = {track.id for track in tracks if track.is_marked}

@@ -102,8 +102,8 @@ class _Gathered:
             self.sums[station] = self.sums.get(station, np.zeros(2)) + value
 
     def apart(self, of: dict[int, Float[np.ndarray, "2"]]) -> float:
-        """How far a line's stations are from the track's in the middle, as a share of what is allowed; infinite if they
-        share too few. Certain stations count more."""
+        """The median distance between a line and the track at common stations, as a share of the distance allowed;
+        infinite with too few common stations. The more certain half of the stations counts more."""
         shared = [station for station in of if station in self.sums]
         if len(shared) < MIN_SHARED:
             return np.inf
@@ -188,7 +188,7 @@ def unplaced(n: int) -> Points3:
 
 
 def without_strays(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks without those that run beside another of many more sights, closer than lines can be: they are of
+    """The tracks, without tracks that run closer beside a track of many more sights than two lines can: they come from
     wrong poses or pixels."""
     kept: list[Track] = []
     for track in sorted(tracks, key=lambda track: -track.sights):
@@ -338,7 +338,7 @@ APART_M, MOST_POINTS = 0.5, 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """The ground along a path, and the lanes on it: those that pictures show, then those that are marked."""
+    """The ground along a path, and the lanes on it: lanes that pictures show, then marked lanes."""
 
     path: Path
     ground: GroundMap

@@ -146,7 +146,7 @@ def _recipe(drive: Drive, image_format: str, shots: Shots, precision: Precision,
 
 
 def _digest(drive: Drive) -> str:
-    """A name of what a drive is lifted from, but for its scans and images: another where any of it has changed."""
+    """A digest of a drive's inputs except its scans and images."""
     camera, found = drive.camera, hashlib.sha256()
     marked = [(lane.id, lane.kind, lane.marking, lane.color, lane.direction) for lane in drive.marked]
     found.update(repr((camera.lens, marked)).encode())
