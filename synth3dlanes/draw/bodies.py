@@ -31,7 +31,7 @@ CHECK_EVERY_S, ROOM_M = 0.1, 0.1
 TRACK_EVERY_S = 0.5
 # Vehicles farther from the host's places are left out; bodies whose middles are farther apart do not touch.
 VEHICLES_M, APART_M = 110.0, 14.0
-# Sizes of what stands: poles with what they hold, trunks. Bushes are as wide as their crowns.
+# Footprints of poles with what they hold, and of trunks. Bushes are as wide as their crowns.
 POLE_M, TRUNK_M, BUSH_MAX_M = 0.4, 0.6, 2.5
 # How far ahead in time, and at which steps, is looked for vehicles that come.
 AHEAD_S, AHEAD_STEP_S = 30.0, 0.5
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
 
 
 def track_times(shot: Shot) -> Scalars:
-    """The instants of tracks: those of the clip's ends and between them."""
+    """The instants of tracks: the clip's first and last, and instants between them."""
     return np.linspace(0.0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / TRACK_EVERY_S)))
 
 
@@ -199,7 +199,7 @@ def driven_after(track: tuple[tuple[float, float], ...], speed_m_s: float, times
 
 
 def _standing(scene: Scene, ground: Ground) -> Iterator[Float[np.ndarray, "4 2"]]:
-    """The corners of buildings, poles and trunks, and of what road works close."""
+    """The corners of buildings, poles and trunks, and of the area that road works close."""
     yield from closed_area(ground.network.main, scene.road)
     beside = scene.roadside
     yield from (floor_plan(building)[[0, 6, 48, 42]] for building in beside.buildings)

@@ -49,7 +49,7 @@ COMMERCIAL = (
 
 
 def sold_color(model: CarModel, u_paint: float, u_shade: float) -> DisplayColor:
-    """The colour of a vehicle as sold, from two numbers in [0, 1): that of a passenger car, or a livery."""
+    """The colour of a vehicle as sold, from two numbers in [0, 1): a passenger car's paint, or a livery."""
     paints = COMMERCIAL if model.height_m > TALL_M else PASSENGER
     number = Choice(tuple(range(len(paints))), tuple(paint.share for paint in paints)).draw(u_paint)
     return paints[number].shade(u_shade)

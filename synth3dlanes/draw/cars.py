@@ -26,7 +26,7 @@ CAR_GAP_M, TRIES = (1.0, 0.3), 300
 PARKING_BEFORE_M = 20.0
 # Between two instants that are checked no car gains more on another than the gap between them.
 CHECK_EVERY_S = 0.05
-# Speeds that are drawn for a car before it gets one of those that others have.
+# The number of speeds drawn for a car before it takes another car's speed.
 SPEED_TRIES = 8
 
 NOTHING = np.zeros((0, 4, 2))
@@ -67,7 +67,7 @@ class Traffic:
 
 
 def car_look(looks: Draw, assets: Assets, model: int, scale: float, added: Sequence[Draw] = ()) -> dict[str, Any]:
-    """Model and colours of a car; `added` are streams of saturation and palette other than that of the rest."""
+    """Model and colours of a car. `added` are streams of their own for saturation and palette."""
     paints, sold = added or (looks, looks)
     (color,) = zip(*looks.rows(("color",), 3), strict=True)
     gloss, saturation, palette = looks("gloss"), paints("saturation"), sold("palette")

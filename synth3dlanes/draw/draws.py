@@ -1,4 +1,4 @@
-"""Draws of parameters from named random streams, a number each; near those of a given scene with `Neighbourhood`."""
+"""Draws of parameters from named random streams, a number each; `Neighbourhood` draws near a given scene."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ Numbers = TypeVar("Numbers", float, np.ndarray)
 
 
 def draws_of(params: Params, group: str, drawn: DrawKey, like: Neighbourhood | None, name: str = "") -> "Draw":
-    """Draws of a group of parameters from the stream `name` of a scene (by default that of the group)."""
+    """Draws of a group of parameters from the stream `name` of a scene (by default the group's)."""
     of_group, name = getattr(params, group), name or group
     if like is None:
         return Draw(of_group, stream(*drawn, name))
@@ -103,8 +103,8 @@ class Draw:
 
 
 class NearDraw(Draw):
-    """Draws near those of a given scene, whose random numbers are `rng`'s: real parameters within their spread, others
-    as given."""
+    """Draws near a given scene's, whose random numbers are `rng`'s: real parameters within their spread, all others as
+    given."""
 
     def __init__(
         self, group: Group, rng: np.random.Generator, spread: Callable[[str], float], moves: np.random.Generator

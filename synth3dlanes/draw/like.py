@@ -27,9 +27,9 @@ DrawKey = tuple[
 
 
 class Neighbourhood(Group):
-    """Scene i of a split is near scene i mod k of the k given ones, drawn from the same parameters. `spread` is the
-    share of a parameter's range in which its value lies around the given one; `spreads` are those of single
-    parameters, as `camera.pitch_deg`."""
+    """Scene i of a split is near scene i mod k of the k given scenes, which were drawn from the same parameters.
+    `spread` is the width of the interval around a given value, as a share of the parameter's range; `spreads` has the
+    spreads of single parameters, as `camera.pitch_deg`."""
 
     scenes: Annotated[tuple[DrawKey, ...], Field(min_length=1, max_length=MAX_SCENES)]
     spread: Share = SPREAD

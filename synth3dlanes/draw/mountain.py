@@ -30,7 +30,7 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.rails import RAILS
 
 ROAD = "m"
-# Width of shoulders, of a lay-by, and the lengths of its full width and of each taper.
+# Widths of shoulders and of a lay-by; lengths of a lay-by's full width and of each of its tapers.
 SHOULDER_M, LAY_BY_M, LAY_BY_LENGTH_M, TAPER_M = 0.5, 2.75, 25.0, 12.0
 # Length of a spiral before and behind each bend's arc, and of the legs at both ends of the road.
 SPIRAL_M, END_LEG_M = 15.0, 100.0

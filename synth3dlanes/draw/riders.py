@@ -123,8 +123,8 @@ def places_along_road(bodies: Bodies, kind: ThingKind, rng: np.random.Generator,
 
 
 def map_lanes(network: Network, bodies: Bodies, for_cyclists: bool) -> Iterator[Ridden]:
-    """The lanes near the host outside junctions; `for_cyclists` those that have a cycle lane beside them or are the
-    outermost of their direction."""
+    """The lanes near the host outside junctions. `for_cyclists`: only lanes with a cycle lane beside them, and the
+    outermost lanes of a direction."""
     for lane in network.lanes.values():
         if lane.junction is not None or lane.width_m < LEAST_LANE_M:
             continue
@@ -147,8 +147,8 @@ def map_lanes(network: Network, bodies: Bodies, for_cyclists: bool) -> Iterator[
 
 
 def _to_cycle_lane(section: CrossSection, lane: NetworkLane, number: int, s: Scalars) -> float | None:
-    """The offset to the driver's right from a lane's middle to that of the cycle lane beside it, with no lane of
-    traffic between; None where there is none that is wide enough all along."""
+    """The offset to the driver's right from a lane's middle to the middle of the cycle lane beside it, without a lane
+    of traffic between them; None if no cycle lane is wide enough all along."""
     edges, numbers = section.edges(s), [at.number for at in section.lanes]
     step = 1 if number > 0 else -1
     beyond = range(numbers.index(number) - step, len(numbers) if step < 0 else -1, -step)
@@ -162,7 +162,7 @@ def _to_cycle_lane(section: CrossSection, lane: NetworkLane, number: int, s: Sca
 
 
 def _onward(network: Network, lane: NetworkLane) -> list[NetworkLane]:
-    """A lane and those that follow it up to a junction."""
+    """A lane and its successors up to a junction."""
     lanes = [lane]
     while len(lanes) < 12:
         after = [at for at in network.successors(lanes[-1].id) if at.junction is None and at not in lanes]

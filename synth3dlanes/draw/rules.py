@@ -1,5 +1,5 @@
-"""What the documented rules make of the declared distributions (docs/params.md): of weather, of topology, of roads
-without oncoming lanes, of the lanes there are."""
+"""The documented rules (docs/params.md) that change declared distributions: rules of weather, of topology, of roads
+without oncoming lanes, and of the number of lanes."""
 
 from collections.abc import Mapping
 
@@ -93,7 +93,7 @@ class ParameterRules:
         return found
 
     def _under(self, kind: str, daytime: str) -> dict[str, Distribution]:
-        """The distributions in this weather at this time of day; those of the weather itself are as declared."""
+        """The distributions in this weather at this time of day; the weather's own are as declared."""
         if (kind, daytime) not in self._by_weather:
             changed = self.params.under(kind, daytime).groups
             self._by_weather[kind, daytime] = {

@@ -98,7 +98,7 @@ def with_lidar(scene: Scene, spec: LidarSpec | None) -> Scene:
 
 def draw_world(scenes: Scenes, index: int) -> World:
     """Draw and resolve scene `index`: roads and host, what stands beside them, what drives on them, trees, paint,
-    and people. With `like`, every draw is near that of a given scene."""
+    and people. With `like`, every draw is near a given scene's."""
     of = _draws(scenes, index)
     roads = _maker(scenes, of)(of, scenes.shots, scenes.assets)
     scene = _bare(scenes, of, roads.fields)
@@ -125,7 +125,7 @@ def _draws(scenes: Scenes, index: int) -> DrawsOf:
 
 
 def _maker(scenes: Scenes, of: DrawsOf) -> Maker:
-    """The maker of a scene's roads: a given map, one that the parameters name, or the paper's."""
+    """The maker of a scene's roads: the given map's, the parameters' (town, mountain), or the paper's."""
     if scenes.map is not None:
         return scenes.map.roads
     named = (maker for (group, key), maker in MAKERS.items() if of(group)(key) != NO_JUNCTION)

@@ -9,7 +9,7 @@ from synth3dlanes.world.symbols import LENGTHS_M, gore_of
 
 # Draws of a place for each symbol.
 TRIES = 300
-# Arrows that allow a turn as well, and those that demand it.
+# Arrows that allow a turn as well, and arrows that demand it.
 STRAIGHT: SymbolKind = "arrow_straight"
 TO_LEFT: tuple[SymbolKind, SymbolKind] = ("arrow_straight_left", "arrow_left")
 TO_RIGHT: tuple[SymbolKind, SymbolKind] = ("arrow_straight_right", "arrow_right")

@@ -1,4 +1,4 @@
-"""The trees of a scene, off the roads and clear of what stands beside them."""
+"""The trees of a scene, off the roads and clear of structures and buildings."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
 def draw_trees(scene: Scene, ground: Ground, of: DrawsOf, has_to_fit: bool) -> tuple[Tree, ...]:
-    """The trees of a scene. Those for which there is no room in their ranges are left out, or raise InputError."""
+    """The trees of a scene. Without room in its ranges a tree is left out; with `has_to_fit` InputError is raised."""
     looks, places = of("trees"), of("trees", "tree_places")
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
     models = scene.assets.tree_models

@@ -83,7 +83,7 @@ def _of_kind(road: PaperRoad, kind: str, inner: bool, drawn: dict[str, Any], cam
 
 
 def closed_lane(road: PaperRoad, inner: bool) -> int:
-    """The number, from the host's left, of the outermost lane on a side."""
+    """The number of the outermost lane on a side, counted from the host's left."""
     return road.n_lanes if inner == road.flip_longitudinal else 1
 
 
@@ -116,7 +116,8 @@ def draw_devices(scene: Scene, ground: Ground, of: DrawsOf) -> Iterator[Thing]:
 
 
 def _spaced(lengths_m: Scalars, in_taper: np.ndarray, spacing_m: float) -> np.ndarray:
-    """Which points of a row have a device: the first one, then those that are a spacing behind the one before."""
+    """Which points of a row have a device: the first, then each point that is at least a spacing behind the last
+    device."""
     found = [0]
     needed_m = np.where(in_taper, IN_TAPERS, 1.0) * spacing_m
     while True:

@@ -41,7 +41,7 @@ from synth3dlanes.world.placement import footprint, overlaps_any
 # Least distance of parked cars from the ends of a parking lane, and their greatest length.
 BAY_END_M, SHORT_M = 4.0, 5.4
 N_BENDS = 4
-# Cars that are farther from the host's place are left out: parked ones, and those that drive.
+# Parked and moving cars farther than this from the host's place are left out.
 PARKED_M, MOVING_M = 90.0, 160.0
 # Draws of a model until one is short enough; vehicles longer than this go straight on only.
 TRIES, LONG_M = 30, 6.5

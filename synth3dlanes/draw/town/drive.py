@@ -266,7 +266,7 @@ class TownTraffic:
         return gap_m, speed
 
     def _stop(self, driver: Driver) -> float | None:
-        """How far ahead it has to stop, for a line or for a zone that is not free; None where it need not."""
+        """The distance to the point where it has to stop, for a line or for an occupied zone; None if it need not."""
         if driver.gate >= len(driver.gates):
             return None
         gate = driver.gates[driver.gate]

@@ -71,8 +71,8 @@ def furnish(town_map: TownMap, lights: dict[str, Lights], ground: Ground, draws:
 
 
 def _beside(arm: Arm, back_m: float) -> PlanPose:
-    """The place of a pole on the right of the traffic that comes in, at a distance before the junction; its heading is
-    that of the traffic."""
+    """The place of a pole on the right of the entering traffic, at a distance before the junction, with the traffic's
+    heading."""
     cross = arm.cross
     out_m = cross.edge("left") + (BEHIND_KERB_M if "walkway" in cross.left else BESIDE_M)
     return arm.pose.moved(back_m, out_m, np.pi)

@@ -34,7 +34,7 @@ class Touch(NamedTuple):
 
 
 class Ring(NamedTuple):
-    """The lanes of a roundabout: radii of their middles from the outermost one, their width, and those of the arcs."""
+    """The lanes of a roundabout: radii of their middles, from the outermost lane inwards, and their width."""
 
     radii_m: tuple[float, ...]
     lane_m: float
@@ -199,7 +199,7 @@ def _splitters(middle: PlanPose, ring: Ring, arms: Sequence[Arm]) -> list[MapIsl
     for arm in arms:
         sides = []
         for side, sign in (("left", 1), ("right", -1)):
-            # The arc of the innermost lane's inner edge, as far inside the island as the gap.
+            # The arc of the innermost lane's inner edge, moved into the island by the gap.
             at, _ = _touches(ring, arm.cross, side)[0]
             centre_m = at.radius_m + abs(arm.cross.middle(side, "lane1"))
             lane_m = (arm.cross.left if side == "left" else arm.cross.right)["lane1"]

@@ -81,8 +81,8 @@ class JunctionRules:
 
     @cached_property
     def yields(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of lanes that cross or merge, of which the first yields to the second: one order for every pair whose
-        traffic a signal does not keep apart."""
+        """Pairs of lanes that cross or merge; the first yields to the second. Every pair that no signal keeps apart is
+        there once."""
         places = {at.lane: i for i, at in enumerate(self.junction.connectors)}
         found = set()
         for at in self.conflicts:
@@ -112,7 +112,7 @@ class JunctionRules:
         return self.group(connector.from_arm, next(lane.key for lane in lanes if lane.name == connector.before[0]))
 
     def _gives_way(self, one: Connector, other: Connector) -> bool:
-        """Whether a rule of the road says that one yields to the other."""
+        """Whether `one` yields to `other` by a rule of the road."""
         if self.junction.is_roundabout:
             # To the ring: those who enter it, and those who leave it across its outer lane.
             is_ring = other.from_arm is None and other.to_arm is None

@@ -70,9 +70,9 @@ class HostPlan(NamedTuple):
 
 
 class Usual(NamedTuple):
-    """What all cars of a town have in common: the parameters, the mean time between those that enter a street, a number
-    in [0, 1) that is part of the one for their speed, the seed of all that they do, and the share of the most
-    traffic."""
+    """What all cars of a town have in common: the parameters, the mean time between two cars that enter a street, a
+    number in [0, 1) that is part of each car's number for its speed, the seed of all that they do, and the density of
+    traffic as a share of the densest."""
 
     own: Draw
     arrival_s: float
@@ -82,7 +82,7 @@ class Usual(NamedTuple):
 
     @classmethod
     def draw(cls, own: Draw, rng: Rng, flow: float) -> "Usual":
-        """That of one town."""
+        """The values of one town."""
         return cls(own, own("arrival_s"), own.rng.random(), int(rng.integers(2**62)), flow)
 
 
@@ -308,7 +308,7 @@ def body_places(route: Route, lengths_m: Scalars, body: CarBody, offset_m: float
 
 
 def _touching(places: Sequence[np.ndarray]) -> list[bool]:
-    """Which cars touch an earlier one that stays, each by its footprints at all times. The first one always stays."""
+    """Which cars touch an earlier car that stays, by their footprints at all times. The first car always stays."""
     found: list[bool] = []
     for i, mine in enumerate(places):
         stays = [places[j] for j in range(i) if not found[j]]
