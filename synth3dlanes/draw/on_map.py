@@ -20,7 +20,7 @@ from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
-from synth3dlanes.roads.map_lines import plan_line
+from synth3dlanes.roads.line_forms import plan_line
 from synth3dlanes.roads.map_roads import bare_roads, map_network
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.roads.maps.part import MapPart, part_around

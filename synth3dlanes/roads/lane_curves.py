@@ -1,6 +1,6 @@
 """The curves of lanes along roads: centre lines of paths, and painted lines. World frame, metres."""
 
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Bool, Float
 
+from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import Direction, LaneKind, Marking, Pair
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Road
@@ -116,11 +117,6 @@ class LaneCurve:
         return min(ahead, key=lambda at: at.start_m).id if ahead else None
 
     @property
-    def is_measured(self) -> bool:
-        """Whether its stations are lengths along it."""
-        return self.pieces[0].knots is not None
-
-    @property
     def rightward(self) -> float:
         """1 where offsets from it grow to the right of its traffic, else -1."""
         return 1.0 if self.ascends != self.pieces[0].road.line.is_mirrored else -1.0
@@ -190,12 +186,8 @@ class LaneCurve:
     def places_from(self, s: float) -> Callable[[Points2], Points3]:
         """World points of places (right, ahead) in metres, as its traffic drives, from a station of it."""
         around, onwards = s + AROUND_M, 1.0 if self.ascends else -1.0
-        if self.is_measured:
-            length_m = AROUND_M
-        else:
-            steps = np.diff(self.xy_world(around), axis=0)
-            length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-            length_m -= np.interp(s, around, length_m)
+        length_m = lengths_along(self.xy_world(around))
+        length_m -= np.interp(s, around, length_m)
 
         def points_world(places: Points2) -> Points3:
             at = np.interp(onwards * places[:, 1], length_m, around)
@@ -208,6 +200,24 @@ class LaneCurve:
         ends = [-np.inf, *(piece.start_m for piece in self.pieces[1:]), np.inf]
         for piece, (low, high) in zip(self.pieces, pairwise(ends), strict=True):
             yield (s >= low) & (s < high), piece
+
+
+def ways_through(lanes: Sequence[NetworkLane], links: Iterable[tuple[str, str]]) -> Iterator[list[NetworkLane]]:
+    """Every way along links, from lanes that follow no other to lanes that no other follows; then once around each
+    ring."""
+    by_id, after = {lane.id: lane for lane in lanes}, dict[str, list[str]]()
+    for before, behind in links:
+        after.setdefault(before, []).append(behind)
+    followers, seen = {name for names in after.values() for name in names}, set[str]()
+    for first in (*(name for name in by_id if name not in followers), *by_id):
+        left = [] if first in seen else [[first]]
+        while left:
+            way = left.pop()
+            seen.update(way)
+            onwards = [[*way, name] for name in after.get(way[-1], ()) if name not in way]
+            left += onwards[::-1]
+            if not onwards:
+                yield [by_id[name] for name in way]
 
 
 def joined(parts: Iterable[tuple[Road, Offset, float]]) -> tuple[Piece, ...]:
@@ -251,6 +261,30 @@ class Course(NamedTuple):
         """The other way."""
         lengths_m = (self.lengths_m[-1] - self.lengths_m)[::-1]
         return self._replace(stations=self.stations[::-1], xy_world=self.xy_world[::-1], lengths_m=lengths_m)
+
+
+def along(lanes: Sequence[NetworkLane], courses: Mapping[str, Course], against: bool = False) -> LaneCurve:
+    """The centre line along lanes that follow each other as traffic drives, or against that."""
+    first, parts = lanes[0], [courses[lane.id] for lane in lanes]
+    if against:
+        lanes, parts = lanes[::-1], [part.turned() for part in parts[::-1]]
+    pieces = measured(parts)
+    return LaneCurve(
+        first.id,
+        "centerline",
+        first.road,
+        "none",
+        (),
+        pieces,
+        0.0,
+        pieces[-1].end_m,
+        first.direction,
+        lanes=tuple(lanes),
+        lane_starts_m=tuple(piece.start_m for piece in pieces),
+        ascends=not against,
+        connector=first.junction is not None,
+        junction=first.junction,
+    )
 
 
 def n_knots(first: float, last: float) -> int:

@@ -43,7 +43,7 @@ def foot_and_forward(at: HostStation) -> Float[np.ndarray, "2 2"]:
 class RoadLines:
     """Lines on roads. `onwards` is 1 where the host drives with growing stations, else -1."""
 
-    curves: Sequence[LaneCurve]
+    curves: tuple[LaneCurve, ...]
     roads: Mapping[str, Road]
     onwards: float
 

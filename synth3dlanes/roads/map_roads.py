@@ -1,7 +1,8 @@
 """A scene's map -> Network: its roads near a place with their sections, lanes, paths and painted lines, and junctions.
 The rules are in docs/network.md; World frame, metres."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -9,8 +10,9 @@ import numpy as np
 
 from synth3dlanes.labels.labels import Direction
 from synth3dlanes.roads.cross_section import CrossSection, greatest_and_mean
-from synth3dlanes.roads.lane_curves import Course, LaneCurve, TableLine, measured
-from synth3dlanes.roads.map_lines import plan_line
+from synth3dlanes.roads.lane_curves import Course, TableLine, along, ways_through
+from synth3dlanes.roads.line_forms import plan_line
+from synth3dlanes.roads.line_table import LineTable
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
 from synth3dlanes.roads.network import HostLine, Junction, LanePattern, Network
 from synth3dlanes.roads.reference_line import Offset
@@ -48,7 +50,7 @@ class _Reading:
         by_id = {road.id: road for road in near}
         middles = {lane.id: _middle(lane, by_id[lane.road], numbers) for lane in lanes.values()}
         meets = _meeting(table, middles, links)
-        chains = list(_chains(list(lanes.values()), links, lambda a, b: (a, b) in meets))
+        chains = list(_chains(lanes, links, meets))
         directions = self._directions(lanes, links, chains)
         lanes = {name: replace(lane, direction=directions[name]) for name, lane in lanes.items()}
         of_road: dict[str, list[NetworkLane]] = {road.id: [] for road in near}
@@ -61,8 +63,10 @@ class _Reading:
                 lanes.values(), middles.values(), table.knots([*middles.values()]), strict=True
             )
         }
-        paths = [_path([lanes[name] for name in chain], courses) for chain in chains]
-        path_of = {lane.id: path.id for path in paths for lane in path.lanes}
+        found = [
+            along([lanes[name] for name in chain], courses, lanes[chain[0]].direction == "oncoming") for chain in chains
+        ]
+        path_of = {lane.id: path.id for path in found for lane in path.lanes}
         edges = [edge for road in roads.values() for edge in edges_of(self._given[road.id], road)]
         drawn = list(lines(edges, table, numbers, lanes, path_of))
         beside = beside_lanes(drawn)
@@ -75,16 +79,18 @@ class _Reading:
             for at in self.map.junctions
         )
         route = [lanes[name] for name in self.map.route]
-        way = _path(route, courses)
+        way = along(route, courses)
+        paths, delimiters = tuple(bounded(path, beside) for path in found), tuple(line for line, _ in drawn)
         driven = {id(at): at for at in (roads[lane.road].stretch_of(lane) for lane in route if lane.junction is None)}
         return Network(
             self.terrain,
             roads=tuple(roads.values()),
             lanes=lanes,
             links=tuple(sorted(links)),
-            paths=tuple(bounded(path, beside) for path in paths),
-            delimiters=tuple(line for line, _ in drawn),
+            paths=paths,
+            delimiters=delimiters,
             way=way,
+            lines=LineTable((*paths, *delimiters), table),
             host_lines=(HostLine(way),),
             is_terrain=False,
             # Lanes lie one beside the other across the texture of every road.
@@ -94,7 +100,6 @@ class _Reading:
             islands=self.map.islands,
             yields=tuple(pair for at in self.map.junctions for pair in at.yields),
             courses=courses,
-            stretches=table,
         )
 
     # -- roads
@@ -106,7 +111,7 @@ class _Reading:
         lanes = {lane.id: lane for road in by_id.values() for lane in self._lanes(road)}
         route = [lanes[name] for name in self.map.route]
         courses = {lane.id: Course.of(by_id[lane.road].stretch_of(lane), lane.middle, *lane.driven) for lane in route}
-        host = _path(route, courses).xy_world(np.array([at_m]))[0]
+        host = along(route, courses).xy_world(np.array([at_m]))[0]
 
         def is_near(road: MapRoad) -> bool:
             return any(np.hypot(p.x_m - host[0], p.y_m - host[1]) - p.length_m < AROUND_M for p in road.plan)
@@ -206,30 +211,6 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
         )
 
 
-def _path(lanes: list[NetworkLane], courses: Mapping[str, Course]) -> LaneCurve:
-    """The centre line along lanes that follow each other, against the traffic where that is oncoming."""
-    first, parts = lanes[0], [courses[lane.id] for lane in lanes]
-    if first.direction == "oncoming":
-        lanes, parts = lanes[::-1], [part.turned() for part in parts[::-1]]
-    pieces = measured(parts)
-    return LaneCurve(
-        first.id,
-        "centerline",
-        first.road,
-        "none",
-        (),
-        pieces,
-        0.0,
-        pieces[-1].end_m,
-        first.direction,
-        lanes=tuple(lanes),
-        lane_starts_m=tuple(piece.start_m for piece in pieces),
-        ascends=first.direction != "oncoming",
-        connector=first.junction is not None,
-        junction=first.junction,
-    )
-
-
 def _middle(lane: NetworkLane, road: Road, numbers: Mapping[tuple[str, int], int]) -> TableLine:
     """The middle of a lane, as its traffic drives."""
     section, number = map(int, lane.id.rsplit(".", 2)[1:])
@@ -260,34 +241,12 @@ def _meeting(
 
 
 def _chains(
-    lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]], meets: Callable[[str, str], bool]
+    lanes: Mapping[str, NetworkLane], links: Sequence[tuple[str, str]], meets: Container[tuple[str, str]]
 ) -> Iterator[list[str]]:
     """The lanes of every path, as traffic drives: on through links where a lane has one successor which has one
     predecessor and which it meets, up to a junction; through it every connector has a path of its own."""
-    after: dict[str, list[str]] = {lane.id: [] for lane in lanes}
-    before: dict[str, list[str]] = {lane.id: [] for lane in lanes}
-    where = {lane.id: lane.junction for lane in lanes}
-    for a, b in links:
-        after[a].append(b)
-        before[b].append(a)
-    goes_on = {
-        a: beyond[0]
-        for a, beyond in after.items()
-        if len(beyond) == 1
-        and len(before[beyond[0]]) == 1
-        and where[a] == where[beyond[0]]
-        and beyond[0] != a
-        and meets(a, beyond[0])
-    }
-    reached, seen = set(goes_on.values()), set[str]()
-    for is_ring in (False, True):
-        for lane in lanes:
-            name: str | None = lane.id
-            if lane.id in seen or (lane.id in reached and not is_ring):
-                continue
-            chain: list[str] = []
-            while name is not None and name not in seen:
-                chain.append(name)
-                seen.add(name)
-                name = goes_on.get(name)
-            yield chain
+    n_after, n_before = (Counter(link[end] for link in links) for end in (0, 1))
+    single = ((a, b) for a, b in links if n_after[a] == 1 and n_before[b] == 1 and a != b)
+    goes_on = (link for link in single if link in meets and len({lanes[name].junction for name in link}) == 1)
+    for way in ways_through([*lanes.values()], goes_on):
+        yield [lane.id for lane in way]

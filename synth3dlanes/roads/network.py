@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
-from synth3dlanes.roads.lane_curves import Course, LaneCurve, measured
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, along
 from synth3dlanes.roads.line_table import HostStation, LineTable, RoadLines
-from synth3dlanes.roads.road_table import RoadIndex, RoadTable
+from synth3dlanes.roads.road_table import RoadIndex
 from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.host import HostCamera
@@ -66,12 +66,12 @@ class Network:
     """Roads with lanes, in the order of the labels, links (lane, lane) as traffic drives, the centre lines of the ways
     through these, painted lines and junctions. A road comes after the one where it begins.
 
-    `way` is the line whose stations, as the host drives, scenes use for the host, `host_lines` are those that it may
-    drive on, from its left. The surface there `is_terrain`, or what the roads make of it. `host_stretches` are the
-    roads near the host that it drives on, each between two stations, junctions left out. `yields` are pairs of lanes,
-    the first of which yields to the second, None where the roads know of none. `removed` are the lines that were
-    painted where others hold now. `courses` are those of lanes that routes may use, and `stretches` the roads of one
-    section that all lines are on, if their stations are lengths along them."""
+    `lines` answers for many of all centre lines and delimiters at once. `way` is the line whose stations, as the host
+    drives, scenes use for the host, `host_lines` are those that it may drive on, from its left. The surface there
+    `is_terrain`, or what the roads make of it. `host_stretches` are the roads near the host that it drives on, each
+    between two stations, junctions left out. `yields` are pairs of lanes, the first of which yields to the second, None
+    where the roads know of none. `removed` are the lines that were painted where others hold now. `courses` are those
+    of lanes that routes may use."""
 
     terrain: Terrain
     roads: tuple[Road, ...]
@@ -80,6 +80,7 @@ class Network:
     paths: tuple[LaneCurve, ...]
     delimiters: tuple[LaneCurve, ...]
     way: LaneCurve
+    lines: LineTable | RoadLines
     across: LanePattern
     host_lines: tuple[HostLine, ...] = ()
     is_terrain: bool = True
@@ -89,7 +90,6 @@ class Network:
     islands: tuple[MapIsland, ...] = ()
     removed: tuple[LaneCurve, ...] = ()
     courses: Mapping[str, Course] = field(default_factory=dict)
-    stretches: RoadTable | None = None
 
     # -- roads, lanes and lines
 
@@ -108,10 +108,10 @@ class Network:
         """1 where t grows to the right as the host drives, else -1."""
         return self.way.rightward
 
-    @cached_property
+    @property
     def curves(self) -> tuple[LaneCurve, ...]:
         """All centre lines, then all delimiters."""
-        return (*self.paths, *self.delimiters)
+        return self.lines.curves
 
     @cached_property
     def _road_of(self) -> dict[str, Road]:
@@ -242,11 +242,7 @@ class Network:
 
     def way_through(self, lanes: Sequence[NetworkLane]) -> LaneCurve:
         """The centre line along lanes that follow each other, as their traffic drives."""
-        pieces, first = measured(self.courses[lane.id] for lane in lanes), lanes[0]
-        ends, starts_m = (0.0, pieces[-1].end_m), tuple(piece.start_m for piece in pieces)
-        return LaneCurve(
-            first.id, "centerline", first.road, "none", (), pieces, *ends, lanes=tuple(lanes), lane_starts_m=starts_m
-        )
+        return along(lanes, self.courses)
 
     # -- labels
 
@@ -256,16 +252,11 @@ class Network:
         ends = [abs(s) for lane in self.lanes.values() for s in lane.driven if np.isfinite(s)]
         return max(GRAPH_END_M, max(ends, default=0.0) + LAST_LANE_M)
 
-    @cached_property
-    def lines(self) -> LineTable | RoadLines:
-        """What answers for many of its lines at once."""
-        return RoadLines(self.curves, self._road_of, self.onwards) if self.stretches is None else self.line_table
-
-    @cached_property
+    @property
     def line_table(self) -> LineTable:
         """Its lines as arrays, if their stations are lengths along them; numbered as in `curves`."""
-        assert self.stretches is not None, "asked only of lines on roads of one section"
-        return LineTable(self.curves, self.stretches)
+        assert isinstance(self.lines, LineTable), "asked only of lines on roads of one section"
+        return self.lines
 
     def xy_in_lanes(self, lanes: Sequence[NetworkLane], which: Int[np.ndarray, " n"], s: Scalars) -> Points2:
         """World (x, y) of the middles of lanes with courses, by the number of each, at stations of its road."""

@@ -1,6 +1,6 @@
 """The paper's numbers -> Network: a main road, perhaps with oncoming lanes, and perhaps an exit that leaves it.
 
-Stations and offsets are those of the plan, see paper_lines.py.
+Stations and offsets are those of the plan, see line_forms.py.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.labels.labels import Direction, Marking
-from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, Piece, joined, neighbours
+from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, Piece, joined, neighbours, ways_through
+from synth3dlanes.roads.line_forms import S_END_M, Displaced, Flips, Opening, Quartic
+from synth3dlanes.roads.line_table import RoadLines
 from synth3dlanes.roads.network import HostLine, LanePattern, Network
-from synth3dlanes.roads.paper_lines import S_END_M, Displaced, Flips, Opening, Quartic
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Parting, Ramp, Road
 from synth3dlanes.roads.works import WorksLanes
@@ -327,7 +328,8 @@ class _Plan:
             self.links,
             paths,
             delimiters,
-            way=LaneCurve("main", "centerline", "main", "none", (), whole, ascends=self.flips.y > 0),
+            LaneCurve("main", "centerline", "main", "none", (), whole, ascends=self.flips.y > 0),
+            RoadLines((*paths, *delimiters), {road.id: road for road in roads}, self.flips.y),
             across=self.texture,
             host_lines=tuple(HostLine(path_along[lane.id], lane.start_m, lane.end_m) for lane in hosts),
             host_stretches=((main, -HOST_ROAD_M, HOST_ROAD_M),),
@@ -477,7 +479,7 @@ def paths_through(
     left. It has the id of its last lane where roads split, of its first where they merge. `lanes` are section by
     section from the host's left."""
     sections = [list(group) for _, group in groupby(lanes, key=lambda lane: lane.section)]
-    ways = list(_ways([lane for section in sections for lane in section[:: 1 if to_right else -1]], links))
+    ways = list(ways_through([lane for section in sections for lane in section[:: 1 if to_right else -1]], links))
     at = -1 if len({way[-1].id for way in ways}) >= len({way[0].id for way in ways}) else 0
     by_id = {road.id: road for road in roads}
     found = []
@@ -514,20 +516,3 @@ def _lines_beside(along: Sequence[NetworkLane], delimiters: Sequence[LaneCurve],
             found.append(Neighbour(line.id, is_right, lane.start_m, lane.end_m))
     ends = [-np.inf, *(at.start_m for at in found[1:]), np.inf]
     yield from (at._replace(start_m=low, end_m=high) for at, (low, high) in zip(found, pairwise(ends), strict=False))
-
-
-def _ways(lanes: Sequence[NetworkLane], links: Sequence[tuple[str, str]]) -> Iterator[list[NetworkLane]]:
-    """All ways from lanes that follow no other to lanes that no other follows."""
-    by_id = {lane.id: lane for lane in lanes}
-
-    def onward(way: list[NetworkLane]) -> Iterator[list[NetworkLane]]:
-        after = [by_id[b] for a, b in links if a == way[-1].id and by_id[b] not in way]
-        if not after:
-            yield way
-        for lane in after:
-            yield from onward([*way, lane])
-
-    followers = {after for _, after in links}
-    for lane in lanes:
-        if lane.id not in followers:
-            yield from onward([lane])

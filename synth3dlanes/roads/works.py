@@ -1,5 +1,5 @@
 """The host's lanes along road works on the paper's road: where the boundaries of those that are open lie. Stations and
-offsets are those of the plan, see paper_lines.py."""
+offsets are those of the plan, see line_forms.py."""
 
 from dataclasses import dataclass
 from functools import cached_property

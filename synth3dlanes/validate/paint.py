@@ -13,7 +13,6 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane, Marking, PaintColor
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.roads import Parting, Road
-from synth3dlanes.roads.terrain import gradient_at
 from synth3dlanes.scene.assets.catalogue import ROAD_MEANS
 from synth3dlanes.scene.scene import Scene, Symbol
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
@@ -82,7 +81,8 @@ class WorldPaint:
         )
         wetness, wear = scene.surface.wetness, scene.markings.wear
         self.is_dry = wetness == 0 or (wetness <= MAX_DRY and wear <= MAX_WORN_DAMP)
-        self._curves = {line.id: line for line in world.site.lines if line.kind == "delimiter"}
+        self._lines = {line.id: line for line in world.site.lines}
+        self._curves = {id_: line for id_, line in self._lines.items() if line.kind == "delimiter"}
         self._stretches = {}
         for id_, curve in self._curves.items():
             by_marking = {marking: self._of(curve, marking) for _, marking in stripes(curve, scene.markings)}
@@ -110,15 +110,14 @@ class WorldPaint:
         points_world = transform(camera.world_from_cam, points_cam)
         steps = np.gradient(points_cam, axis=0)
         along = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-        curve = self._curves.get(lane.id)
-        s = None if curve is None else Places(points_world[:, :2]).station(curve)
-        if curve is not None and s is not None and curve.is_measured:
-            # Roads of maps may be banked.
-            aside = np.full(len(s), ACROSS_M)
-            across = (curve.points_beside(s, aside) - curve.points_beside(s, -aside)) @ camera.world_from_cam[:3, :3]
-        else:
-            slope = gradient_at(self.world.scene.terrain, points_world[:, :2])
-            across = np.cross(along, np.column_stack([-slope, np.ones(len(slope))]) @ camera.world_from_cam[:3, :3])
+        curve, painted_m = self._lines.get(lane.id), np.zeros(len(points_cam))
+        # A line that the world does not have lies on level ground.
+        across = np.cross(along, camera.world_from_cam[2, :3])
+        if curve is not None:
+            s, aside = Places(points_world[:, :2]).station(curve), np.full(len(points_cam), ACROSS_M)
+            across = curve.points_beside(s, aside) - curve.points_beside(s, -aside)
+            across = self.world.network.rightward * across @ camera.world_from_cam[:3, :3]
+            painted_m = self._painted_m(lane.id, s) if lane.id in self._curves else painted_m
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         half_m = self.width_m(lane.id) / 2
         left, right, behind, ahead = (
@@ -126,7 +125,6 @@ class WorldPaint:
             for step in (-half_m * across, half_m * across, -0.01 * along, 0.01 * along)
         )
         side, course = right - left, ahead - behind
-        painted_m = np.zeros(len(points_cam)) if s is None else self._painted_m(lane.id, s)
         height_px = np.abs(course[:, 1]) / 0.02 * painted_m
         width_px = np.abs(side[:, 0] * course[:, 1] - side[:, 1] * course[:, 0]) / np.hypot(*course.T)
         resolved = (height_px >= RESOLVED_PX) & (width_px >= RESOLVED_PX)

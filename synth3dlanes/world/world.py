@@ -3,8 +3,10 @@
 World frame, metres. Labels, meshes, masks and light are all computed from a world and a view.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -16,8 +18,9 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.paper_roads import paper_network
 from synth3dlanes.scene.host import HostCamera, Lidar
 from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.scene.roadside import Roadside
-from synth3dlanes.scene.scene import Car, Scene, Tree
+from synth3dlanes.scene.scene import Car, PaperRoad, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world import roadside
 from synth3dlanes.world.bonnet import cam_from_bonnet
@@ -26,7 +29,7 @@ from synth3dlanes.world.elements import TrafficElement, traffic_elements
 from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
-from synth3dlanes.world.host_way import EndlessWay, HostWay
+from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.map_meshes import AreaSurfaces
 from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
@@ -292,21 +295,41 @@ def world_on(surfaces: AnySurfaces, scene: Scene) -> World:
 def surfaces_of(scene: Scene, network: Network) -> AnySurfaces:
     """The surfaces of a scene around its host, whatever stands and drives there."""
     shot, camera = scene.shot, scene.start
-    hills = FarHills.draw(scene.stream("far_hills"))
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     driven_m = driven_m if shot.views is None else shot.views.reach_m
-    place = network, camera.y_m, driven_m, shot.behind_m > 0
-    # Nothing else asks how roads are given.
-    if network.stretches is not None:
-        x, y = network.host_points(camera, np.zeros(1))[0, :2].tolist()
-        areas = PavedAreas(way := HostWay(*place))
-        return AreaSurfaces(Ground(way, areas, scene.markings, replace(hills, center_world=(x, y))), areas)
-    verges = Verges(way := EndlessWay(*place), scene.markings, hills)
-    return Surfaces(Ground(way, verges, scene.markings, hills), verges)
+    way = HostWay(network, camera.y_m, driven_m, shot.behind_m > 0)
+    return KINDS[type(scene.roads)].surfaces(scene, way, FarHills.draw(scene.stream("far_hills")))
 
 
 def scene_network(scene: Scene) -> Network:
     """The roads of a scene."""
-    if scene.map is not None:
-        return map_network(scene.map, bare_roads(scene.map, scene.terrain), scene.terrain, scene.start.y_m)
-    return paper_network(scene.paper_road, scene.terrain)
+    return KINDS[type(scene.roads)].network(scene.roads, scene)
+
+
+class RoadKind(NamedTuple):
+    """What makes the network of a scene of its roads, and what its surfaces along the host's way."""
+
+    network: Callable[[Any, Scene], Network]
+    surfaces: Callable[[Scene, HostWay, FarHills], AnySurfaces]
+
+
+def _network_of(roads: RoadMap, scene: Scene) -> Network:
+    return map_network(roads, bare_roads(roads, scene.terrain), scene.terrain, scene.start.y_m)
+
+
+def _of_areas(scene: Scene, way: HostWay, hills: FarHills) -> AreaSurfaces:
+    x, y = way.network.host_points(scene.start, np.zeros(1))[0, :2].tolist()
+    areas = PavedAreas(way)
+    return AreaSurfaces(Ground(way, areas, scene.markings, replace(hills, center_world=(x, y))), areas)
+
+
+def _with_verges(scene: Scene, way: HostWay, hills: FarHills) -> Surfaces:
+    verges = Verges(way, scene.markings, hills)
+    return Surfaces(Ground(way, verges, scene.markings, hills), verges)
+
+
+# By how a scene has its roads; nothing else asks.
+KINDS: dict[type, RoadKind] = {
+    PaperRoad: RoadKind(lambda road, scene: paper_network(road, scene.terrain), _with_verges),
+    RoadMap: RoadKind(_network_of, _of_areas),
+}

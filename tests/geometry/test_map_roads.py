@@ -7,7 +7,8 @@ import pytest
 
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.roads.lane_curves import LaneCurve, Piece
-from synth3dlanes.roads.map_lines import Chain, Cubic, Spiral
+from synth3dlanes.roads.line_forms import Chain, Cubic, Spiral
+from synth3dlanes.roads.line_table import RoadLines
 from synth3dlanes.roads.network import LanePattern, Network
 from synth3dlanes.roads.paper_roads import paths_through
 from synth3dlanes.roads.reference_line import Offset
@@ -173,7 +174,8 @@ def network_of(roads, links=()):
     way = LaneCurve("way", "centerline", roads[0].id, "none", (), (piece,), 0.0, roads[0].end_m)
     paths = paths_through(roads, lanes, links, (), to_right=True)
     by_id = {lane.id: lane for lane in lanes}
-    return Network(TERRAIN, roads, by_id, links, paths, (), way, LanePattern(3.5, 1))
+    lines = RoadLines(paths, {road.id: road for road in roads}, 1.0)
+    return Network(TERRAIN, roads, by_id, links, paths, (), way, lines, LanePattern(3.5, 1))
 
 
 def test_paths_neighbours_and_successors_follow_from_links():

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.roads.cross_section import CrossSection
-from synth3dlanes.roads.map_lines import plan_line
+from synth3dlanes.roads.line_forms import plan_line
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.world.world import World
 from tests.maps.standard import KERB_M, Road

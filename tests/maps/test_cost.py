@@ -11,9 +11,9 @@ import pytest
 from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import times, value, values
 from synth3dlanes.roads.maps.given_map import read_opendrive
-from synth3dlanes.roads.maps.plan import plan_points
 from synth3dlanes.scene.road_map import PlanPiece, Polynomial
 from tests.maps.files import lane, opendrive, road, section
 

@@ -13,10 +13,10 @@ import pytest
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.lanelet2 import lanelet2
 from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace
 from synth3dlanes.roads.maps.lanelet_map import read_lanelet2
 from synth3dlanes.roads.maps.lanelet_roads import arcs
-from synth3dlanes.roads.maps.plan import plan_points
 from synth3dlanes.roads.maps.read import read_map
 from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
 from synth3dlanes.system.errors import FormatError

@@ -18,10 +18,10 @@ from synth3dlanes.labels.labels import to_json as labels_text
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
 from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.map_roads import bare_roads
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import read_place
-from synth3dlanes.roads.maps.plan import plan_points
 from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.scene import Gaussian, Terrain, from_json, to_json
 from synth3dlanes.scene.settings import RenderSettings

@@ -8,12 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import value
 from synth3dlanes.roads.maps.furniture import edges_at, section_index
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.roads.maps.part import KEPT_M, MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
-from synth3dlanes.roads.maps.plan import places, plan_points
+from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import MapRoad, RoadMap
 from synth3dlanes.system.errors import InputError
 from tests.maps.files import lane, opendrive, plan, road, section

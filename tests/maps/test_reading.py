@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import value
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.roads.maps.plan import plan_points
 from synth3dlanes.scene.road_map import MapMark
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 

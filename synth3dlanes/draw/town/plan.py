@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.roads.map_lines import line_of
+from synth3dlanes.roads.line_forms import line_of
 from synth3dlanes.scene.road_map import PlanPiece
 from synth3dlanes.system.arrays import Points2, Scalars
 

@@ -12,9 +12,10 @@ from synth3dlanes.formats.format import FrameList, ReadFrame, maps_of
 from synth3dlanes.formats.opendrive.described import USER_DATA, Element
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.roads.cross_section import CrossSection
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.document import parse_xml
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
-from synth3dlanes.roads.maps.plan import places, plan_points
+from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import MapRoad, Polynomial
 from synth3dlanes.system.arrays import Points3, Scalars
 

@@ -10,10 +10,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.document import number, passing_over
 from synth3dlanes.roads.maps.furniture import driving_at, is_facing, is_paint, object_outline, valid_lanes
 from synth3dlanes.roads.maps.links import ascends
-from synth3dlanes.roads.maps.plan import places, plan_points
+from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import LaneName, MapRoad
 from synth3dlanes.scene.traffic_elements import MAX_LANES, LensForm, Phase, SignKind, TrafficSign, TrafficSignal
 from synth3dlanes.system.schema import Name

@@ -8,10 +8,11 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import value
 from synth3dlanes.roads.maps.document import number, passing_over
 from synth3dlanes.roads.maps.links import ascends
-from synth3dlanes.roads.maps.plan import places, plan_points
+from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import MAX_LANES, MapIsland, MapLane, MapPaint, MapRoad
 from synth3dlanes.system.arrays import Points2
 from synth3dlanes.system.schema import SymbolKind

@@ -6,10 +6,10 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import SAME_M, value
 from synth3dlanes.roads.maps.furniture import edges_at
 from synth3dlanes.roads.maps.lanes import Section
-from synth3dlanes.roads.maps.plan import plan_points
 from synth3dlanes.scene.road_map import JUMP_M, MapRoad, Polynomial
 
 # Values that differ by less move nothing by JUMP_M: metres, and radians of banks.

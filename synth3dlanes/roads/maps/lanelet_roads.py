@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import lengths_along
-from synth3dlanes.roads.map_lines import plan_line
+from synth3dlanes.roads.line_forms import plan_line, plan_points
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound
-from synth3dlanes.roads.maps.plan import plan_points
-from synth3dlanes.roads.maps.profiles import knots, pieces
+from synth3dlanes.roads.maps.profiles import cubics, knots
 from synth3dlanes.scene.road_map import (
     MAX_LANES,
     MapLane,
@@ -185,9 +184,9 @@ def road_of(name: Name, row: Sequence[LaneletBeside], is_left_hand: bool, is_in_
         number = middle - i if i < middle else middle - i - 1
         outer = edges[i] if number > 0 else edges[i + 1]
         marks = _marks(*outer, is_inner_left=number < 0)
-        cubics = _cubics(s, np.maximum(widths[i], 0.0), WIDTH_M)
+        own_widths = tuple(cubics(s, np.maximum(widths[i], 0.0), WIDTH_M))
         is_against = at.kind == "driving" and at.is_along == ((number > 0) != is_left_hand)
-        lanes.append(MapLane(number=number, kind=at.kind, widths=cubics, marks=marks, against=is_against))
+        lanes.append(MapLane(number=number, kind=at.kind, widths=own_widths, marks=marks, against=is_against))
         numbers[at.lanelet.id] = number
     for side, outer in ((1, edges[0]), (-1, edges[-1])):
         own = [lane for lane in lanes if lane.number * side > 0]
@@ -201,9 +200,9 @@ def road_of(name: Name, row: Sequence[LaneletBeside], is_left_hand: bool, is_in_
     road = MapRoad(
         id=name,
         plan=plan,
-        lane_offsets=() if is_bound else _cubics(s, offsets[middle], WIDTH_M),
+        lane_offsets=() if is_bound else tuple(cubics(s, offsets[middle], WIDTH_M)),
         sections=(MapSection(s_m=0.0, lanes=tuple(sorted(lanes, key=lambda lane: -lane.number))),),
-        heights=_cubics(s, on_line, HEIGHT_M),
+        heights=tuple(cubics(s, on_line, HEIGHT_M)),
         shapes=_shapes(s, offsets, heights - on_line),
         keeps_left=is_left_hand,
     )
@@ -294,13 +293,6 @@ def _interpolated(
             slope = (values[inner] - values[end]) / (at[inner] - at[end])
             found[outside] = values[end] + slope * (s[outside] - at[end])
     return found
-
-
-def _cubics(s: Scalars, values: Scalars, tolerance_m: float) -> tuple[Polynomial, ...]:
-    return tuple(
-        Polynomial(s_m=piece.s, **dict(zip("abcd", piece.abcd[:, 0].tolist(), strict=True)))
-        for piece in pieces(s, values[:, None], tolerance_m)
-    )
 
 
 def _shapes(

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import SAME_M, part, rounded, value
 from synth3dlanes.roads.maps.elements import LEAST_RAIL_M, GivenBody, GivenElement, GivenRail
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.roads.maps.lanes import lane_between
 from synth3dlanes.roads.maps.places import MapStation, draw_route
-from synth3dlanes.roads.maps.plan import plan_points
 from synth3dlanes.scene.road_map import (
     MAX_ROADS,
     GroundPoint,

@@ -6,8 +6,8 @@ from itertools import pairwise
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from jaxtyping import Float
 
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import SAME_M
 from synth3dlanes.roads.maps.document import number
 from synth3dlanes.scene.road_map import PlanPiece
@@ -21,9 +21,6 @@ GAP_M, POINT_M = 1.0, 1e-6
 LONG_M = 1000.0
 # Points at which the length of a cubic is measured.
 N_LENGTH = 257
-# Nodes and weights on [0, 1] for integrals along spirals.
-NODES, WEIGHTS = (half / 2 for half in np.polynomial.legendre.leggauss(40))  # type: ignore[no-untyped-call]
-NODES = NODES + 0.5
 
 
 def read_plan(road: Element, where: str, origin: tuple[float, float], left_out: Counter[str]) -> tuple[PlanPiece, ...]:
@@ -114,37 +111,6 @@ def _lengths(u: Sequence[float], v: Sequence[float], p: Scalars) -> Scalars:
     at = middle[:, None] + half[:, None] * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
     speed = np.hypot(*(c[1] + at * (2 * c[2] + at * 3 * c[3]) for c in (u, v)))
     return np.concatenate([[0.0], np.cumsum((speed * np.array([5, 8, 5]) / 9).sum(axis=1) * half)])
-
-
-def plan_points(pieces: Sequence[PlanPiece], s: Scalars) -> Float[np.ndarray, "n 3"]:
-    """x, y and heading of a plan at stations; before and behind it, of its ends' tangents."""
-    starts = np.cumsum([0.0, *(piece.length_m for piece in pieces[:-1])])
-    which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None)
-    found = np.zeros((len(s), 3))
-    for i in np.unique(which):
-        at = which == i
-        found[at] = _piece_points(pieces[i], s[at] - starts[i])
-    return found
-
-
-def _piece_points(piece: PlanPiece, s: Scalars) -> Float[np.ndarray, "n 3"]:
-    inside = np.clip(s, 0, piece.length_m)
-    if piece.u is None or piece.v is None:
-        bend = (piece.curvature_end - piece.curvature) / piece.length_m
-        at = inside[:, None] * NODES
-        turned = at * (piece.curvature + bend * at / 2)
-        u, v = (inside * (form(turned) @ WEIGHTS) for form in (np.cos, np.sin))
-        heading = inside * (piece.curvature + bend * inside / 2)
-    else:
-        p = np.linspace(0, piece.parameter_end, N_LENGTH)
-        lengths = _lengths(piece.u, piece.v, p)
-        at = np.interp(inside, lengths * piece.length_m / max(lengths[-1], POINT_M), p)
-        u, v = (c[0] + at * (c[1] + at * (c[2] + at * c[3])) for c in (piece.u, piece.v))
-        heading = np.arctan2(*(c[1] + at * (2 * c[2] + at * 3 * c[3]) for c in (piece.v, piece.u)))
-    beyond = s - inside
-    u, v = u + beyond * np.cos(heading), v + beyond * np.sin(heading)
-    cos, sin = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
-    return np.column_stack([piece.x_m + cos * u - sin * v, piece.y_m + sin * u + cos * v, piece.heading_rad + heading])
 
 
 def places(pieces: Sequence[PlanPiece], s: Scalars, t: Scalars) -> Points2:
