@@ -74,22 +74,14 @@ class Stats(Document):
 FaultOutput = create_model("FaultOutput", __base__=Document, __doc__=Problem.__doc__, **fields_of(Problem))
 
 
-class WorstSample(Document):
-    """A sample and its largest value."""
-
-    sample: str
-    value: float
-
-
 class Validation(Document):
-    """`validate`: problems, the distributions of all measures by distance, and notes of what is no fault."""
+    """`validate`: problems, notes of what is no fault, and every number that a check holds against limits."""
 
     samples: int
     failed: list[str]
     problems: list[FaultOutput]
     notes: list[str]
-    distributions: dict[str, dict[str, dict[str, float | int | None]]]
-    worst: dict[str, list[WorstSample]]
+    numbers: dict[str, dict[str, float | int | str | None]]
     made_again: dict[str, str]
     means: dict[str, dict[str, Any]]
 

@@ -2,11 +2,10 @@
 
 An error too small to be found in one sample, such as a slightly different focal length, biases all samples in the same
 direction. A test fails if the mean is both statistically significant and large enough to matter: with many samples even
-micrometres become significant. The memory does not grow with the data set.
+micrometres become significant.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -136,30 +135,13 @@ def _mean(name: str, lines: Sequence[PaintOffset], signs: Sequence[float | Scala
         yield Signed(name, moment_m / weight)
 
 
-@dataclass
-class RunningMean:
-    """A running mean and the sum of squared deviations from it (Welford's algorithm)."""
+class Mean(NamedTuple):
+    """The mean of the signed values of samples, its standard error, and how many standard errors it is from 0."""
 
-    n: int = 0
-    mean: float = 0.0
-    squares: float = 0.0
-
-    def add(self, value: float) -> None:
-        """Add one value."""
-        self.n += 1
-        step = value - self.mean
-        self.mean += step / self.n
-        self.squares += step * (value - self.mean)
-
-    @property
-    def standard_error(self) -> float:
-        """The standard error of the mean; 0 for fewer than two values."""
-        return float(np.sqrt(self.squares / (self.n - 1) / self.n)) if self.n > 1 else 0.0
-
-    @property
-    def t(self) -> float:
-        """The mean in standard errors."""
-        return self.mean / self.standard_error if self.standard_error > 0 else float(np.sign(self.mean)) * np.inf
+    n: int
+    mean: float
+    standard_error: float
+    t: float
 
     def fails(self, least: float) -> bool:
         """Whether the mean exceeds `least` and differs significantly from 0."""
@@ -169,12 +151,18 @@ class RunningMean:
 
     def summary(self, least: float) -> dict[str, float | bool | None]:
         """The test's numbers, for JSON."""
-        t = self.t if np.isfinite(self.t) else None
-        numbers = {"mean": self.mean, "standard_error": self.standard_error, "t": t}
-        return {"n": self.n, **numbers, "least": least, "fails": self.fails(least)}
+        numbers = {**self._asdict(), "t": self.t if np.isfinite(self.t) else None}
+        return {**numbers, "least": least, "fails": self.fails(least)}
 
 
-def judge(means: Mapping[str, RunningMean]) -> Iterator[Problem]:
+def mean_of(values: Sequence[float]) -> Mean:
+    """That of some values; without a standard error of fewer than two."""
+    mean = float(np.mean(values))
+    error = float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    return Mean(len(values), mean, error, mean / error if error > 0 else float(np.sign(mean)) * np.inf)
+
+
+def judge(means: Mapping[str, Mean]) -> Iterator[Problem]:
     """A problem of the data set for each test that fails."""
     for name, test in TESTS.items():
         if name in means and means[name].fails(test.least):

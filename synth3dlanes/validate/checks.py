@@ -77,8 +77,7 @@ CHECKS = (
     Check(
         "points",
         check_points,
-        "points off the rendered surface, points labelled as visible that the passes show to be hidden; depth in "
-        "another unit",
+        "points off the ground, points labelled as visible that the passes show to be hidden; depth in another unit",
         _needs("aim"),
     ),
     Check("height", check_height, "a height map that is too high or low, or some cells off", _needs("height")),

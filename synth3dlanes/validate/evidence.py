@@ -91,7 +91,7 @@ class Seen:
     @cached_property
     def beyond_symbols_m(self) -> Float[np.ndarray, "m n"]:
         """Distances of points on the road outside the paint of each symbol, negative inside."""
-        return beyond_symbols(self.world, self.places)
+        return beyond_symbols(self.world, self.points_world[:, :2])
 
     def pixels_at(self, which: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> Int[np.ndarray, "k 2"] | None:
         """The rows and columns of some of the points."""

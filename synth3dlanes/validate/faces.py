@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.system.arrays import AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.world.meshes import Mesh
@@ -40,18 +40,17 @@ class Faces:
     """The faces of some meshes, found from above; where an eye is given, those within NEAR_M of it."""
 
     def __init__(self, meshes: Sequence[Mesh], eye_world: Float[np.ndarray, "3"] | None = None) -> None:
-        corners = np.concatenate([np.zeros((0, 4, 3)), *(mesh.vertices_world[mesh.faces] for mesh in meshes)])
+        near = [_near(mesh, eye_world) for mesh in meshes]
+        faces = [mesh.vertices_world[mesh.faces[at]] for mesh, at in zip(meshes, near, strict=True)]
+        corners = np.concatenate([np.zeros((0, 4, 3)), *faces])
+        material = [mesh.material[at] for mesh, at in zip(meshes, near, strict=True)]
         one, other, third = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
         # Blender splits a quad with an inward corner at that one.
         is_inward = (np.cross(one, other) * np.cross(other, third)).sum(axis=1) < 0
         corners[is_inward] = np.roll(corners[is_inward], 1, axis=1)
-        material = np.concatenate([np.zeros(0, dtype=int), *(mesh.material for mesh in meshes)])
+        self._corners, self._material = corners, np.concatenate([np.zeros(0, dtype=int), *material])
         low, high = (reduce(of, corners[..., :2].swapaxes(0, 1)) for of in (np.minimum, np.maximum))
-        near = np.ones(len(corners), dtype=bool)
-        if eye_world is not None:
-            near = ((low < eye_world[:2] + NEAR_M) & (high > eye_world[:2] - NEAR_M)).all(axis=1)
-        self._corners, self._material = corners[near], material[near]
-        self._tree = shapely.STRtree(shapely.box(*(low[near] - ROOM_M).T, *(high[near] + ROOM_M).T))
+        self._tree = shapely.STRtree(shapely.box(*(low - ROOM_M).T, *(high + ROOM_M).T))
 
     def nearest(self, points_world: Points3, reach_m: float = REACH_M) -> NearestFaces:
         """Of each point the nearest face, of those that are no farther than this along their normals; upright ones
@@ -93,6 +92,15 @@ class Faces:
         i, face = self._tree.query(shapely.points(xy_world))
         for corners in SPLIT:
             yield i, self._corners[face][:, corners], self._material[face]
+
+
+def _near(mesh: Mesh, eye_world: Float[np.ndarray, "3"] | None) -> Bool[np.ndarray, " f"]:
+    """Which faces are not beyond NEAR_M on one side of an eye."""
+    if eye_world is None:
+        return np.ones(len(mesh.faces), dtype=bool)
+    away_m = mesh.vertices_world[:, :2] - eye_world[:2]
+    beyond = np.packbits(np.concatenate([away_m >= NEAR_M, away_m <= -NEAR_M], axis=1), axis=1)[:, 0]
+    return np.bitwise_and.reduce(beyond[mesh.faces], axis=1) == 0
 
 
 @lru_cache(maxsize=1)

@@ -1,20 +1,13 @@
-"""Results of checks: findings and their words, and measured values as distributions of constant size."""
+"""Results of checks: findings and their words, and numbers that a check holds against limits."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-# Bands of distance ahead of the camera; the guarantees of docs/validate.md hold up to PROOF_M.
+# The guarantees of docs/validate.md hold up to this distance ahead of the camera.
 PROOF_M = 40.0
-BANDS_M = (0.0, 10.0, 20.0, PROOF_M, 80.0, np.inf)
-BAND_NAMES = ("0-10 m", "10-20 m", "20-40 m", "40-80 m", "80+ m")
-# Values are counted in bins 10 % wide, so that the memory does not grow with the dataset; values below the first edge
-# count as 0.
-EDGES = 1e-4 * 1.1 ** np.arange(180)
-WORST = 5
 
 
 class Finding(NamedTuple):
@@ -37,19 +30,6 @@ class Problem(NamedTuple):
         return ": ".join(part for part in (self.where, self.lane, reason) if part)
 
 
-class Measure(NamedTuple):
-    """Values of one kind and the distance ahead of each; those named `*_visible` are 1 where pixels disagree."""
-
-    name: str
-    y_m: Float[np.ndarray, " n"]
-    values: Float[np.ndarray, " n"]
-
-    def worst(self) -> float:
-        """The value that ranks a sample: the largest within PROOF_M, or the sum for `*_visible`."""
-        near = self.values[self.y_m < PROOF_M]
-        return float(near.sum() if self.name.endswith("visible") else near.max(initial=0.0))
-
-
 class Signed(NamedTuple):
     """One sample's signed value for a test over the whole data set; its mean is 0 if images and labels show the same
     world. `name` is a key of `bias.TESTS`."""
@@ -59,8 +39,7 @@ class Signed(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """A number of a sample and the limits between which it is in a correct one. A finding tells of one beyond them; the
-    number itself tells how well the limits still fit (`tests.validate.limits`)."""
+    """A number of a sample and the limits between which it is in a correct one."""
 
     name: str
     value: float
@@ -71,6 +50,16 @@ class Bounded(NamedTuple):
     def is_beyond(self) -> bool:
         """Whether it is beyond its limits, or not a number."""
         return not self.least <= self.value <= self.most
+
+    @property
+    def use(self) -> float:
+        """The share of its limit that it uses up; above 1 it is beyond."""
+        value, least, most = self.value, self.least, self.most
+        if np.isfinite(least) and np.isfinite(most):
+            return abs(2 * value - least - most) / (most - least)
+        if np.isfinite(most):
+            return value / most if most > 0 else 1 + value - most
+        return least / max(value, 1e-9) if least > 0 else 1 + least - value
 
 
 class MovingObject(NamedTuple):
@@ -91,40 +80,12 @@ class Instant(NamedTuple):
 
 
 # What a check of a sample yields.
-Result = Finding | Measure | Signed | Bounded | Instant
+Result = Finding | Signed | Bounded | Instant
 
 
 def findings_of(results: Iterable[Result]) -> list[Finding]:
     """The findings among results."""
     return [result for result in results if isinstance(result, Finding)]
-
-
-@dataclass
-class RangeHistogram:
-    """A histogram of values for each band of distance."""
-
-    counts: Int[np.ndarray, "bands bins"] = field(
-        default_factory=lambda: np.zeros((len(BAND_NAMES), len(EDGES) + 1), dtype=int)
-    )
-    totals: Float[np.ndarray, " bands"] = field(default_factory=lambda: np.zeros(len(BAND_NAMES)))
-
-    def add(self, measure: Measure) -> None:
-        """Count the values of one more sample."""
-        bands = np.searchsorted(BANDS_M, measure.y_m, side="right") - 1
-        np.add.at(self.counts, (bands, np.searchsorted(EDGES, measure.values, side="right")), 1)
-        np.add.at(self.totals, bands, measure.values)
-
-    def summary(self, bands: slice) -> dict[str, float]:
-        """Count, mean and percentiles of a range of bands; a percentile is its bin's upper edge."""
-        counts = self.counts[bands].sum(axis=0)
-        n = int(counts.sum())
-        if n == 0:
-            return {"n": 0}
-        cumulative = np.cumsum(counts)
-        at = [int(np.searchsorted(cumulative, q / 100 * n)) for q in (50, 95, 99)]
-        upper = [0.0 if i == 0 else float(EDGES[min(i, len(EDGES) - 1)]) for i in at]
-        mean = float(self.totals[bands].sum()) / n
-        return {"n": n, "mean": mean, "median": upper[0], "p95": upper[1], "p99": upper[2]}
 
 
 def judged(

@@ -7,18 +7,18 @@ where the paint has dashes.
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from jaxtyping import Bool, Float
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane, Marking, PaintColor
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.roads import Parting, Road
 from synth3dlanes.scene.assets.catalogue import ROAD_MEANS
-from synth3dlanes.scene.scene import Scene, Symbol
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.validate.places import Places
 from synth3dlanes.world.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
-from synth3dlanes.world.symbols import Polygon, SymbolShape, dense, shape
+from synth3dlanes.world.symbols import dense
 from synth3dlanes.world.world import World
 
 # Paint narrower, or a dash lower in the image, than this may fall between the pixels' single samples.
@@ -26,8 +26,8 @@ RESOLVED_PX = 1.0
 # Paint may appear up to this far beyond its end along the line, because it floats over the road.
 END_M = 0.06
 
-# Of the search for a station between two lines, and the length over which sides of symbols are straight from above.
-STEPS, SIDE_M = 5, 0.5
+# The length over which sides of symbols are straight from above.
+SIDE_M = 0.5
 
 Stretches = Float[np.ndarray, "m 2"]
 
@@ -189,80 +189,13 @@ def _merged(stretches: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
     return np.column_stack([ordered[first, 0], ordered[np.roll(first, -1), 1]])
 
 
-# -- symbols
-
-
-def beyond_symbols(world: World, place: Places) -> Float[np.ndarray, "m n"]:
-    """Distance of points on the road outside the paint of each symbol, negative inside. The symbols of a scene are
-    compared in metres beside and along their lanes, those of a map from above; the meshes are not used."""
-    of_scene = [_beyond_m(world, symbol, place) for symbol in world.scene.symbols]
-    found = of_scene or [_beyond_from_above(form, place.xy_world) for form in world.symbol_shapes]
-    return np.array(found).reshape(len(found), len(place.xy_world))
-
-
-def _beyond_m(world: World, symbol: Symbol, place: Places) -> Scalars:
-    """Distance of points on the road outside a symbol's paint, negative inside."""
-    network, form = world.network, shape(world.ground, symbol)
-    if symbol.kind == "gore":
-        share, s = _between_lines(world, place.xy_world)
-        polygons = [polygon * np.column_stack([_gap_m(world, polygon[:, 1]), np.ones(4)]) for polygon in form.polygons]
-        return _outside(polygons, np.column_stack([share * _gap_m(world, s), s]))
-    path = None if symbol.lane is None else network.path(symbol.lane)
-    if path is None:
-        s, aside = network.main.line.project(place.xy_world)
-    else:
-        s, aside = place.station(path), place.right_of(path)
-    around = network.stations(symbol.s_m + np.array([-0.5, 0.5]))
-    ends = network.main.xy(around, 0.0) if path is None else path.xy_world(around)
-    ahead = (s * network.onwards - symbol.s_m) * np.hypot(*(ends[1] - ends[0]))
-    return _outside(form.polygons, np.nan_to_num(np.column_stack([aside * network.rightward, ahead]), nan=1e3))
-
-
-def _beyond_from_above(form: SymbolShape, xy_world: Points2) -> Scalars:
-    """The same of a map's symbol, seen from above."""
-    return _outside([form.points_world(dense(polygon, SIDE_M))[:, :2] for polygon in form.polygons], xy_world)
-
-
-def _between_lines(world: World, xy_world: Points2) -> tuple[Scalars, Scalars]:
-    """Where points are between the lines of two roads that part: the share of the way, and the station at which both
-    lines have them between each other."""
-    branch, parting = _gore(world)
-    begun = [line for line in world.network.delimiters if line.start_m == parting.station(0.0)]
-    near = next(line for line in reversed(begun) if line.pieces[0].road is parting.road)
-    far = next(line for line in begun if line.pieces[0].road is branch)
-    s = np.clip(parting.road.line.project(xy_world)[0], near.start_m, None)
-    mirrored = -1 if branch.line.is_mirrored else 1
-    for _ in range(STEPS):
-        main, across = near.xy_world(s), far.xy_world(s) - near.xy_world(s)
-        to, length = xy_world - main, np.maximum(np.hypot(*across.T), 1e-3)
-        ahead_m = (across[:, 0] * to[:, 1] - across[:, 1] * to[:, 0]) / length * mirrored
-        s = np.clip(s + ahead_m, near.start_m, None)
-    return (to * across).sum(axis=1) / length**2, s
-
-
-def _gap_m(world: World, s: Scalars) -> Scalars:
-    return np.maximum(_gore(world)[1].gap_m(s), 0.01)
-
-
-def _gore(world: World) -> tuple[Road, Parting]:
-    branch = next(road for road in world.network.roads if road.parting is not None)
-    assert branch.parting is not None, "just asked for"
-    return branch, branch.parting
-
-
-def _outside(polygons: list[Polygon], points: Float[np.ndarray, "n 2"]) -> Scalars:
-    """Distance of points from the nearest polygon; inside one, minus the distance from its sides."""
-    outside = np.full(len(points), np.inf)
-    for polygon in polygons:
-        near = ((points > polygon.min(axis=0) - 1) & (points < polygon.max(axis=0) + 1)).all(axis=1)
-        a, side = polygon, np.roll(polygon, -1, axis=0) - polygon
-        to = points[near, None] - a
-        share = np.clip((to * side).sum(axis=-1) / (side * side).sum(axis=-1), 0, 1)
-        distance = np.linalg.norm(to - share[..., None] * side, axis=-1).min(axis=1)
-        y = points[near, 1:]
-        crosses = (a[:, 1] > y) != ((a + side)[:, 1] > y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            right = a[:, 0] + (y - a[:, 1]) / side[:, 1] * side[:, 0] > points[near, :1]
-        inside = (crosses & right).sum(axis=1) % 2 == 1
-        outside[near] = np.minimum(outside[near], np.where(inside, -distance, distance))
-    return outside
+def beyond_symbols(world: World, xy_world: Points2) -> Float[np.ndarray, "m n"]:
+    """Distance of points outside the paint of each symbol, seen from above; negative inside."""
+    found, points = np.zeros((len(world.symbol_shapes), len(xy_world))), np.asarray(shapely.points(xy_world))
+    for of_symbol, form in zip(found, world.symbol_shapes, strict=True):
+        outlines = [form.places_world(dense(polygon, SIDE_M))[:, :2] for polygon in form.polygons]
+        paint = shapely.union_all(shapely.make_valid([shapely.Polygon(outline) for outline in outlines]))
+        of_symbol += shapely.distance(paint, points)
+        inside = of_symbol == 0
+        of_symbol[inside] = -shapely.distance(paint.boundary, points[inside])
+    return found

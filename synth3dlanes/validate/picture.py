@@ -25,7 +25,7 @@ from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes
 from synth3dlanes.validate.bodies import may_show_objects, meet
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result, judged
+from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
 from synth3dlanes.world.visibility import seen_over_ground
 
 # Largest share of white pixels, and least mean brightness. A bright sky in fog may fill half the image, unclipped.
@@ -70,12 +70,10 @@ class Detail(NamedTuple):
 
 
 def check_frame(evidence: Evidence) -> Iterator[Result]:
-    """Findings about exposure and textures, and measure `clipped_share`: the share of pixels with a channel at 0 or
-    255."""
+    """Findings about exposure and textures."""
     image, passes = evidence.picture, evidence.passes
     red, green, blue = np.moveaxis(image, -1, 0)
-    darkest, brightest = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
-    white = float((darkest == 255).mean())
+    white = float((np.minimum(np.minimum(red, green), blue) == 255).mean())
     mean = float(image.mean())
     yield from judged("picture.mean", mean, f"image: expected a picture, got black (mean {mean:.1f} of 255)", MIN_MEAN)
     reason = f"image: expected a picture, got {100 * white:.0f} % of it white"
@@ -91,8 +89,6 @@ def check_frame(evidence: Evidence) -> Iterator[Result]:
         share -= float(of_cars.sum()) / pink.size
     reason = f"image: expected textures, got {100 * share:.0f} % of the ground pink"
     yield from judged("picture.pink", share, reason, most=limit)
-    clipped = float(((darkest == 0) | (brightest == 255)).mean())
-    yield Measure("clipped_share", np.zeros(1), np.array([clipped]))
 
 
 def check_colours(evidence: Evidence) -> Iterator[Result]:

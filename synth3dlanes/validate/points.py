@@ -1,42 +1,38 @@
-"""Check the passes against the labels: the surface at points, and occlusion.
+"""Check the passes against the labels' points: the rendered surface at them, and occlusion.
 
-A pixel's pass value is one sample at its centre. So depth at a point is interpolated from the four pixels around it,
-and its visibility is judged from sixteen: where these disagree, an edge is less than two pixels away and the point is
-skipped.
+A point and the pixel that shows it must lie on the faces of the ground. A pixel's pass value is one sample at its
+centre, so a point's visibility is judged from the sixteen pixels around it: where these disagree, an edge is less than
+two pixels away and the point is skipped.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.things import KINDS, SEMANTIC_IDS
-from synth3dlanes.system.arrays import Passes, Points2, Scalars
+from synth3dlanes.system.arrays import Passes, Points2
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Measure, Result, Signed, counted
+from synth3dlanes.validate.faces import ground_of
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, Signed, counted
 from synth3dlanes.validate.paint import Strip
-from synth3dlanes.validate.pixels import Squares, around, depth_between
+from synth3dlanes.validate.pixels import Squares, around
 
-# Label faults affect whole lines: a line fails if more than this share of its points, and more than two
-# points, are off.
-# Single points, such as at the foot of a car, only appear in the distributions.
-MAX_SHARE, MAX_SINGLE = 0.1, 2
+# Label faults affect whole lines: a line fails if more than this share of its points, and more than two points, are
+# off; single points may be at the foot of a car. How far a point, or the point of a pixel, may be from the ground.
+MAX_SHARE, MAX_SINGLE, MAX_OFF_M = 0.1, 2, 0.02
 # Masks may differ from the passes where a line of sight grazes a crest or a twig: at up to 5 points of a line in 1,350
 # scenes.
 MAX_GRAZING = 5
-# Limits within PROOF_M.
-LIMITS = {
-    "surface_m": (0.02, "m of the rendered surface"),
-}
-MASKS = ("terrain_visible", "object_visible")
 OBJECTS = [kind.semantic_id for kind in KINDS if kind.series and not kind.is_ground]
 # A mask moved along its line by one point must have MIN_MOVED more wrong points and MOVED times as many as unmoved.
 MIN_MOVED, MOVED = 3, 2
 # Range ahead for the test of the surface's height over the data set, and the least number of points in it.
 HEIGHT_WITHIN_M, MIN_NEAR = 25.0, 10
-# Pixels whose depths differ by a larger factor show two surfaces, or one at too flat an angle to interpolate.
+# Pixels whose depths differ by a larger factor show two surfaces.
 SMOOTH = 1.2
 # How much nearer than a point, in depth, a shoulder must be to be taken for a kerb before it.
 KERB_NEARER_M = 0.3
@@ -44,24 +40,13 @@ KERB_NEARER_M = 0.3
 KERBS_M, KERBS_M_A_PX = 80.0, 0.24
 # Pixels of an object whose depths differ by a smaller factor show one surface without a gap.
 ONE_SURFACE = 1.05
-# Depth is interpolated between pixels as on a plane. A point is left out if pixels are too large to judge it: if the
-# surface bends so much that the interpolation errs by more metres, or if the rows next to the point look at less than
-# this share of its distance.
-MAX_BEND_M, MIN_NEXT = 0.004, 0.6
+# A point is left out if the rows next to it look at less than this share of its distance.
+MIN_NEXT = 0.6
 # A surface nearer than a point by this factor and distance hides it; the point's own surface differs by less in depth
 # from pixel to pixel.
 NEARER, NEARER_M = 0.985, 0.05
 # Objects with narrower boxes, whose upper parts may be narrower than a pixel, tell nothing of what is behind them.
 NARROW_PX = 5.0
-
-
-class SurfaceErrors(NamedTuple):
-    """What pixels show at points: the points' distances, and how far the rendered surface is beyond them in depth and
-    below them along its normal."""
-
-    y_m: Scalars
-    deeper_m: Scalars
-    below_m: Scalars
 
 
 class Sight(NamedTuple):
@@ -73,73 +58,69 @@ class Sight(NamedTuple):
 
 
 def check_points(evidence: Evidence) -> Iterator[Result]:
-    """Findings about lines from the available passes (depth, semantic), and all measured values."""
-    passes, camera = evidence.passes, evidence.camera
-    measures: list[Measure] = []
-    above_m = [np.zeros(0)]
+    """Findings about lines, of depth at them, and of masks that the available passes (depth, semantic) contradict."""
+    yield from _on_ground(evidence)
+    if "depth" in evidence.passes:
+        yield from _depth_at_lines(evidence)
+    if not {"depth", "semantic"} <= evidence.has:
+        return
     moved = np.zeros(3, dtype=int)
     for lane in evidence.labels.lanes:
-        uv = camera.project(lane.xyz_cam)
-        strip = evidence.paint.strip(camera, lane, lane.xyz_cam)
-        found = []
-        if "depth" in passes:
-            surface = _surface(lane, strip, uv, passes, evidence.is_single[lane.id])
-            # Only along the normal is there a limit: at a crest one pixel spans metres of depth.
-            found.append(Measure("depth_m", surface.y_m, np.abs(surface.deeper_m)))
-            found.append(Measure("surface_m", surface.y_m, np.abs(surface.below_m)))
-            # Paint floats over the road.
-            if lane.kind == "centerline":
-                above_m.append(-surface.below_m[surface.y_m < HEIGHT_WITHIN_M])
-        if "depth" in passes and "semantic" in passes:
-            sight = _sight(camera, lane, strip, uv, passes)
-            # The deck of a bridge is as thin as its road: from below its points are at their depths, too.
-            asked = evidence.is_single[lane.id] & ~_behind_narrow(evidence, lane, uv)
-            sight = Sight(*(of & asked for of in sight))
-            found += _against_masks(lane, sight)
-            moved += _wrong_if_moved(lane, sight)
-        measures += found
-        for measure in found:
-            yield from judge(lane.id, measure)
+        uv = evidence.camera.project(lane.xyz_cam)
+        strip = evidence.paint.strip(evidence.camera, lane, lane.xyz_cam)
+        sight = _sight(evidence.camera, lane, strip, uv, evidence.passes)
+        # The deck of a bridge is as thin as its road: from below its points are at their depths, too.
+        asked = evidence.is_single[lane.id] & ~_behind_narrow(evidence, lane, uv)
+        sight = Sight(*(of & asked for of in sight))
+        for name, mask, hidden in (
+            ("terrain_visible", lane.terrain_visible, sight.by_ground),
+            ("object_visible", lane.object_visible, sight.by_object),
+        ):
+            wrong = np.not_equal(np.asarray(mask), sight.clear)[sight.clear | hidden]
+            reason = f"{name}: expected what the passes show, got another at {{wrong}} of {{n}}"
+            yield from counted(f"points.{name}", wrong, reason, MAX_GRAZING, MAX_SHARE, lane.id)
+        moved += _wrong_if_moved(lane, sight)
     yield from _judge_moved(moved)
-    near_m = np.concatenate(above_m)
+
+
+def _on_ground(evidence: Evidence) -> Iterator[Result]:
+    """Findings about lines whose visible points are not on the faces of the ground, where these are near."""
+    lanes, world_from_cam = evidence.labels.lanes, evidence.camera.world_from_cam
+    asked = [lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M) for lane in lanes]
+    points_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, asked, strict=True)])
+    above_m = np.abs(ground_of(evidence.world).nearest(transform(world_from_cam, points_cam)).above_m)
+    ends = np.cumsum([np.count_nonzero(at) for at in asked])[:-1]
+    for lane, off_m in zip(lanes, np.split(above_m, ends), strict=True):
+        off_m = off_m[np.isfinite(off_m)]
+        by = f"{np.median(off_m) if len(off_m) else 0:.3g} in the median"
+        reason = f"expected points within {MAX_OFF_M} m of the ground, got {{wrong}} of {{n}} off, by {by}"
+        yield from counted("points.ground_m", off_m > MAX_OFF_M, reason, MAX_SINGLE, MAX_SHARE, lane.id)
+
+
+def _depth_at_lines(evidence: Evidence) -> Iterator[Result]:
+    """A finding if pixels at the visible points of centre lines, which have no paint, do not lie on the ground, and the
+    height of these pixels."""
+    passes, camera = evidence.passes, evidence.camera
+    depth_m = passes["depth"]
+    at_lines = np.zeros(depth_m.shape, dtype=bool)
+    for lane in evidence.labels.lanes:
+        if lane.kind == "centerline":
+            near = lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M)
+            uv = camera.project(lane.xyz_cam[near])
+            columns, rows = np.clip(uv.astype(int), 0, [camera.width_px - 1, camera.height_px - 1]).T
+            four_m = depth_m[around(uv, depth_m.shape, 1)]
+            smooth = four_m.max(axis=0) < SMOOTH * four_m.min(axis=0)
+            at_lines[rows[smooth], columns[smooth]] = True
+    if "semantic" in passes:
+        at_lines &= ~_of_objects(passes["semantic"])
+    seen = evidence.seen(at_lines)
+    above_m = ground_of(evidence.world).nearest(seen.points_world).above_m
+    wrong = ~(np.abs(above_m) <= MAX_OFF_M)
+    reason = f"depth: expected pixels at lines within {MAX_OFF_M} m of the ground, got {{wrong}} of {{n}} elsewhere"
+    yield from counted("points.depth_m", wrong, reason, MAX_SINGLE, MAX_SHARE)
+    near_m = above_m[(seen.range_m < HEIGHT_WITHIN_M) & np.isfinite(above_m)]
     if len(near_m) >= MIN_NEAR and not evidence.scene.shot.frame:
         yield Signed("surface_above_m", float(np.median(near_m)))
-    yield from joined(measures)
-
-
-def judge(lane_id: str, measure: Measure) -> Iterator[Result]:
-    """A finding if too many of a line's values are too large."""
-    is_flag = measure.name in MASKS
-    if not is_flag and measure.name not in LIMITS:
-        return
-    values = measure.values if is_flag else measure.values[measure.y_m < PROOF_M]
-    limit, words = (0.0, "") if is_flag else LIMITS[measure.name]
-    reason = f"{measure.name}: expected what the passes show, got another at {{wrong}} of {{n}}"
-    if not is_flag:
-        off = f"{np.median(values) if len(values) else 0:.3g} in the median"
-        reason = f"passes: expected points within {limit} {words}, got {{wrong}} of {{n}} off, by {off}"
-    single = MAX_GRAZING if is_flag else MAX_SINGLE
-    yield from counted(f"points.{measure.name}", values > limit, reason, single, MAX_SHARE, lane_id)
-
-
-def _surface(lane: Lane, strip: Strip, uv: Points2, passes: Passes, is_single: Bool[np.ndarray, " n"]) -> SurfaceErrors:
-    """How far the rendered surface is beyond each visible point, as far as pixels tell."""
-    between, y_m = depth_between(passes["depth"], uv), lane.xyz_cam[:, 1]
-    across_m = np.abs((strip.points_cam * strip.normal_cam).sum(axis=1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = between.depth_m / y_m - 1
-        is_plane = between.bend * y_m / between.depth_m * across_m < MAX_BEND_M
-        smooth = lane.visible & is_single & is_plane & (between.spread < SMOOTH)
-    if "semantic" in passes:
-        semantic = passes["semantic"][around(uv, passes["depth"].shape, 1)]
-        smooth &= ~_of_objects(semantic).any(axis=0)
-        if lane.connector is not None:
-            # On a map the edge of a shoulder or walkway may be a kerb, and grass an island that a line of sight grazes.
-            raised = semantic == SEMANTIC_IDS["shoulder"]
-            smooth &= raised.all(axis=0) | ~raised.any(axis=0)
-            smooth &= ~(semantic == SEMANTIC_IDS["terrain"]).any(axis=0)
-    smooth &= np.isfinite(error)
-    return SurfaceErrors(y_m[smooth], error[smooth] * y_m[smooth], error[smooth] * across_m[smooth])
 
 
 def _behind_narrow(evidence: Evidence, lane: Lane, uv: Points2) -> Bool[np.ndarray, " n"]:
@@ -181,17 +162,6 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: P
     )
 
 
-def _against_masks(lane: Lane, sight: Sight) -> list[Measure]:
-    """Compare the masks with the passes, where these are clear."""
-    return [
-        Measure(name, lane.xyz_cam[at, 1], np.not_equal(np.asarray(mask), sight.clear)[at].astype(float))
-        for name, mask, at in (
-            ("terrain_visible", lane.terrain_visible, sight.clear | sight.by_ground),
-            ("object_visible", lane.object_visible, sight.clear | sight.by_object),
-        )
-    ]
-
-
 def _wrong_if_moved(lane: Lane, sight: Sight) -> Int[np.ndarray, "3"]:
     """At how many points `object_visible` is not what the passes show: if it is moved back by a point, as it is, and if
     it is moved on."""
@@ -225,10 +195,3 @@ def _own_depth(camera: CameraLabel, strip: Strip, rows: Squares, columns: Square
 
 def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
     return np.isin(semantic, OBJECTS)
-
-
-def joined(measures: Sequence[Measure]) -> list[Measure]:
-    names = dict.fromkeys(measure.name for measure in measures)
-    return [
-        Measure(name, *(np.concatenate([m[i] for m in measures if m.name == name]) for i in (1, 2))) for name in names
-    ]

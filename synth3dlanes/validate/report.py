@@ -1,11 +1,11 @@
-"""The report of a validation: problems, distributions, worst samples; as text, as JSON, and as pictures of samples."""
+"""The report of a validation: problems, numbers beside their limits, means; as text, as JSON, and as pictures of
+samples."""
 
-import heapq
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from fsspec.implementations.local import LocalFileSystem
@@ -21,55 +21,44 @@ from synth3dlanes.system.arrays import RgbImage
 from synth3dlanes.system.errors import FormatError, OutageError
 from synth3dlanes.system.files import Folder, encoded
 from synth3dlanes.system.words import counted
-from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, RunningMean, judge
+from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, Mean, judge, mean_of
 from synth3dlanes.validate.boxes import between
-from synth3dlanes.validate.findings import (
-    BAND_NAMES,
-    BANDS_M,
-    EDGES,
-    PROOF_M,
-    WORST,
-    Finding,
-    Instant,
-    Measure,
-    Problem,
-    RangeHistogram,
-    Result,
-    Signed,
-)
+from synth3dlanes.validate.findings import Bounded, Finding, Instant, Problem, Result, Signed
 
-MEASURES = {
-    "image_ridge_m": "metres from delimiters to the ridge of brightness across them (image)",
-    "depth_m": "metres along y between label points and the rendered surface (depth pass)",
-    "surface_m": "metres along the normal between label points and the rendered surface (depth pass)",
-    "lidar_ground_m": "metres between lidar points on the pavement and the world's ground, by their range",
-    "lidar_depth_m": "metres of range between lidar points and the depth pass",
-    "terrain_visible": "share of points whose terrain_visible the passes contradict",
-    "object_visible": "share of points whose object_visible the passes contradict",
-    "clipped_share": "share of the image's pixels with a channel at 0 or 255",
-    "wheel_gap_m": "metres between tyres and the rendered road, by their distance ahead",
-    "tree_gap_m": "metres between trunks' places and the rendered ground, by their distance ahead",
-}
 FOLDER = "validation"
 # No lanes are drawn if a line extends farther than this outside the image.
 MAX_PX = 1e5
 # Of samples made again.
 VERDICTS = ("equal bytes", "equal within the tolerances of another machine", "not equal")
-# Smaller values are counted, and printed, as 0.
-SMALLEST = float(EDGES[0])
-WITHIN_PROOF = slice(0, BANDS_M.index(PROOF_M))
+# So many numbers are shown in the text, and a number is tight from this share of its limit on.
+SHOWN, TIGHT = 10, 0.9
+
+
+class Worst(NamedTuple):
+    """Of `n` values of one number the one that is nearest to its limits, or beyond, and its sample."""
+
+    n: int
+    number: Bounded
+    sample: str
+
+    def summary(self) -> dict[str, float | str | None]:
+        """For JSON."""
+        worst = self.number
+        values = {"worst": worst.value, "least": worst.least, "most": worst.most}
+        told = {name: value if np.isfinite(value) else None for name, value in values.items()}
+        verdict = "beyond" if worst.is_beyond else "tight" if worst.use > TIGHT else ""
+        return {"n": self.n, **told, "sample": self.sample, "verdict": verdict}
 
 
 @dataclass
 class ValidationReport:
-    """Collects samples one by one; samples without faults leave only counts and a digest each. `notes` say what is no
-    fault, but may be unexpected."""
+    """Collects samples one by one; samples without faults leave only counts, a few numbers and a digest each. `notes`
+    say what is no fault, but may be unexpected."""
 
     n_samples: int = 0
     problems: list[Problem] = field(default_factory=list)
-    distributions: dict[str, RangeHistogram] = field(default_factory=dict)
-    worst: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
-    means: dict[str, RunningMean] = field(default_factory=dict)
+    numbers: dict[str, Worst] = field(default_factory=dict)
+    signed: dict[str, list[float]] = field(default_factory=dict)
     made_again: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     _worlds: dict[str, str] = field(default_factory=dict)
@@ -83,9 +72,11 @@ class ValidationReport:
             if isinstance(result, Finding):
                 self.problems.append(Problem(name, result.lane, result.reason))
             elif isinstance(result, Signed):
-                self.means.setdefault(result.name, RunningMean()).add(result.value)
-            elif isinstance(result, Measure):
-                self._measure(name, result)
+                self.signed.setdefault(result.name, []).append(result.value)
+            elif isinstance(result, Bounded):
+                before = self.numbers.get(result.name, Worst(0, result, name))
+                nearest = (result, name) if result.use > before.number.use else before[1:]
+                self.numbers[result.name] = Worst(before.n + 1, *nearest)
             elif isinstance(result, Instant):
                 moved = [] if self._before is None else between(self._before, result)
                 self.problems += [Problem(name, found.lane, found.reason) for found in moved]
@@ -95,12 +86,10 @@ class ValidationReport:
             if first != name:
                 self.problems.append(Problem(name, "", f"expected a scene of its own, got that of {first}"))
 
-    def _measure(self, name: str, measure: Measure) -> None:
-        self.distributions.setdefault(measure.name, RangeHistogram()).add(measure)
-        ranking = self.worst.setdefault(measure.name, [])
-        heapq.heappush(ranking, (measure.worst(), name))
-        if len(ranking) > WORST:
-            heapq.heappop(ranking)
+    @property
+    def means(self) -> dict[str, Mean]:
+        """Of the signed values, by name."""
+        return {name: mean_of(values) for name, values in self.signed.items()}
 
     def judge(self) -> None:
         """Run the tests over the whole data set, after all samples were added."""
@@ -121,36 +110,17 @@ class ValidationReport:
             "samples": self.n_samples,
             "failed": self.failed,
             "problems": [problem._asdict() for problem in self.in_order()],
-            "distributions": {
-                name: {
-                    "all": found.summary(slice(None)),
-                    f"0-{PROOF_M:.0f} m": found.summary(WITHIN_PROOF),
-                    **{band: found.summary(slice(i, i + 1)) for i, band in enumerate(BAND_NAMES)},
-                }
-                for name, found in self.distributions.items()
-            },
-            "worst": {
-                name: [{"sample": sample, "value": value} for value, sample in sorted(ranking, reverse=True)]
-                for name, ranking in self.worst.items()
-            },
+            "numbers": {name: found.summary() for name, found in sorted(self.numbers.items())},
             "made_again": self.made_again,
             "notes": self.notes,
             "means": {name: found.summary(TESTS[name].least) for name, found in self.means.items()},
         }
 
     def text(self) -> RenderableType:
-        """Distributions with their worst samples, means over the data set, then one line per note and per problem."""
-        document = self.document()
+        """The numbers nearest to their limits, means over the data set, then one line per note and per problem."""
         parts: list[RenderableType] = []
-        for name, words in MEASURES.items():
-            if name in document["distributions"]:
-                parts += [f"\n[bold]{name}[/bold]  {words}", _table(document["distributions"][name])]
-                worst = [
-                    f"{item['sample']} {_shown(item['value'])}"
-                    for item in document["worst"][name]
-                    if item["value"] >= SMALLEST
-                ]
-                parts += [f"  worst within {PROOF_M:.0f} m: {', '.join(worst)}"] if worst else []
+        if self.numbers:
+            parts += [f"\n[bold]numbers[/bold]  nearest to their limits, of {len(self.numbers)}", _table(self.numbers)]
         tested = {name: found for name, found in self.means.items() if found.n >= MIN_SAMPLES}
         if tested:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
@@ -174,25 +144,19 @@ def made_again_text(verdicts: dict[str, str]) -> list[str]:
     return [head, *told] if verdicts else []
 
 
-def _table(bands: dict[str, dict[str, float]]) -> Table:
-    """A row for all points, and one for each band of distance where they differ."""
-    table = Table(box=None, padding=(0, 2))
-    columns = ("n", "mean", "median", "p95", "p99")
-    for name in ("", *columns):
-        table.add_column(name, justify="right")
-    whole = bands["all"]
-    for band, numbers in bands.items():
-        says_more = numbers["n"] not in (0, whole["n"]) and whole["mean"] >= SMALLEST
-        if numbers["n"] and (band == "all" or says_more):
-            table.add_row(band, f"{numbers['n']:,}", *(_shown(numbers[name]) for name in columns[1:]))
+def _table(numbers: dict[str, Worst]) -> Table:
+    """A row for each of those nearest to their limits."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in ("number", "limit", "worst", "values", "in sample"):
+        table.add_column(name, justify="right" if name in ("limit", "worst", "values") else "left", no_wrap=True)
+    for name, (n, worst, sample) in sorted(numbers.items(), key=lambda item: -item[1].number.use)[:SHOWN]:
+        ends = ((">=", worst.least), ("<=", worst.most))
+        limits = [f"{sign} {limit:.3g}" for sign, limit in ends if np.isfinite(limit)]
+        table.add_row(name, " ".join(limits), f"{worst.value:.3g}", f"{n:,}", sample)
     return table
 
 
-def _shown(value: float) -> str:
-    return f"{value:.3g}" if value >= SMALLEST else "0"
-
-
-def _means(means: dict[str, RunningMean]) -> Table:
+def _means(means: dict[str, Mean]) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in ("mean", "value", "error", "t", "n", "may be", "positive"):
         table.add_column(name, justify="left" if name in ("mean", "positive") else "right", no_wrap=True)

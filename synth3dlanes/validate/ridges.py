@@ -24,7 +24,7 @@ from synth3dlanes.system.arrays import Points3
 from synth3dlanes.validate.bias import PaintOffset, sides
 from synth3dlanes.validate.bodies import may_show_objects, meet
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Measure, Result, judged
+from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
 from synth3dlanes.validate.paint import Strip
 from synth3dlanes.world.world import World
 
@@ -105,12 +105,11 @@ class LineProfiles(NamedTuple):
 
 
 class Contrast(NamedTuple):
-    """The median of one line's profiles: their number and distance, the ridge's offset and strength, the strength in
+    """The median of one line's profiles: their number, the ridge's offset and strength, the strength in
     place, and the offset and strength of the clearest stripe that differs from both sides alike."""
 
     lane: str
     n: int
-    y_m: float
     ridge_m: float
     ridge: float
     in_place: float
@@ -128,8 +127,7 @@ class Contrast(NamedTuple):
 
 
 def check_ridges(evidence: Evidence) -> Iterator[Result]:
-    """Findings about lines and the whole image, `image_ridge_m`: distances of ridges from their labels, and the signed
-    values of paint in the image."""
+    """Findings about lines and the whole image, and the signed values of paint in the image."""
     paint = evidence.paint
     if not paint.shows or evidence.scene.weather.snow:
         return
@@ -151,8 +149,6 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
         yield from judged("ridges.in_place", in_place / n, reason, MIN_SHARE)
         yield from check_move(lines, evidence.luma.shape[1])
     clear = [line for line in contrasts if line.verdict != "unclear" and line.ridge >= CONTRAST]
-    y_m, ridges_m = np.array([[line.y_m, abs(line.ridge_m)] for line in clear]).reshape(-1, 2).T
-    yield Measure("image_ridge_m", y_m, ridges_m)
     # At the road's edges the surfaces on both sides of a line differ.
     inner = {lane.id: lane for lane in lanes if lane.left is not None and lane.right is not None}
     named = {line.lane for line in clear} & inner.keys()
@@ -249,7 +245,7 @@ def _contrast(line: LineProfiles) -> Contrast:
     stripe = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
     at = int(stripe.argmax())
     ridges = PLACES_M[best], strength[best], in_place, PLACES_M[at], stripe[at]
-    return Contrast(line.lane, len(line.u_px), float(line.points_cam[:, 1].mean()), *map(float, ridges))
+    return Contrast(line.lane, len(line.u_px), *map(float, ridges))
 
 
 def check_move(lines: Sequence[LineProfiles], width_px: int) -> Iterator[Finding]:

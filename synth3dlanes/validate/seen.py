@@ -21,7 +21,7 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.validate.bodies import BODIES, grown, inside
 from synth3dlanes.validate.evidence import Evidence, Seen
 from synth3dlanes.validate.faces import REACH_M, ground_of
-from synth3dlanes.validate.findings import PROOF_M, Measure, Result, counted, judged
+from synth3dlanes.validate.findings import PROOF_M, Result, counted, judged
 from synth3dlanes.validate.paint import END_M
 from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
 from synth3dlanes.validate.pixels import around, depth_between
@@ -136,18 +136,13 @@ def _judge(row: Row, evidence: Evidence, seen: Seen) -> Iterator[Result]:
 
 
 def check_lidar(evidence: Evidence) -> Iterator[Result]:
-    """Findings of the rows about what beams see, and of what the image shows too beside the passes; distances of points
-    from the pavement and from the depth pass."""
+    """Findings of the rows about what beams see, and of what the image shows too beside the passes."""
     swept = evidence.swept
     yield from disagreement("lidar", swept.ids["semantic"], swept.ids["instance"])
     for row in ROWS:
         if row.of_beams is not None:
             within_m = PROOF_M if row.check in ("pavement", "terrain") else np.inf
-            of_row = swept.at(_is_of(row, swept.ids) & (swept.range_m < within_m))
-            yield from _judge(row, evidence, of_row)
-            if row.parts is _surface:
-                known = np.isfinite(of_row.pavement.above_m)
-                yield Measure("lidar_ground_m", of_row.range_m[known], np.abs(of_row.pavement.above_m[known]))
+            yield from _judge(row, evidence, swept.at(_is_of(row, swept.ids) & (swept.range_m < within_m)))
     if evidence.has >= _IDS_TOO:
         yield from _against_passes(evidence, swept)
 
@@ -174,7 +169,6 @@ def _against_passes(evidence: Evidence, swept: Seen) -> Iterator[Result]:
     same = clear & (np.abs(share) < ONE_SURFACE)
     paved = same & np.isin(own.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT])
     off_m = (np.abs(between.depth_m - y_m) * slant)[paved]
-    yield Measure("lidar_depth_m", y_m[paved], off_m)
     for name, wrong, words in (
         ("range", off_m[y_m[paved] < PROOF_M] > MAX_RANGE_M, f"points within {MAX_RANGE_M} m of the depth pass"),
         ("before", (share > ONE_SURFACE)[clear], "points on what the depth pass shows"),

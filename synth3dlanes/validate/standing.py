@@ -12,7 +12,7 @@ from synth3dlanes.scene.roadside import Building, Crossing
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.faces import ground_of, pavement_of
-from synth3dlanes.validate.findings import Measure, Result, counted
+from synth3dlanes.validate.findings import Result, counted
 from synth3dlanes.world.placement import TREE_SINK_M
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.spans import PASSAGE_M
@@ -29,13 +29,12 @@ ROOM_M, LOW_M = 0.05, 0.5
 
 
 def check_standing(evidence: Evidence) -> Iterator[Result]:
-    """Findings, and the measures `wheel_gap_m`, `tree_gap_m` and `structure_gap_m`: gaps between what stands and the
-    meshes of the ground."""
+    """Findings about gaps between what stands and the meshes of the ground."""
     world, camera = evidence.world, evidence.camera
     trunks = world.site.trees_world + np.array([0, 0, TREE_SINK_M])
     feet = np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
     for name, points, faces, limit_m in (
-        ("wheel_gap_m", _wheels(world), pavement_of(world), MAX_WHEEL_M),
+        ("wheel_gap_m", wheels(world), pavement_of(world), MAX_WHEEL_M),
         ("tree_gap_m", trunks, ground_of(world), MAX_TREE_M),
         ("structure_gap_m", feet, ground_of(world), MAX_TREE_M),
     ):
@@ -43,14 +42,13 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
         ground_m = faces.height(points[:, :2], points[:, 2] + PASSAGE_M)
         known = np.isfinite(ground_m)
         gap_m = np.abs(points[:, 2] - ground_m)[known]
-        yield Measure(name, _in(camera.world_from_cam, points)[known, 1], gap_m)
         near_m = gap_m[np.hypot(*_in(world.view.world_from_host, points)[known, :2].T) < RANGE_M]
         reason = f"{name}: expected at most {limit_m} m, got {{wrong}} of {{n}} beyond, up to"
         reason += f" {near_m.max(initial=0):.2f} m"
         yield from counted(f"standing.{name}", near_m > limit_m, reason, single=0)
 
 
-def _wheels(world: World) -> Points3:
+def wheels(world: World) -> Points3:
     """The contact points of all cars' tyres."""
     wheels = [np.zeros((0, 3))]
     for car, world_from_car in zip(world.scene.cars, world.view.world_from_cars, strict=True):

@@ -12,7 +12,7 @@ from synth3dlanes.scene.scene import from_json
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Finding, Measure, Result, Signed, findings_of
+from synth3dlanes.validate.findings import Bounded, Finding, Result, Signed, findings_of
 from synth3dlanes.world.world import World, resolve
 
 
@@ -46,9 +46,13 @@ def reasons(evidence: Evidence, *names: str) -> str:
     return "\n".join(finding.reason for finding in findings(evidence, *names))
 
 
-def measures(evidence: Evidence, *names: str) -> dict[str, np.ndarray]:
-    """The measured values by name."""
-    return {found.name: found.values for found in examine(evidence, *names) if isinstance(found, Measure)}
+def numbers(evidence: Evidence, *names: str) -> dict[str, list[float]]:
+    """The numbers that are held against limits, by name."""
+    found: dict[str, list[float]] = {}
+    for result in examine(evidence, *names):
+        if isinstance(result, Bounded):
+            found.setdefault(result.name, []).append(result.value)
+    return found
 
 
 def signed(evidence: Evidence) -> dict[str, float]:

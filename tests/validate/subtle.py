@@ -294,7 +294,7 @@ SUBTLE = [
     Fault(
         "depth in millimetres",
         of_pass("depth", lambda depth_m, _: depth_m * np.float32(1000)),
-        "m of the rendered surface",
+        "depth: expected pixels at lines within",
     ),
     Fault("a hole in the ground", of_passes(with_a_hole), "sky at 1 pixels"),
     Fault("height map 3 cm up", in_samples(lifted), "got 2858 of 2858 elsewhere"),

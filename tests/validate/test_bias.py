@@ -5,14 +5,15 @@ import json
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.stats import ttest_1samp
 
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.validate.bias import TESTS, PaintOffset, RunningMean, judge, paint_offsets
+from synth3dlanes.validate.bias import TESTS, PaintOffset, judge, mean_of, paint_offsets
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Measure, Signed
+from synth3dlanes.validate.findings import Bounded, Signed
 from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, flat_road_depth, flat_road_places
@@ -158,21 +159,16 @@ def test_depth_too_far_or_too_near_leaves_the_road_below_or_above(factor, side):
 # -- what is made of the values
 
 
-def test_a_running_mean_is_that_of_all_its_values(rng):
+def test_a_mean_is_that_of_all_values(rng):
     values = rng.normal(0.003, 0.02, 500)
-    mean = RunningMean()
-    for value in values:
-        mean.add(float(value))
-    error = values.std(ddof=1) / np.sqrt(len(values))
-    assert (mean.n, mean.mean, mean.standard_error) == (500, pytest.approx(values.mean()), pytest.approx(error))
-    assert mean.t == pytest.approx(values.mean() / error)
+    found, expected = mean_of(values.tolist()), ttest_1samp(values, 0)
+    assert (found.n, found.mean, found.t) == (500, pytest.approx(values.mean()), pytest.approx(expected.statistic))
+    assert found.standard_error == pytest.approx(found.mean / found.t)
+    assert mean_of([0.1]).standard_error == 0
 
 
 def verdict(values: np.ndarray, name: str = "paint_outward_m") -> str:
-    mean = RunningMean()
-    for value in values:
-        mean.add(float(value))
-    return "".join(problem.line() for problem in judge({name: mean}))
+    return "".join(problem.line() for problem in judge({name: mean_of(values.tolist())}))
 
 
 def test_a_mean_must_be_both_large_and_sure(rng):
@@ -213,25 +209,37 @@ def test_means_are_told_in_the_text_and_in_json():
     assert "lane width" in text
 
 
-def test_the_text_has_no_rows_that_say_nothing():
+def test_numbers_are_told_by_how_near_they_are_to_their_limits():
     report = ValidationReport()
-    report.sample(
-        "train:00000000",
-        "",
-        [
-            Measure("terrain_visible", np.array([5.0, 30.0, 60.0]), np.zeros(3)),
-            Measure("image_ridge_m", np.array([5.0, 15.0]), np.array([8.88e-16, 0.5])),
-            Measure("clipped_share", np.zeros(1), np.array([0.25])),
-            Signed("image_right_m", 0.1),
-        ],
-    )
-    report.sample("train:00000001", "", [Measure("image_ridge_m", np.array([5.0]), np.array([8.88e-16]))])
-    console = Console(width=80, record=True)
+    for name, value in (("train:00000000", 0.5), ("train:00000001", 1.9), ("train:00000002", -1.0)):
+        of_one = [Bounded("gap_m", value, most=2.0), Bounded("share", 1 - value / 4, least=0.4)]
+        report.sample(name, "", [*of_one, Bounded("blue", -0.05, -0.1, 0.1), Signed("image_right_m", 0.1)])
+    found = json.loads(json.dumps(report.document(), allow_nan=False))["numbers"]
+    common = {"n": 3, "sample": "train:00000001"}
+    assert found["gap_m"] == common | {"least": None, "most": 2.0, "worst": 1.9, "verdict": "tight"}
+    assert found["share"]["sample"] == "train:00000001"
+    assert found["blue"]["verdict"] == ""
+    console = Console(width=100, record=True)
     console.print(report.text())
     rows = [line.split() for line in console.export_text().splitlines()]
-    assert ["all", "3", "0", "0", "0", "0"] in rows, "nothing contradicted: one row"
-    assert ["all", "1", "0.25", "0.273", "0.273", "0.273"] in rows, "of the whole image: one row"
-    assert [row[0] for row in rows if "m" in row and row[0] in ("0-10", "10-20", "20-40", "40-80")] == ["0-10", "10-20"]
-    assert not any("e-" in word for row in rows for word in row)
-    assert ["worst", "within", "40", "m:", "train:00000000", "0.5"] in rows
+    shown = [row for row in rows if row and row[0] in found]
+    assert shown[0] == ["gap_m", "<=", "2", "1.9", "3", "train:00000001"]
+    assert {row[0] for row in shown} == {*found}
     assert "image_right_m" not in {row[0] for row in rows if row}, "one sample is no mean"
+
+
+@pytest.mark.parametrize(
+    ("number", "use"),
+    [
+        (Bounded("x", 1.5, most=2.0), 0.75),
+        (Bounded("x", 0.5, least=0.4), 0.8),
+        (Bounded("x", 0.3, least=0.4), 4 / 3),
+        (Bounded("x", -0.05, -0.1, 0.1), 0.5),
+        (Bounded("x", 0.02, -0.1, 0.0), 1.4),
+        (Bounded("x", 0.5, most=0.0), 1.5),
+        (Bounded("x", 0.5, least=0.0), 0.5),
+    ],
+)
+def test_the_use_of_a_limit_is_above_1_beyond_it_alone(number, use):
+    assert number.use == pytest.approx(use)
+    assert number.is_beyond == (use > 1)
