@@ -21,9 +21,9 @@ from synth3dlanes.system.schema import Excerpt, Positive, validation_problems
 from .config import CustomModel, ModelConfig, TrainConfig, changed, parse
 from .data import FocalLengths
 from .inference import Detector
+from .loss import network_of
 from .model import LaneNet
-from .task import network_of
-from .tensors import load_weights, read_tensors
+from .pretrained import load_weights, read_tensors
 
 FORMAT = "synth3dlanes.baseline"
 VERSION = 1

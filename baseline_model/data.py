@@ -18,8 +18,7 @@ from synth3dlanes.system.arrays import Polyline2, RgbImage
 from synth3dlanes.system.errors import FormatError, InputError
 
 from .anchors import CENTERLINE, DELIMITER, CurveBatch
-from .curves import road_curves, target_pose
-from .poses import Pose
+from .curves import Pose, road_curves, target_pose
 
 Intrinsics = tuple[float, float, float, float]
 MOST_ENLARGED = 20.0

@@ -1,7 +1,6 @@
 """Detect lanes in images with a trained network."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import cast
 
@@ -11,42 +10,19 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from synth3dlanes.labels.labels import Labels
-from synth3dlanes.system.errors import InputError
 
-from .ahead import ahead
-from .custom import LaneDetector
+from .curves import Pose
 from .data import CameraImage, FocalLengths, Intrinsics, Samples, fit, pixels_on
+from .devices import mixed_precision, return_freed_memory
 from .lanes import AnchorLayout, Prediction, decode
-from .malloc import return_freed_memory
+from .loss import LaneDetector
 from .model import LaneNet, Output
-from .poses import Pose
+from .workers import ahead
 
 Fitted = tuple[CameraImage, UInt8[np.ndarray, "rows columns 3"], Intrinsics]
 """An image, and what the network sees of it."""
 MOST_BYTES = 1 << 26
 """Of the images of a batch, as read."""
-
-
-def choose_device(name: str) -> torch.device:
-    """The torch device; `auto` is the first GPU if there is one, else the CPU."""
-    n_gpus = torch.cuda.device_count()
-    if name == "auto":
-        name = "cuda" if n_gpus else "cpu"
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        raise InputError(f"device: expected auto, cpu or cuda[:n], got {name!r}") from None
-    if device.type == "cuda" and (device.index or 0) >= n_gpus:
-        raise InputError(f"device: expected one of the {n_gpus} GPUs that PyTorch sees here, got {name!r}")
-    return device
-
-
-def mixed_precision(device: torch.device, precision: str = "auto") -> AbstractContextManager[object]:
-    """Autocast to bfloat16 if requested, or with `auto` if the hardware supports it (`TrainConfig.precision`)."""
-    is_fast = device.type == "cuda" or torch.cpu.get_capabilities().get("avx512_bf16", False)
-    if precision == "bfloat16" or (precision == "auto" and is_fast):
-        return torch.autocast(device.type, dtype=torch.bfloat16)
-    return nullcontext()
 
 
 def layout_of(model: LaneNet) -> AnchorLayout:

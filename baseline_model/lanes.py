@@ -22,8 +22,8 @@ from synth3dlanes.system.files import Folder, open_regular
 from synth3dlanes.system.json_arrays import JsonPoints
 from synth3dlanes.system.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
+from .curves import Pose, cam_from_road
 from .onnx_decode import distinct_lanes, natural_spline
-from .poses import Pose, cam_from_road
 
 DENSE_Y_M = np.arange(101.0)
 """Decoded lanes are sampled every metre of road y; linear interpolation is within 2 mm of the spline."""

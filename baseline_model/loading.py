@@ -1,12 +1,16 @@
-"""The data loader: examples in the order of training, read and decoded by worker processes.
+"""The data loader: examples in the order of training, read and decoded by worker processes, and kept for later epochs.
 
 Nothing is read before it is needed, so a split may have any size. Order depends on (seed, epoch) alone, not on the
 number of processes or workers, and a resumed run begins in the middle of an epoch where it stopped.
 """
 
 import os
+import struct
 import tempfile
+import weakref
+import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
@@ -14,51 +18,117 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import psutil
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.system.arrays import RgbImage
-from synth3dlanes.system.machine import workers_here
+from synth3dlanes.system.files import Folder
 
-from .cache import (
-    SLOT_BYTES,
-    Slots,
-    annotation_file,
-    from_bytes,
-    has_pixel_memory,
-    pixel_memory,
-    pixels_from_bytes,
-    slot_bytes_of,
-    to_bytes,
-)
 from .config import TrainConfig
+from .curves import Pose
 from .data import Batch, FocalLengths, NetworkLabels, Samples, annotation_of, fit, intrinsics_of, pack, resize
+from .devices import Process, free_gpu_bytes, free_memory_bytes, spare_cores
 from .sources import digest_of, image_at, key_at, labels_at
 from .workers import made_ahead
 
 MEMORY_SHARE = 0.5
 """Decoded images are kept if all of them take less than this share of the free memory."""
 ANNOTATIONS = "annotations.cache"
-MAX_WORKERS = 16
+HEADER = struct.Struct("<II")
+SHAPE = struct.Struct("<HHH8f")
+SLOT_BYTES = 36 * 1024
+"""Room for 24 curves of 112 points, of which scenes of the paper have up to 15; larger annotations are not cached. The
+file is sparse, so smaller ones take less."""
+VERSION = b"synth3dlanes annotations 2\n"
 
 
-@dataclass(frozen=True)
-class Process:
-    """This process among those started by torchrun; rank 0 of 1 without torchrun. `neighbours` run on one machine."""
+class Slots:
+    """Records in equal slots of an open file, which is closed with this object; any process that inherits the file may
+    read and write."""
 
-    rank: int
-    world: int
-    device: torch.device
-    neighbours: int = 1
+    def __init__(self, file: int, slot_bytes: int, start: int = 0) -> None:
+        self._file, self._slot_bytes, self._start = file, slot_bytes, start
+        weakref.finalize(self, os.close, file)
+
+    def get(self, index: int) -> bytes | None:
+        """The record of a slot, None where there is none."""
+        slot = os.pread(self._file, self._slot_bytes, self._start + index * self._slot_bytes)
+        if len(slot) < HEADER.size:
+            return None
+        size, checksum = HEADER.unpack_from(slot)
+        record = slot[HEADER.size : HEADER.size + size]
+        return record if size and len(record) == size and zlib.crc32(record) == checksum else None
+
+    def put(self, index: int, record: bytes) -> None:
+        """Store a record if it fits into a slot and onto the disk. Nothing depends on it being stored."""
+        if HEADER.size + len(record) <= self._slot_bytes:
+            slot = HEADER.pack(len(record), zlib.crc32(record)) + record
+            with suppress(OSError):
+                os.pwrite(self._file, slot, self._start + index * self._slot_bytes)
 
 
-def spare_cores(neighbours: int = 1) -> int:
-    """How many processes may decode for one of several neighbours: its share of the cores, less one for itself."""
-    cores = workers_here()
-    return min(MAX_WORKERS, max(1, cores // neighbours - 1))
+def annotation_file(path: Path, source: str) -> Slots:
+    """The annotations cached at `path`. `source` says what they were made from; those of another one are dropped."""
+    header = (VERSION + source.encode()).ljust(SLOT_BYTES, b"\0")[:SLOT_BYTES]
+    folder = Folder(path.parent)
+    if folder.exists(path.name):
+        with folder.update(path.name) as file:
+            if file.read(SLOT_BYTES) == header:
+                return Slots(os.dup(file.fileno()), SLOT_BYTES, SLOT_BYTES)
+    folder.write(path.name, header)
+    with folder.update(path.name) as file:
+        return Slots(os.dup(file.fileno()), SLOT_BYTES, SLOT_BYTES)
+
+
+def has_pixel_memory() -> bool:
+    """Whether the system has memory that forked processes share without each being charged for it, as Linux has."""
+    return hasattr(os, "memfd_create")
+
+
+def pixel_memory(size_px: tuple[int, int]) -> Slots:
+    """Slots in memory for decoded images of (height, width); only images that are stored take memory."""
+    return Slots(os.memfd_create("pixels"), HEADER.size + slot_bytes_of(size_px))
+
+
+def slot_bytes_of(size_px: tuple[int, int]) -> int:
+    """The bytes that a decoded image of (height, width) takes."""
+    return 3 * size_px[0] * size_px[1]
+
+
+def to_bytes(one: NetworkLabels) -> bytes:
+    """An annotation as a record."""
+    lanes, points = one.visible.shape
+    key = one.key.encode()
+    head = SHAPE.pack(len(key), lanes, points, *one.intrinsics, *one.plane, *one.target) + key
+    parts = (one.kind.astype(np.uint8), np.packbits(one.visible, axis=1), one.xyz_cam.astype("<f4"))
+    return head + b"".join(part.tobytes() for part in parts)
+
+
+def from_bytes(record: bytes) -> NetworkLabels:
+    """The annotation in a record."""
+    key_bytes, lanes, points, *numbers = SHAPE.unpack_from(record)
+    key_end = SHAPE.size + key_bytes
+    kind_end = key_end + lanes
+    packed = (points + 7) // 8
+    visible_end = kind_end + lanes * packed
+    bits = np.frombuffer(record, np.uint8, lanes * packed, kind_end).reshape(lanes, packed)
+    return NetworkLabels(
+        key=record[SHAPE.size : key_end].decode(),
+        intrinsics=(numbers[0], numbers[1], numbers[2], numbers[3]),
+        plane=Pose(*numbers[4:6]),
+        target=Pose(*numbers[6:8]),
+        xyz_cam=np.frombuffer(record, "<f4", lanes * points * 3, visible_end).reshape(lanes, points, 3),
+        visible=np.unpackbits(bits, axis=1, count=points).astype(bool),
+        kind=np.frombuffer(record, np.uint8, lanes, key_end).astype(np.int64),
+    )
+
+
+def pixels_from_bytes(record: bytes, size_px: tuple[int, int]) -> RgbImage:
+    """The image in a record."""
+    image: UInt8[np.ndarray, ...] = np.frombuffer(record, np.uint8).reshape(*size_px, 3)
+    return image
 
 
 class Example(NamedTuple):
@@ -195,21 +265,6 @@ def _images_on(device: torch.device, examples: Examples, batch: int, workers: in
     for indices, part in zip(order, chain([first], parts), strict=True):
         images[indices[0] : indices[-1] + 1] = part
     return images
-
-
-def free_gpu_bytes(device: torch.device) -> int:
-    """The free memory of a GPU; 0 for the CPU."""
-    return int(torch.cuda.mem_get_info(device)[0]) if device.type == "cuda" else 0
-
-
-def free_memory_bytes() -> int:
-    """The memory that can be had now: the machine's, or what is left of the limit of a container."""
-    free: int = psutil.virtual_memory().available
-    try:
-        limit, used = (Path("/sys/fs/cgroup", name).read_text() for name in ("memory.max", "memory.current"))
-        return min(free, int(limit) - int(used))
-    except (OSError, ValueError):
-        return free
 
 
 @dataclass(frozen=True)

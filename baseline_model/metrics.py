@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from synth3dlanes.labels.labels import Labels, LaneKind
 
-from .curves import METRIC_Y_M, plane_pose, road_curves
+from .curves import METRIC_Y_M, plane_pose, road_curves, road_from_cam
 from .lanes import Detection, Prediction
 from .matching import (
     Pairs,
@@ -23,7 +23,6 @@ from .matching import (
     sample_detections,
     sample_truth,
 )
-from .poses import road_from_cam
 
 KINDS: tuple[LaneKind, ...] = ("centerline", "delimiter")
 NEAR_TO_M = 30.0

@@ -8,13 +8,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from .anchors import anchor_positions_m
-from .backbone import ImagePathway
+from .backbone import PIXELS, ImagePathway, convolutions
 from .config import TIMM, ModelConfig
-from .lane_head import LaneHead, Lanes
-from .layers import PIXELS, convolutions
-from .poses import MEAN_HEIGHT_M, MEAN_PITCH_RAD
+from .curves import MEAN_HEIGHT_M, MEAN_PITCH_RAD
+from .heads import CloseLook, LaneHead, Lanes, Refinement
 from .projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
-from .refinement import CloseLook, Refinement
 from .timm_trunk import TimmPathway
 
 PITCH_SPREAD_RAD, HEIGHT_SPREAD_M = 0.0251, 0.144

@@ -1,12 +1,15 @@
-"""Pictures of detections: the lines over the whole image, and a figure of the image and the lines from above and from
-the side. Drawn with Pillow: a figure of matplotlib takes ten times longer than the network.
+"""Pictures and videos of detections: the lines over the whole image, and a figure of the image and the lines from above
+and from the side. Drawn with Pillow: a figure of matplotlib takes ten times longer than the network.
 
 The key is that of all pictures (`figures.colors`): blue centre lines, red delimiters, labels as hollow lines.
 """
 
+import math
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,12 +18,14 @@ from PIL import Image, ImageDraw, ImageFont
 from synth3dlanes.figures.colors import INK, KIND_WORDS, KINDS
 from synth3dlanes.figures.strokes import Style, draw_lines, line_width_px, runs
 from synth3dlanes.geometry.frames import project, transform
+from synth3dlanes.imaging.video import Mp4, mp4
 from synth3dlanes.labels.labels import Labels, LaneKind
 from synth3dlanes.system.arrays import Points3, Polyline2
 from synth3dlanes.system.files import Folder, encoded
 
+from .curves import Pose, road_from_cam
+from .data import CameraImage, img_from_cam
 from .lanes import Prediction
-from .poses import Pose, road_from_cam
 
 FAR_M = 80.0
 ASIDE_M = 12.0
@@ -220,3 +225,39 @@ def _lines(
         if found.score >= threshold:
             seen = np.ones(len(found.xyz_cam)) if found.visibility is None else found.visibility
             yield from parts(found.kind, False, found.xyz_cam, seen >= VISIBLE)
+
+
+class LaneVideos:
+    """Writes OUT/NAME.lanes.mp4 for each of the first `most` clips whose frames are added. As a context manager, it
+    leaves whole videos only."""
+
+    def __init__(self, out: Path, rate_hz: float, most: int) -> None:
+        self._out, self._rate_hz, self._left = out, rate_hz, most
+        self._files, self._time_s = ExitStack(), math.inf
+        self._video: Mp4 | None = None
+
+    def __enter__(self) -> "LaneVideos":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._files.__exit__(kind, error, traceback)
+
+    def add(self, name: str, image: CameraImage, prediction: Prediction, threshold: float) -> None:
+        """Append a frame with the lanes of at least this confidence. One that is not later than the frame before begins
+        the next video, of this name."""
+        time_s = image.time_s or 0.0
+        if time_s <= self._time_s:
+            self._files.close()
+            self._left -= 1
+            self._video = self._opened(f"{name}.lanes.mp4") if self._left >= 0 else None
+        self._time_s = time_s
+        if self._video is not None:
+            frame = Image.fromarray(image.image)
+            draw(frame, img_from_cam(image.intrinsics), prediction, image.truth, threshold)
+            self._video.add(np.asarray(frame))
+
+    def _opened(self, name: str) -> Mp4:
+        stream = self._files.enter_context(Folder(self._out).replacing(name))
+        return self._files.enter_context(mp4(str(self._out / name), stream, self._rate_hz))

@@ -14,12 +14,12 @@ from synth3dlanes.system.arrays import RgbImage
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.words import counted
 
-from .ahead import ImageProgress, told
 from .data import CameraImage, Intrinsics, checked_intrinsics, img_from_cam
-from .image_lines import asked_for, columns_of, delimiters, right_of_host_m, tusimple_score
 from .inference import Detector
 from .lanes import Detection, Prediction, read_by_key
-from .pictures import image_files
+from .predict import image_files
+from .tusimple import asked_for, columns_of, delimiters, right_of_host_m, tusimple_score
+from .workers import ImageProgress, told
 
 
 @dataclass(frozen=True)

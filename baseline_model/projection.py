@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from .backbone import Lattice
 from .config import Grid
-from .layers import Lattice
 
 MIN_DEPTH_M = 0.05
 OUTSIDE = -4.0

@@ -1,9 +1,11 @@
-"""The state of a training run: processes, model, optimiser, `last.pt`."""
+"""The state of a training run: model, optimiser, learning rate, running average of weights, `last.pt`."""
 
+import copy
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +18,88 @@ from synth3dlanes.system.files import Folder
 
 from . import checkpoint as checkpoints
 from .config import CustomModel, TrainConfig
-from .growth import grown
-from .inference import choose_device
-from .loading import Process
-from .malloc import keep_freed_memory
+from .devices import Process
+from .loss import network_of
 from .model import LaneNet
-from .optim import RunningAverage, Schedule, optimizer_for
-from .pretrained import load_pretrained
-from .task import network_of
-from .tensors import load_weights
+from .pretrained import grown, load_pretrained, load_weights
+
+EMA_START = 10
+"""The decay starts at (1 + step) / (10 + step), so that early weights are soon forgotten."""
+
+
+@dataclass
+class Schedule:
+    """Learning rate at each step. `cyclic` is our interpretation of the paper's "variation on the cyclic learning rate
+    regime": cosine cycles from the peak to 1e-6; the peak is halved after a cycle that did not improve validation."""
+
+    peak_factor: float = 1.0
+    best_of_past_cycles: float = -1.0
+    best_of_this_cycle: float = -1.0
+    cycle: int = 0
+
+    def rate(self, step: int, n_steps: int, steps_per_epoch: int, config: TrainConfig) -> float:
+        """Learning rate of this step."""
+        if config.schedule == "cyclic":
+            period = max(1, round(config.cycle_epochs * steps_per_epoch))
+            share, peak = (step % period) / period, config.learning_rate * self.peak_factor
+        else:
+            n_warmup = round(config.warmup_fraction * n_steps)
+            if step < n_warmup:
+                return config.learning_rate * (step + 1) / n_warmup
+            share, peak = (step - n_warmup) / max(1, n_steps - n_warmup), config.learning_rate
+        low = min(config.min_learning_rate, peak)
+        return low + (peak - low) * (1 + math.cos(math.pi * share)) / 2
+
+    def validated(self, score: float, step: int, steps_per_epoch: int, config: TrainConfig) -> None:
+        """Record a validation's score; at the end of a cycle, set the next peak."""
+        self.best_of_this_cycle = max(self.best_of_this_cycle, score)
+        period = max(1, round(config.cycle_epochs * steps_per_epoch))
+        if step // period > self.cycle:
+            if self.best_of_this_cycle <= self.best_of_past_cycles:
+                self.peak_factor /= 2
+            self.best_of_past_cycles = max(self.best_of_past_cycles, self.best_of_this_cycle)
+            self.best_of_this_cycle, self.cycle = -1.0, step // period
+
+    def state(self) -> dict[str, Any]:
+        """Plain values for a checkpoint."""
+        return asdict(self)
+
+
+def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -> torch.optim.Optimizer:
+    """Adam, or AdamW with weight decay on convolution and matrix weights only."""
+    is_fused = device.type == "cuda"
+    if config.optimizer == "adam":
+        return torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=is_fused)
+    matrices = [p for p in model.parameters() if p.ndim > 1]
+    vectors = [p for p in model.parameters() if p.ndim <= 1]
+    groups = [
+        {"params": matrices, "weight_decay": config.weight_decay},
+        {"params": vectors, "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW(groups, lr=config.learning_rate, fused=is_fused)
+
+
+class RunningAverage:
+    """Exponential average of weights and batch-norm statistics; evaluation and `best.pt` use it. torch's AveragedModel
+    counts the updates itself, so a checkpoint would have to hold that count beside the step."""
+
+    def __init__(self, model: nn.Module, decay: float) -> None:
+        self.model = copy.deepcopy(model)
+        self.model.eval().requires_grad_(False)
+        self.decay = decay
+
+    @torch.no_grad()
+    def update(self, model: nn.Module, step: int) -> None:
+        """Update the average with the model's weights."""
+        weight = 1 - min(self.decay, (1 + step) / (EMA_START + step))
+        pairs = list(zip(self.model.state_dict().values(), model.state_dict().values(), strict=True))
+        averages, currents = zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)
+        # All in one call: a GPU needs longer to start one than to do it.
+        torch._foreach_lerp_(averages, currents, weight)
+        for average, current in pairs:
+            if not average.is_floating_point():
+                average.copy_(current)
+
 
 CHANGEABLE = frozenset(
     ("device", "epochs", "batch", "validate_every_epochs", "precision", "compile", "workers", "keep_decoded")
@@ -48,25 +123,6 @@ class TrainingRun:
     saved_step: int = 0
     saved_batch: int = 0
     """The step of `last.pt`, and the batch of the steps before it."""
-
-
-def start_process(config: TrainConfig) -> Process:
-    """Choose the device, and join the other processes if torchrun started several."""
-    world, rank = int(os.environ.get("WORLD_SIZE", "1")), int(os.environ.get("RANK", "0"))
-    device = choose_device(config.device)
-    if config.batch % world:
-        raise InputError(f"train.batch: expected a multiple of {world} processes, got {config.batch}")
-    if world > 1:
-        if device.type == "cuda":
-            device = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
-            torch.cuda.set_device(device)
-        torch.distributed.init_process_group("nccl" if device.type == "cuda" else "gloo")
-    if device.type == "cuda":
-        torch.backends.cudnn.benchmark = True
-        torch.set_float32_matmul_precision("high")
-    else:
-        keep_freed_memory()
-    return Process(rank, world, device, int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
 
 
 def save(trainee: TrainingRun, out_dir: Path, about: dict[str, Any]) -> None:

@@ -17,9 +17,9 @@ from synth3dlanes.labels.labels import Labels
 from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.system.errors import InputError
 
+from .curves import Pose
 from .data import CameraImage
 from .lanes import Detection, Prediction
-from .poses import Pose
 
 GATE_M = 1.0
 """Lanes that are farther apart sideways, on average, are two: half the distance of painted lines beside each other is

@@ -25,10 +25,10 @@ from .anchors import (
     spread_m,
 )
 from .config import COMPACT, ModelConfig
+from .curves import MEAN_POSE, Pose, cam_from_road, road_from_cam
 from .data import annotation_of, pack
 from .lanes import DENSE_Y_M, Detection, Prediction, interpolate
 from .metrics import Evaluation, EvaluationReport, MetricConfig
-from .poses import MEAN_POSE, Pose, cam_from_road, road_from_cam
 from .report import to_document as report_document
 from .sources import labels_at, open_split
 

@@ -5,25 +5,19 @@ timm says neither where its features lie nor does it share a layout of layers, s
 
 import copy
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
-from synth3dlanes.system.files import read_bounded
+from synth3dlanes.system.errors import InputError, MissingPackageError
 
-from .backbone import IMAGE_MEAN, IMAGE_STD
+from .backbone import IMAGE_MEAN, IMAGE_STD, Lattice
 from .config import TIMM, ModelConfig
-from .layers import Lattice
-from .tensors import read_tensors, state_dict
 
 STRIDES = (2, 4, 8, 16)
 PROBE_PX = 320
-# The largest trunks of timm have 5 GB of weights.
-MOST_WEIGHTS = 8 << 30
 """Size of the image in which lattices are measured: what a feature in its middle sees is hardly cut off."""
 
 
@@ -40,7 +34,7 @@ class TimmPathway(nn.Module):
         super().__init__()
         self.name = config.backbone.removeprefix(TIMM)
         self.indices = _indices(self.name)[:n_stages]
-        self.trunk = _create(self.name, out_indices=self.indices)
+        self.trunk = create(self.name, out_indices=self.indices)
         self.former_weights = drop_unused(self.trunk)
         self.channels: tuple[int, ...] = tuple(self.trunk.feature_info.channels())
         size_px = config.image_height_px, config.image_width_px
@@ -65,22 +59,6 @@ class TimmPathway(nn.Module):
         trunk = copy.deepcopy(self.trunk).eval()
         with torch.no_grad():
             return [tuple(features.shape[2:]) for features in trunk(torch.zeros(1, 3, height_px, width_px))]
-
-    def load(self, path: Path) -> None:
-        """Load the weights of the whole network from a state dict (.pth, .safetensors); what follows the trunk is not
-        used. Raise FormatError if it is another network's."""
-        state = _state(path)
-        with torch.device("meta"):
-            whole = _create(self.name, features_only=False).state_dict()
-            trunk = _create(self.name, features_only=False, num_classes=0).state_dict()
-        for name in sorted({*trunk, *state}):
-            expected, got = (tuple(of[name].shape) if name in of else "none" for of in (whole, state))
-            if expected == "none" or (name in trunk and expected != got):
-                raise FormatError(f"{path}: {name}: expected shape {expected} for {self.name}, got {got}")
-        source = {"state_dict": state, "custom_load": False}
-        loaded = _create(self.name, out_indices=self.indices, pretrained=True, pretrained_cfg_overlay=source)
-        drop_unused(loaded)
-        self.trunk.load_state_dict(loaded.state_dict())
 
 
 @torch.enable_grad()
@@ -155,7 +133,7 @@ def _make_averaging(module: nn.Module) -> None:
 
 def _indices(name: str) -> tuple[int, ...]:
     """The places, among timm's maps, of the last ones at our strides."""
-    strides = _create(name).feature_info.reduction()
+    strides = create(name).feature_info.reduction()
     if not set(STRIDES) <= set(strides):
         raise InputError(
             f"model.backbone: expected a network with maps at strides 2, 4, 8, 16, got {strides} of {name}"
@@ -170,12 +148,12 @@ def _symmetric(name: str, height_px: int, width_px: int) -> str | None:
     same = name.removeprefix("tf_").partition(".")[0]
     instead = "; a network with symmetric padding is timm:efficientnet_lite0"
     with suppress(InputError, UnevenError):
-        measured_lattices(_create(same, out_indices=_indices(same)), height_px, width_px)
+        measured_lattices(create(same, out_indices=_indices(same)), height_px, width_px)
         instead = f"; the same with symmetric padding is timm:{same}"
     return f"expected a network with symmetric padding, got {name}, which pads as TensorFlow does{instead}"
 
 
-def _create(name: str, *, features_only: bool = True, pretrained: bool = False, **settings: Any) -> Any:
+def create(name: str, *, features_only: bool = True, pretrained: bool = False, **settings: Any) -> Any:
     try:
         import timm  # type: ignore[import-not-found,import-untyped,unused-ignore]
     except ImportError:
@@ -189,17 +167,3 @@ def _create(name: str, *, features_only: bool = True, pretrained: bool = False, 
         return timm.create_model(name, pretrained=pretrained, features_only=features_only, **settings)
     except (RuntimeError, AttributeError) as error:
         raise InputError(f"model.backbone: expected a network of timm, got {name}: {error!s:.100}") from None
-
-
-def _state(path: Path) -> dict[str, Tensor]:
-    from safetensors import SafetensorError  # type: ignore[import-not-found,import-untyped,unused-ignore]
-    from safetensors.torch import load  # type: ignore[import-not-found,import-untyped,unused-ignore]
-
-    if path.suffix != ".safetensors":
-        return state_dict(read_tensors(path, "a state dict"), path)
-    try:
-        return dict(load(read_bounded(path, MOST_WEIGHTS)))
-    except FormatError:
-        raise
-    except (SafetensorError, OSError, ValueError) as error:
-        raise FormatError(f"{path}: expected a state dict, got {str(error).splitlines()[0]:.100}") from None

@@ -24,16 +24,17 @@ from . import checkpoint as checkpoints
 from .augment import AugmentedBatch, augment, generator_for
 from .config import CustomModel, TrainConfig
 from .data import Batch, Samples
+from .devices import Process, choose_device, start_process
 from .evaluate import score
-from .inference import Detector, choose_device
-from .loading import ANNOTATIONS, Decoding, Process, decoding_of, open_examples, training_batches
+from .inference import Detector
+from .loading import ANNOTATIONS, Decoding, decoding_of, open_examples, training_batches
+from .loss import Terms, task_of
 from .metrics import EvaluationReport, MetricConfig
 from .model import LaneNet
 from .progress import TrainingLog, trim_history
 from .report import to_document
-from .run_state import TrainingRun, claimed, last_saved, prepare, save, start_process
+from .run_state import TrainingRun, claimed, last_saved, prepare, save
 from .sources import describe, focal_lengths, training_and_validation
-from .task import Terms, task_of
 
 SAVE_EVERY_S = 300.0
 

@@ -1,4 +1,4 @@
-"""Processes that make batches ahead, each behind a pipe of its own.
+"""Work ahead of the one that uses it, by a thread or by processes, each behind a pipe of its own.
 
 Batch i is made by worker i modulo their number, and batches are read in order. So workers share nothing: no memory that
 the system bounds (`/dev/shm`), and no lock that a killed one could hold. The end of a pipe tells of a worker's end.
@@ -17,7 +17,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing.context import ForkProcess
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO, NoReturn, TypeVar, cast
 
 import numpy as np
 import torch
@@ -25,6 +25,34 @@ from jaxtyping import Shaped
 from torch import Tensor
 
 from synth3dlanes.system.errors import Synth3dlanesError, WorkerError
+
+T = TypeVar("T")
+ImageProgress = Callable[[int, int | None], None]
+"""Gets how many are done, and how many there are, None if that is not known."""
+
+
+def told(items: Iterable[T], total: int | None, progress: ImageProgress | None) -> Iterator[T]:
+    """The items; `progress` gets how many were taken, and how many there are in all."""
+    for done, item in enumerate(items, start=1):
+        yield item
+        if progress is not None:
+            progress(done, total)
+
+
+def ahead(items: Iterable[T], n: int = 1) -> Iterator[T]:
+    """The same items, of which a thread makes up to `n` before they are asked for. An error is raised where its item
+    would come."""
+    end, rest = object(), iter(items)
+    with ThreadPoolExecutor(1) as thread:
+        made = deque(thread.submit(next, rest, end) for _ in range(n))
+        try:
+            while (item := made.popleft().result()) is not end:
+                made.append(thread.submit(next, rest, end))
+                yield cast(T, item)
+        finally:
+            for waiting in made:
+                waiting.cancel()
+
 
 PREFETCHED_BATCHES = 2
 """Batches that wait in this process; each worker has one more."""

@@ -126,7 +126,7 @@ def evaluate(
             found = images.evaluate_predictions(predictions, photographs, camera, threshold)
         elif checkpoint is not None:
             from synth3dlanes_baseline.checkpoint import detector
-            from synth3dlanes_baseline.inference import choose_device
+            from synth3dlanes_baseline.devices import choose_device
 
             network = detector(checkpoint, choose_device(device), own_model)
             with progress_bar("images") as move:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from synth3dlanes_baseline import checkpoint
-from synth3dlanes_baseline.curves import METRIC_Y_M, plane_pose, road_curves
+from synth3dlanes_baseline.curves import METRIC_Y_M, Pose, plane_pose, road_curves
 from synth3dlanes_baseline.data import pixels_on
 from synth3dlanes_baseline.evaluate import score
 from synth3dlanes_baseline.inference import layout_of, predictions_of
@@ -23,7 +23,6 @@ from synth3dlanes_baseline.loading import labelled_batches
 from synth3dlanes_baseline.matching import find_pairs, match, point_weights, sample_detections, sample_truth
 from synth3dlanes_baseline.metrics import NEAR_TO_M
 from synth3dlanes_baseline.model import LaneNet
-from synth3dlanes_baseline.poses import Pose
 from synth3dlanes_baseline.sources import open_split
 
 from synth3dlanes.labels.labels import Labels

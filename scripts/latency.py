@@ -125,8 +125,7 @@ def _export(model: str, numbers: str, file: str) -> dict[str, float]:
     """To int8 from the float32 file beside it, by an image of noise: the ranges do not change the cost."""
     from synth3dlanes_baseline.data import CameraImage
     from synth3dlanes_baseline.inference import Detector
-    from synth3dlanes_baseline.onnx_export import exported
-    from synth3dlanes_baseline.onnx_int8 import quantised
+    from synth3dlanes_baseline.onnx_export import exported, quantised
 
     if numbers == "float32":
         proto = exported(_network(model))

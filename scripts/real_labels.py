@@ -25,10 +25,10 @@ from jaxtyping import Float
 from synth3dlanes_baseline import checkpoint
 from synth3dlanes_baseline.backbone import IMAGE_MEAN, IMAGE_STD
 from synth3dlanes_baseline.config import TrainConfig, train_config
+from synth3dlanes_baseline.curves import Pose, cam_from_road, onto_plane, road_from_cam
 from synth3dlanes_baseline.data import img_from_cam
 from synth3dlanes_baseline.photographs import TusimpleImages, evaluate_detector
-from synth3dlanes_baseline.poses import Pose, cam_from_road, onto_plane, road_from_cam
-from synth3dlanes_baseline.tensors import read_tensors
+from synth3dlanes_baseline.pretrained import read_tensors
 from synth3dlanes_baseline.train import train_on
 
 from synth3dlanes.formats.reading import ForeignLane, ForeignSample, json_lines, labels_of

@@ -18,7 +18,7 @@ from synth3dlanes_baseline.data import CameraImage
 from synth3dlanes_baseline.evaluate import score
 from synth3dlanes_baseline.lanes import Prediction
 from synth3dlanes_baseline.matching import find_pairs, match, point_weights, sample_detections, sample_truth
-from synth3dlanes_baseline.pictures import open_pictures
+from synth3dlanes_baseline.predict import open_pictures
 from synth3dlanes_baseline.smoothing import Detected, smoothed
 
 from synth3dlanes.labels.labels import Labels

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from beartype.roar import BeartypeCallHintViolation
 from jaxtyping import Float
-from synth3dlanes_baseline.poses import cam_from_road
+from synth3dlanes_baseline.curves import cam_from_road
 
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.geometry.frames import invert

@@ -37,7 +37,7 @@ def roads() -> Roads:
 def make_labels(centers, delimiters=(), *, pitch_rad=0.04, height_m=1.6, size_px=(480, 360), hidden=None):
     """Labels of lanes given as functions y -> (x, z) in the road frame, or (function, y_from, y_to).
     `hidden` is an interval of y that the ground hides."""
-    from synth3dlanes_baseline.poses import Pose, cam_from_road, road_from_cam
+    from synth3dlanes_baseline.curves import Pose, cam_from_road, road_from_cam
 
     from synth3dlanes.geometry.frames import transform
     from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph

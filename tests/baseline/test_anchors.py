@@ -8,11 +8,10 @@ import torch
 from scipy.interpolate import CubicSpline
 from synth3dlanes_baseline.anchors import DROPPED, IGNORED, KEPT, anchor_positions_m, encode, sample_curves
 from synth3dlanes_baseline.config import NANO, PAPER, PAPER_KNOTS_M, TEN_KNOTS_M
-from synth3dlanes_baseline.curves import is_usable, plane_pose, resample, road_curves, target_pose
+from synth3dlanes_baseline.curves import is_usable, plane_pose, resample, road_curves, road_from_cam, target_pose
 from synth3dlanes_baseline.data import annotation_of, pack
 from synth3dlanes_baseline.lanes import interpolate
 from synth3dlanes_baseline.onnx_decode import distinct_lanes
-from synth3dlanes_baseline.poses import road_from_cam
 from synth3dlanes_baseline.statistics import statistics_of
 
 from synth3dlanes.draw.sample import Scenes, sample_scene

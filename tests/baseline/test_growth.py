@@ -4,11 +4,10 @@ import pytest
 import torch
 from synth3dlanes_baseline.checkpoint import Checkpoint, save
 from synth3dlanes_baseline.config import train_config
-from synth3dlanes_baseline.growth import grown
-from synth3dlanes_baseline.loading import Process
+from synth3dlanes_baseline.devices import Process
 from synth3dlanes_baseline.model import LaneNet
+from synth3dlanes_baseline.pretrained import grown, load_weights
 from synth3dlanes_baseline.run_state import prepare
-from synth3dlanes_baseline.tensors import load_weights
 
 from synth3dlanes.system.errors import InputError
 

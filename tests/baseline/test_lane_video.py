@@ -126,18 +126,18 @@ def test_a_bad_video_is_told_in_one_line_and_leaves_nothing(network, video, tmp_
 
 
 def test_a_video_that_breaks_off_leaves_no_file(network, video, tmp_path, monkeypatch):
-    from synth3dlanes_baseline import lane_video
+    from synth3dlanes_baseline import overlay
 
     def broken(*_):
         raise Synth3dlanesError("the third frame")
 
-    draw, n_drawn = lane_video.draw, []
+    draw, n_drawn = overlay.draw, []
 
     def draw_two(*arguments):
         n_drawn.append(1)
         return draw(*arguments) if len(n_drawn) < 3 else broken()
 
-    monkeypatch.setattr(lane_video, "draw", draw_two)
+    monkeypatch.setattr(overlay, "draw", draw_two)
     with pytest.raises(Synth3dlanesError, match="the third frame"):
         predict(network, video, tmp_path / "out")
     assert list((tmp_path / "out").iterdir()) == []

@@ -9,10 +9,10 @@ import torch
 from click.testing import CliRunner
 from PIL import Image
 from synth3dlanes_baseline import checkpoint
-from synth3dlanes_baseline.cache import annotation_file
 from synth3dlanes_baseline.checkpoint import SHIPPED, detector
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.lanes import write_predictions
+from synth3dlanes_baseline.loading import annotation_file
 from synth3dlanes_baseline.overlay import save_pictures
 from synth3dlanes_baseline.predict import PredictConfig, predict
 from synth3dlanes_baseline.progress import TrainingLog

@@ -11,11 +11,19 @@ import numpy as np
 import pytest
 import torch
 from synth3dlanes_baseline import loading
-from synth3dlanes_baseline.ahead import ahead
-from synth3dlanes_baseline.cache import SLOT_BYTES, Slots, from_bytes, to_bytes
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import annotation_of
-from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
+from synth3dlanes_baseline.loading import (
+    SLOT_BYTES,
+    Process,
+    Slots,
+    decoding_of,
+    from_bytes,
+    open_examples,
+    to_bytes,
+    training_batches,
+)
+from synth3dlanes_baseline.workers import ahead
 
 from synth3dlanes.system.errors import FormatError
 
@@ -206,7 +214,7 @@ def test_decoded_images_are_not_memory_of_the_process(tmp_path):
     script = f"""
 import os, sys
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})
-from synth3dlanes_baseline.cache import pixel_memory
+from synth3dlanes_baseline.loading import pixel_memory
 def resident_mb():
     return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 slots = pixel_memory((600, 600))

@@ -10,11 +10,11 @@ from PIL import Image, ImageDraw
 from synth3dlanes_baseline import checkpoint as checkpoints
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import CameraImage, FocalLengths, fit, intrinsics_of, resize
-from synth3dlanes_baseline.image_lines import columns_of
 from synth3dlanes_baseline.lanes import Detection, Prediction, write_predictions
 from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.photographs import evaluate_predictions, open_photographs, read_intrinsics
 from synth3dlanes_baseline.sources import focal_lengths
+from synth3dlanes_baseline.tusimple import columns_of
 
 from synth3dlanes.system.errors import FormatError, InputError
 

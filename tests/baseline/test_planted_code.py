@@ -50,6 +50,7 @@ def custom(build, **arguments):
 
 
 MODEL = json.loads(train_config("tiny").model.model_dump_json())
+OURS = "synth3dlanes_baseline.loss:network_of"
 # What a file says, by what it hopes for; and what the line says that refuses it.
 CUSTOM = "expected {}, whose network .*x.pt holds, got none"
 PLANTED = {
@@ -61,7 +62,7 @@ PLANTED = {
     "a built-in": ({"model": custom("builtins:exec", source="open('ran', 'w')")}, CUSTOM.format("builtins:exec")),
     "a module of the current folder": ({"model": custom("planted:build")}, CUSTOM.format("planted:build")),
     "a dotted module": ({"model": custom("planted.nets:build")}, CUSTOM.format("planted.nets:build")),
-    "a module of ours": ({"model": custom("synth3dlanes_baseline.custom:build")}, "synth3dlanes_baseline.custom:build"),
+    "a module of ours": ({"model": custom(OURS)}, OURS),
     "no name": ({"model": custom("planted:build.__globals__")}, "x.pt: config.model.build: expected text of the form"),
     "both kinds of network": ({"model": {**MODEL, "build": "os:system"}}, "x.pt: config.model.name: unknown"),
     "a network of a hub": ({"model": {**MODEL, "backbone": "timm:hf-hub:a/b"}}, "model.backbone: expected text"),
@@ -196,9 +197,8 @@ def test_one_place_makes_settings_of_files_and_two_import_by_a_name():
                     found.setdefault("parse(TrainConfig", set()).add(path.stem)
     assert found["parse(TrainConfig"] == {"config", "checkpoint"}
     assert found["_read"] == {"checkpoint", "workers"}, "workers has a function of the same name for its pipes"
-    assert found["torch.load"] == {"tensors"}
-    assert found["importlib.import_module"] == {"custom"}
-    assert found["custom.build"] == {"task"}
+    assert found["torch.load"] == {"pretrained"}
+    assert found["importlib.import_module"] == {"loss"}, "in `network_of`"
     assert found["network_of"] == {"checkpoint", "run_state"}
     assert found["timm.create_model"] == {"timm_trunk"}
     assert not {"eval", "exec", "__import__", "pickle.load", "os.system", "runpy.run_module"} & found.keys()

@@ -18,17 +18,15 @@ from synth3dlanes_baseline import checkpoint as checkpoints
 from synth3dlanes_baseline import evaluate, onnx_decode, onnx_export, sources, statistics
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import CameraImage, intrinsics_of
-from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions, score
-from synth3dlanes_baseline.flat_ground import through_flat_ground
-from synth3dlanes_baseline.inference import choose_device, layout_of, predictions_of
+from synth3dlanes_baseline.devices import choose_device
+from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions, score, through_flat_ground
+from synth3dlanes_baseline.inference import layout_of, predictions_of
 from synth3dlanes_baseline.lanes import read_predictions, write_predictions
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.onnx_decode import decode
-from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, exported, metadata_of
-from synth3dlanes_baseline.onnx_int8 import quantised
+from synth3dlanes_baseline.onnx_export import OUTPUTS, export_onnx, exported, metadata_of, quantised
 from synth3dlanes_baseline.overlay import _lines, save_pictures
-from synth3dlanes_baseline.pictures import assumed_intrinsics
-from synth3dlanes_baseline.predict import PredictConfig, PredictionSummary, detector_for, predict
+from synth3dlanes_baseline.predict import PredictConfig, PredictionSummary, assumed_intrinsics, detector_for, predict
 from synth3dlanes_baseline.report import markdown, save_plots, table_1_cells, to_document, to_text
 from synth3dlanes_baseline.statistics import describe_targets
 

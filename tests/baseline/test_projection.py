@@ -7,11 +7,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synth3dlanes_baseline import poses
-from synth3dlanes_baseline.backbone import ImagePathway
+from synth3dlanes_baseline import curves
+from synth3dlanes_baseline.backbone import PIXELS, ImagePathway, Lattice, lattice_after
 from synth3dlanes_baseline.config import MODELS, NANO
-from synth3dlanes_baseline.layers import PIXELS, Lattice, lattice_after
-from synth3dlanes_baseline.poses import Pose, cam_from_road
+from synth3dlanes_baseline.curves import Pose, cam_from_road
 from synth3dlanes_baseline.projection import (
     OUTSIDE,
     Projection,
@@ -52,7 +51,7 @@ def test_projection_of_ground_points_is_the_homography_of_the_notes(pitch, heigh
 def test_numpy_and_torch_poses_agree_and_invert(pitch, height):
     from synth3dlanes_baseline import projection
 
-    numpy_matrix = poses.road_from_cam(poses.Pose(pitch, height))
+    numpy_matrix = curves.road_from_cam(Pose(pitch, height))
     torch_matrix = projection.road_from_cam(torch.tensor([[pitch, height]]))
     assert torch_matrix[0].numpy() == pytest.approx(numpy_matrix, abs=1e-6)
     product = torch_matrix @ projection.invert_rigid(torch_matrix)

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torch
 from synth3dlanes_baseline.anchors import Targets, anchor_positions_m
+from synth3dlanes_baseline.backbone import Lattice
 from synth3dlanes_baseline.config import TINY, LossConfig, improved
-from synth3dlanes_baseline.lane_head import Lanes
-from synth3dlanes_baseline.layers import Lattice
+from synth3dlanes_baseline.heads import ASIDE_M, ASIDE_PX, STEP_PX, WIDTH, CloseLook, Lanes, Refinement
 from synth3dlanes_baseline.loss import loss
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
-from synth3dlanes_baseline.refinement import ASIDE_M, ASIDE_PX, STEP_PX, WIDTH, CloseLook, Refinement
 
 
 def _lanes(config, x_m=0.0, z_m=0.0):

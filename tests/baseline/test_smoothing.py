@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from synth3dlanes_baseline.curves import Pose
 from synth3dlanes_baseline.data import CameraImage
 from synth3dlanes_baseline.lanes import Detection, Prediction
-from synth3dlanes_baseline.poses import Pose
 from synth3dlanes_baseline.smoothing import associate, smoothed
 
 from synth3dlanes.geometry.frames import transform

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from synth3dlanes_baseline.curves import Pose
 from synth3dlanes_baseline.data import img_from_cam
 from synth3dlanes_baseline.lanes import Detection, Prediction
-from synth3dlanes_baseline.poses import Pose
 
 from scripts.error_sources import matched, unseen_part
 from scripts.real_labels import HEIGHT_M, INTRINSICS, labels_on_plane

@@ -11,11 +11,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 from synth3dlanes_baseline import checkpoint
+from synth3dlanes_baseline.backbone import PIXELS, lattice_after
 from synth3dlanes_baseline.config import PAPER, train_config
-from synth3dlanes_baseline.layers import PIXELS, lattice_after
 from synth3dlanes_baseline.model import LaneNet
-from synth3dlanes_baseline.pretrained import load_pretrained
-from synth3dlanes_baseline.tensors import load_weights
+from synth3dlanes_baseline.pretrained import load_pretrained, load_weights
 from synth3dlanes_baseline.timm_trunk import TimmPathway, measured_lattices
 from synth3dlanes_baseline.train import train_on
 from torch import nn

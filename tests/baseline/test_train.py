@@ -10,8 +10,9 @@ from synth3dlanes_baseline import checkpoint, train
 from synth3dlanes_baseline.checkpoint import detector
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import annotation_of, intrinsics_of, resize, scale
-from synth3dlanes_baseline.loading import Process, batch_index, sample_order
-from synth3dlanes_baseline.optim import Schedule
+from synth3dlanes_baseline.devices import Process
+from synth3dlanes_baseline.loading import batch_index, sample_order
+from synth3dlanes_baseline.run_state import Schedule
 from synth3dlanes_baseline.train import DivergenceError, train_on
 
 from synth3dlanes.system.errors import FormatError, InputError

@@ -9,11 +9,11 @@ from PIL import Image
 from synth3dlanes_baseline import checkpoint as checkpoints
 from synth3dlanes_baseline.anchors import encode
 from synth3dlanes_baseline.config import MODELS, TUSIMPLE, train_config
+from synth3dlanes_baseline.curves import Pose, cam_from_road
 from synth3dlanes_baseline.data import annotation_of, pack
 from synth3dlanes_baseline.evaluate import evaluate_checkpoint, score_on
 from synth3dlanes_baseline.lanes import Detection, Prediction
 from synth3dlanes_baseline.model import LaneNet
-from synth3dlanes_baseline.poses import Pose, cam_from_road
 from synth3dlanes_baseline.predict import PredictConfig, detector_for, predict
 from synth3dlanes_baseline.projection import road_from_cam
 from synth3dlanes_baseline.sources import open_split

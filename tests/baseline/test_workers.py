@@ -14,7 +14,8 @@ import psutil
 import pytest
 import torch
 from synth3dlanes_baseline.config import train_config
-from synth3dlanes_baseline.loading import Process, decoding_of, open_examples, training_batches
+from synth3dlanes_baseline.devices import Process
+from synth3dlanes_baseline.loading import decoding_of, open_examples, training_batches
 from synth3dlanes_baseline.workers import made_ahead
 from torch import Tensor
 
