@@ -22,18 +22,55 @@ PLAIN = {float, int, bool, NoneType, np.float64}
 VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
+# Each test checks this many calls of a function: with all of them, checks took a third of the time where labels are
+# computed.
+CALLS_OF_A_TEST = 10
+_renewed: list[Callable[[], None]] = []
+
+
+def begin_test() -> None:
+    """Check calls of all functions again."""
+    while _renewed:
+        _renewed.pop()()
+
+
 def check(function: Any) -> Any:
     """A function, or a dataclass with its constructor, that raises an error for a call or a result of other types or
-    shapes than its annotations name. A dimension has one size in all arrays of a call."""
+    shapes than its annotations name. A dimension has one size in all arrays of a call. Of each test, the first calls
+    are checked."""
     if inspect.isclass(function):
         if is_dataclass(function):
             function.__init__ = check(function.__init__)
         return function
-    hints = inspect.get_annotations(function)
-    shaped = {name: hint for name, hint in hints.items() if _names_shapes(hint)}
-    if not shaped and "<locals>" in function.__qualname__:
+    if "<locals>" in function.__qualname__ and not any(map(_names_shapes, inspect.get_annotations(function).values())):
         # Such a function would be compiled anew with every call of the one around it.
         return function
+    checked: Callable[..., Any] | None = None
+    left = CALLS_OF_A_TEST
+
+    def renew() -> None:
+        nonlocal left
+        left = CALLS_OF_A_TEST
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal checked, left
+        if not left:
+            return function(*args, **kwargs)
+        if left == CALLS_OF_A_TEST:
+            _renewed.append(renew)
+        left -= 1
+        if checked is None:
+            checked = _checked(function)
+        return checked(*args, **kwargs)
+
+    return call
+
+
+def _checked(function: Any) -> Any:
+    """The function with checks of every call."""
+    hints = inspect.get_annotations(function)
+    shaped = {name: hint for name, hint in hints.items() if _names_shapes(hint)}
     if not shaped:
         return _check_types(function)
     has_more = any(

@@ -19,7 +19,7 @@ import pytest
 from filelock import FileLock
 from hypothesis import settings
 
-from tests import checked  # noqa: F401 - before all that it checks
+from tests import checked  # before all that it checks
 
 # Machines are slow at times; a failure must be the same one tomorrow.
 settings.register_profile("house", deadline=None, derandomize=True)
@@ -58,6 +58,8 @@ def pytest_collection_finish() -> None:
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     from tests import warm
+
+    checked.begin_test()
 
     warm.use(item.get_closest_marker("fresh") is None)
 
