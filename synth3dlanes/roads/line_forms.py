@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float
 
 from synth3dlanes.roads.maps.cubics import SAME_M
 from synth3dlanes.roads.reference_line import GUESS_STEP_M, LineFrames, ReferenceLine, dot, paired
-from synth3dlanes.roads.roads import BEFORE_M, WIDER
 from synth3dlanes.scene.road_map import PlanPiece
 from synth3dlanes.scene.scene import PaperRoad
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Polyline2
@@ -34,6 +33,9 @@ CUBIC_STEPS = 2000
 LEAST_SPEED = 1e-9
 # Knots of the quartic (paper, Table 'Lane top view geometry'); beyond them roads continue along their tangents.
 S_END_M = 100.0
+# Places of the exit are searched up to BEFORE_M behind their station on the main road, beside that up to WIDER times
+# its opening.
+BEFORE_M, WIDER = 20.0, 1.5
 # Stations from the split to far beyond the scene.
 EXIT_STATIONS_M = np.concatenate([np.arange(0.0, 400.0, 2.0), np.geomspace(400.0, 20_000.0, 40)])
 

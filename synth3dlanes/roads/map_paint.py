@@ -210,27 +210,18 @@ def _line(parts: list[_Part], lanes: dict[str, NetworkLane], path_of: dict[str, 
     )
 
 
-class LineBeside(NamedTuple):
-    """A line beside a lane between two of its road's stations, and whether it is on its right as s grows."""
-
-    id: str
-    is_right: bool
-    start_m: float
-    end_m: float
-
-
-def beside_lanes(drawn: Sequence[tuple[LaneCurve, list[PaintedEdge]]]) -> dict[str, list[LineBeside]]:
-    """The lines beside each lane."""
-    found: dict[str, list[LineBeside]] = {}
+def beside_lanes(drawn: Sequence[tuple[LaneCurve, list[PaintedEdge]]]) -> dict[str, list[Neighbour]]:
+    """The lines beside each lane, between two stations of its road, and whether they are on its right as s grows."""
+    found: dict[str, list[Neighbour]] = {}
     for line, edges in drawn:
         for edge in edges:
             for lane, is_right in ((edge.left, True), (edge.right, False)):
                 if lane is not None:
-                    found.setdefault(lane, []).append(LineBeside(line.id, is_right, edge.start_m, edge.end_m))
+                    found.setdefault(lane, []).append(Neighbour(line.id, is_right, edge.start_m, edge.end_m))
     return found
 
 
-def bounded(path: LaneCurve, beside: dict[str, list[LineBeside]]) -> LaneCurve:
+def bounded(path: LaneCurve, beside: dict[str, list[Neighbour]]) -> LaneCurve:
     """A path with the lines beside its lanes."""
     found = []
     for lane, piece in zip(path.lanes, path.pieces, strict=True):

@@ -286,6 +286,12 @@ class RoadTable:
         left, right = (self._across(section, edge.take(section), s) - offset for edge in self._paved)
         return left, right
 
+    def nearest(self, at: OnRoads) -> tuple[Scalars, Scalars, Scalars]:
+        """The stations and offsets on the pavement of its road that are nearest to each place, and how far away."""
+        on = np.clip(at.s, self.start_m[at.road], self.end_m[at.road])
+        across = np.clip(at.t, *self.edges(at.road, on))
+        return on, across, np.hypot(at.s - on, at.t - across)
+
     def base_points(self, road: Indices, s: Scalars, t: Scalars) -> Points3:
         """Points on the surface of each road without raised lanes."""
         xy, section = self.xy(road, s, t), self.section(road, s)
@@ -315,15 +321,6 @@ class RoadTable:
         return z
 
 
-class Nearby(NamedTuple):
-    """Points that may be near a road: which of a query they are, and their places along it."""
-
-    road: Road
-    which: Bool[np.ndarray, " n"]
-    s: AnyScalars
-    t: AnyScalars
-
-
 class _Index(NamedTuple):
     """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
     line, these, and a tree of them, roads one above the other APART_M from each other."""
@@ -340,22 +337,6 @@ class RoadIndex:
 
     def __init__(self, roads: Sequence[Road], terrain: Terrain) -> None:
         self.roads, self.table = tuple(roads), RoadTable(roads, terrain)
-
-    def nearby(
-        self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
-    ) -> tuple[Bool[np.ndarray, " n"], list[Nearby]]:
-        """Which points may be within `reach_m` of a pavement, and where these are along every road that any may be
-        near."""
-        found, near = self.places(xy_world, float(reach_m.max(initial=0.0))), np.zeros(len(xy_world), dtype=bool)
-        near[found.point] = True
-        rows, ends = np.cumsum(near) - 1, np.flatnonzero(np.diff(found.road)) + 1
-        listed = []
-        for point, road, s, t in zip(*(np.split(values, ends) for values in found), strict=True):
-            if len(point):
-                which = np.zeros(int(near.sum()), dtype=bool)
-                which[rows[point]] = True
-                listed.append(Nearby(self.roads[road[0]], which, s, t))
-        return near, listed
 
     def places(self, xy_world: Float[np.ndarray, "n 2"], reach_m: Float[np.ndarray, " r"] | float) -> OnRoads:
         """Where points are along every road whose pavement they may be within `reach_m` of, a number or that of each

@@ -27,9 +27,6 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 # Straight pieces between `Ramp.stations` are nowhere farther than this from the ramp: less than paint floats.
 RAMP_SAG_M = 0.001
-# Where roads part, places of the branch are searched up to BEFORE_M behind the station on the other road, OVERLAP_M
-# deep in the other's pavement, and up to WIDER times its opening beside it.
-BEFORE_M, OVERLAP_M, WIDER = 20.0, 1.0, 1.5
 # Width that is assumed where a road has no lanes of traffic.
 LANE_WIDTH_M = 3.5
 # Tolerance of the middle between two carriageways, which belongs to the right one.
@@ -108,13 +105,6 @@ class Parting:
     gap_m: Callable[[AnyScalars], AnyScalars]
     station: Callable[[float], float]
     rise_m: float
-
-    def may_hold(self, branch: "Road", s: AnyScalars, t: AnyScalars, reach_m: AnyScalars) -> Bool[np.ndarray, " n"]:
-        """Which places of the road may be within `reach_m` of a branch's pavement, and are not deep in its own."""
-        width_m = branch.lane_width_m
-        low_m = self.road.right(s) - width_m - OVERLAP_M
-        high_m = self.road.right.base_m + reach_m + WIDER * (self.gap_m(s + BEFORE_M) + width_m)
-        return np.asarray((s > branch.start_m - BEFORE_M) & (t > low_m) & (t < high_m))
 
 
 @dataclass(frozen=True, eq=False)

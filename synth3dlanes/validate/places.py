@@ -62,11 +62,10 @@ def is_single(ground: Ground, xy_world: Points2) -> Bool[np.ndarray, " n"]:
     if not any(road.has_heights for road in ground.network.roads):
         return np.ones(len(xy_world), dtype=bool)
     low, high = np.full((2, len(xy_world)), np.inf) * [[1], [-1]]
-    near, roads = ground.network.index.nearby(xy_world, np.full(len(xy_world), SEARCH_M))
-    rows = np.flatnonzero(near)
-    for road, which, s, t in roads:
-        inside = road.outside(s, t) < EDGE_M
-        at = rows[np.flatnonzero(which)[inside]]
-        z = road.base_points(s[inside], t[inside])[:, 2]
-        low[at], high[at] = np.minimum(low[at], z), np.maximum(high[at], z)
+    table, at = ground.network.index.table, ground.network.index.places(xy_world, SEARCH_M)
+    on, _, away_m = table.nearest(at)
+    at = at.of((away_m < EDGE_M) & (on == at.s))
+    z = table.base_points(at.road, at.s, at.t)[:, 2]
+    np.minimum.at(low, at.point, z)
+    np.maximum.at(high, at.point, z)
     return np.asarray((high - low < APART_M) & ~ground.is_stacked(xy_world))

@@ -78,16 +78,13 @@ def _rows(span: Span, s: Scalars, section: Sequence[tuple[Scalars, Scalars | flo
 def _is_free(paved: PavedAreas, span: Span, s: Scalars, t: Scalars) -> Bool[np.ndarray, " n"]:
     """At which stations no other pavement is beside the edge of a deck, about as high."""
     points = _points(span, s, t, 0.0)
-    near, roads = paved.network.index.nearby(points[:, :2], np.full(len(s), BESIDE_M))
-    taken, rows = np.zeros(len(s), dtype=bool), np.flatnonzero(near)
-    for road, which, at_s, at_t in roads:
-        if road is span.road:
-            continue
-        on = np.clip(at_s, road.start_m, road.end_m)
-        is_on = (np.abs(at_s - on) < BESIDE_M) & (at_t > road.left(on) - BESIDE_M) & (at_t < road.right(on) + BESIDE_M)
-        is_level = np.abs(road.base_points(on, at_t)[:, 2] - points[rows[which], 2]) < LEVEL_M
-        taken[rows[which][is_on & is_level]] = True
-    return ~taken
+    table, at = paved.network.index.table, paved.network.index.places(points[:, :2], BESIDE_M)
+    at = at.of(at.road != table.roads.index(span.road))
+    on, across, away_m = table.nearest(at)
+    is_level = np.abs(table.base_points(at.road, on, across)[:, 2] - points[at.point, 2]) < LEVEL_M
+    free = np.ones(len(s), dtype=bool)
+    free[at.point[(away_m < BESIDE_M) & is_level]] = False
+    return free
 
 
 def _abutment(quads: Quads, paved: PavedAreas, span: Span, end_m: float, outward: float) -> None:

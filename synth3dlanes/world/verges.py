@@ -18,7 +18,6 @@ from synth3dlanes.geometry.polylines import stretches
 from synth3dlanes.roads import terrain
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.road_table import Nearby
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars, Spread
@@ -39,6 +38,8 @@ PAINT_ROOM_M = 0.05
 FINE_M, FINE_BEHIND_M = 165.0, 10.0
 # Least station at which the crests of a ramp end, and their reach from the host.
 CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
+# A road that begins beside another is asked from BEFORE_M before that on, and a lane and OVERLAP_M deep in the other.
+BEFORE_M, OVERLAP_M = 20.0, 1.0
 # Least distance beyond the verges within which roads are searched.
 ROAD_SEARCH_M = 3.0
 # How far a road goes on behind a host that does not look there.
@@ -52,10 +53,9 @@ GRASS_FROM_M, INNER_SHOULDER_M = 3.0, 0.5
 
 
 class Beside(NamedTuple):
-    """Points and a road: their distance from its pavement (negative on it, infinite far away), its height over the
+    """Points beside a road: their distance from its pavement (negative on it, infinite far away), its height over the
     terrain at the nearest station, and the width that its embankment has on their side, None if it has any."""
 
-    road: Road
     outside: AnyScalars
     raised: AnyScalars
     room: AnyScalars | None
@@ -250,35 +250,28 @@ class Verges:
     ) -> tuple[Bool[np.ndarray, " n"], list[Beside]]:
         """Which points may be within `reach_m` of a pavement, and these beside every road that any may be near: beside
         one that begins beside another, those that are near that one."""
-        network = self.network
-        masks = {road.id: road.may_reach(xy_world, reach_m) for road in network.roads}
+        masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.network.roads}
         near = np.logical_or.reduce(list(masks.values()))
-        xy, found = xy_world[near], dict[str, tuple[Nearby, Beside]]()
-        for road in network.roads:
-            guess, begun = None, found.get(road.parting.road.id) if road.parting else None
-            if road.parting is None:
-                which = np.logical_or.reduce([masks[at.id][near] for at in (road, *network.branches(road))])
-            elif begun is not None:
-                _, on, s, t = begun[0]
-                close = road.parting.may_hold(road, s, t, reach_m[near][on])
-                which, guess = on.copy(), s[close]
-                which[which] = close
-            else:
-                continue
-            if not which.any():
-                continue
-            s, t = road.line.project(xy[which], guess)
-            outside, raised, room = np.full(len(which), np.inf), np.zeros(len(which)), None
-            outside[which] = road.outside(s, t)
+        xy, found, stations = xy_world[near], dict[str, Beside](), dict[str, Scalars]()
+        for road in self.network.roads:
+            which = np.logical_or.reduce([masks[at.id][near] for at in (road, *self.network.branches(road))])
+            begun = None if road.parting is None else road.parting.road.id
+            if begun is not None:
+                # Before it begins, and deep in the pavement of the road there, nothing is its own.
+                which &= stations[begun] > road.start_m - BEFORE_M
+                which &= found[begun].outside > -road.lane_width_m - OVERLAP_M
+            s, outside, raised, room = np.zeros(len(xy)), np.full(len(xy), np.inf), np.zeros(len(xy)), None
+            s[which], t = road.line.project(xy[which], None if begun is None else stations[begun][which])
+            outside[which] = road.outside(s[which], t)
             if road.ramp is not None:
-                raised[which] = road.raised(s)
+                raised[which] = road.raised(s[which])
             if begun is not None:
                 # On its left the embankment ends at the pavement of the road where it begins.
-                inner, room = which.copy(), np.full(len(which), np.inf)
+                inner, room = which.copy(), np.full(len(xy), np.inf)
                 inner[which] = t < 0
-                room[inner] = np.clip(begun[1].outside[inner] + outside[inner], 0, None)
-            found[road.id] = Nearby(road, which, s, t), Beside(road, outside, raised, room)
-        return near, [beside for _, beside in found.values()]
+                room[inner] = np.clip(found[begun].outside[inner] + outside[inner], 0, None)
+            found[road.id], stations[road.id] = Beside(outside, raised, room), s
+        return near, [*found.values()]
 
     def above(self, xy_world: Points2) -> Scalars:
         """Height of pavement, verges and embankments over the terrain (0 away from roads)."""
@@ -286,7 +279,7 @@ class Verges:
         near, roads = self.beside(xy_world, self._reach_m(xy_world))
         scale = self.grid.cell_scale(xy_world[near])
         paved, verge = np.full((2, len(scale)), -np.inf)
-        for _, outside, raised, room in roads:
+        for outside, raised, room in roads:
             squeeze = 1.0 if room is None else np.clip(room / embankment_width(raised, scale), 1e-6, 1)
             verge = np.where(np.isfinite(outside), np.maximum(verge, profile(outside / squeeze, raised, scale)), verge)
             paved = np.where(outside <= 0, np.maximum(paved, raised), paved)
