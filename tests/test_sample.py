@@ -135,13 +135,13 @@ def test_scenes_differ_by_seed_split_and_index(params):
 def test_cars_keep_apart(scenes):
     """Circles along each car's axis, an independent and stricter-than-none test of overlap."""
     from synth3dlanes.scene.assets.catalogue import CARS
-    from synth3dlanes.world.placement import lane_place
+    from synth3dlanes.world.placement import car_place
 
     for scene in scenes[:60]:
         network = resolve(scene).network
         circles, owners = [], []
         for i, car in enumerate(scene.cars):
-            middle, heading = lane_place(network, car.lane, car.s_m)
+            middle, heading = car_place(network, car.lane, car.s_m)
             model = CARS[car.model - 1]
             reach = (model.length_m - model.width_m) / 2 * car.scale
             for along in np.linspace(-reach, reach, 7):

@@ -14,7 +14,7 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.assets.catalogue import CARS
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.world.placement import lane_place
+from synth3dlanes.world.placement import car_place
 from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT
 from tests.thorough import first
@@ -114,7 +114,7 @@ def test_cars_drive_as_their_lanes_do_and_park_on_shoulders(index):
     world = resolve(scene)
     labels = ground_truth(scene)
     for car, pose in zip(scene.cars, world.view.world_from_cars, strict=True):
-        middle, heading = lane_place(world.network, car.lane, car.s_m)
+        middle, heading = car_place(world.network, car.lane, car.s_m)
         assert (pose[1, 1] < 0) == car.lane.startswith("oncoming"), "the host drives towards +y"
         assert pose[:2, 1] @ heading > 0.9
         if car.offset_m == 0:

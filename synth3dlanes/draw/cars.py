@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.draw.bodies import way_places
 from synth3dlanes.draw.car_colors import sold_color
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
 from synth3dlanes.roads.network import Network
@@ -18,7 +19,6 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.world import placement
 from synth3dlanes.world.camera import world_from_host
-from synth3dlanes.world.motion import stations_after
 
 # Free length and width around a car, and draws of a place for each.
 CAR_GAP_M, TRIES = (1.0, 0.3), 300
@@ -111,11 +111,8 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
     camera, parked, is_clip = scene.camera, parking("parked"), scene.shot.n_frames > 1
     host = placement.host_footprint(world_from_host(network, camera))[None]
 
-    def way(lane: str, s_m: float, offset_m: float, size: BodySize, driven_m: Scalars) -> np.ndarray:
-        stations = np.full(driven_m.shape, s_m)
-        if driven_m.any():
-            stations = network.stations(stations_after(network.path(lane), s_m * network.onwards, driven_m))
-        return placement.footprint(*placement.car_place(network, lane, stations, offset_m), *size)
+    def way(lane: str, s_m: float, offset_m: float, size: BodySize) -> Way:
+        return partial(way_places, network.path(lane), s_m * network.onwards, offset_m=offset_m, size=size)
 
     def places(size: BodySize) -> Iterator[CarPlace]:
         is_parked = parking.rng.random() < parked
@@ -126,13 +123,13 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
             lane, offset_m = lanes[int(at.rng.random() * len(lanes))].id, 0.0
             if is_parked and (found := _parking(network, s_m, size[1], parking.rng)):
                 lane, offset_m = found
-            own = partial(way, lane, s_m, offset_m, size)
+            own = way(lane, s_m, offset_m, size)
             wanted = [0.0] if offset_m or not is_clip else [*drawn_m_s, *traffic.speeds]
             if not is_clip or not placement.overlaps_any(own(np.zeros(1)), host):
                 yield CarPlace({"lane": lane, "s_m": s_m, "offset_m": offset_m}, own, wanted)
 
     own_lane = network.host_lane(camera.lane, camera.y_m).id
-    own_way = partial(way, own_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M)
+    own_way = way(own_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M)
     closed = closed_area(network.main, scene.road)
     traffic = Traffic(scene.shot, own_way if is_clip else lambda _: host, closed)
     cars = list[Car]()

@@ -4,12 +4,14 @@ it. World frame, metres."""
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.draw.cars import SPEED_TRIES, BodySize, CarPlace, Traffic, Way, draw_cars
+from synth3dlanes.draw.bodies import way_places
+from synth3dlanes.draw.cars import SPEED_TRIES, BodySize, CarPlace, Traffic, draw_cars
 from synth3dlanes.draw.draws import SCENE_DECIMALS, DrawsOf
 from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, first_shot
 from synth3dlanes.draw.map_standing import map_trees, stand
@@ -18,10 +20,8 @@ from synth3dlanes.draw.riders import places_on_map
 from synth3dlanes.geometry.polylines import spaced
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
-from synth3dlanes.roads.cross_section import CrossSection
-from synth3dlanes.roads.lane_curves import KNOT_M, LaneCurve
-from synth3dlanes.roads.line_forms import plan_line
-from synth3dlanes.roads.map_roads import bare_roads, map_network
+from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.map_roads import bare_roads, map_network, route_way
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.roads.maps.part import MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
@@ -30,7 +30,7 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import HostCamera, Shot
-from synth3dlanes.scene.road_map import LaneName, MapRoad, RoadMap
+from synth3dlanes.scene.road_map import LaneName, RoadMap
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Scene, Tree
 from synth3dlanes.system.streams import stream
@@ -113,27 +113,7 @@ def place_on_map(path: Path, at: str = "") -> MapPlace:
 
 def host_length(part: MapPart) -> float:
     """How far the host is along the middle of the lanes of its route, seen from above."""
-    by_id = {road.id: road for road in part.map.roads}
-    lengths_m = [
-        _middle_length(by_id[name.rsplit(".", 2)[0]], name, part.s_m if i == part.lane else None)
-        for i, name in enumerate(part.map.route[: part.lane + 1])
-    ]
-    return round(sum(lengths_m), SCENE_DECIMALS)
-
-
-def _middle_length(road: MapRoad, lane: LaneName, to_m: float | None) -> float:
-    """The length of a lane's middle as its traffic drives, to its end or to a station."""
-    _, section, number = lane.rsplit(".", 2)
-    of = CrossSection.of(road, int(section))
-    low, high = of.start_m, of.end_m
-    at = next(i for i, here in enumerate(of.lanes) if here.number == int(number))
-    ascends = (int(number) < 0) ^ road.keeps_left ^ of.lanes[at].against
-    if to_m is not None:
-        low, high = (low, to_m) if ascends else (to_m, high)
-    s = np.linspace(low, high, 2 + int((high - low) / KNOT_M))
-    line = plan_line(road.plan).within(of.start_m, of.end_m)
-    steps = np.diff(line.xy(s, of.middle_line(at)(s)), axis=0)
-    return float(np.hypot(*steps.T).sum())
+    return round(float(route_way(part.map).pieces[part.lane].stations(part.s_m)), SCENE_DECIMALS)
 
 
 def red_lines(scene: Scene, network: Network) -> dict[LaneName, float]:
@@ -181,9 +161,6 @@ def cars_on_map(
     near, chances = _near(scene, network, max(map(abs, extent(of.params.cars.s_m))))
     lines, rng = red_lines(scene, network), looks.rng
 
-    def own(way: LaneCurve, at_m: float, offset_m: float, size: BodySize) -> Way:
-        return lambda driven_m: _footprints(way, at_m + driven_m, offset_m, size)
-
     def places(size: BodySize) -> Iterator[CarPlace]:
         for _ in range(TRIES):
             lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
@@ -194,9 +171,14 @@ def cars_on_map(
             line_m = _line_ahead(way, lines, at_m + size[0] / 2) - size[0] / 2
             wishes = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if is_clip else [0.0]
             possible = [_allowed(way, at_m, wish, shot.duration_s, line_m) if wish else 0.0 for wish in wishes]
-            yield CarPlace({"lane": lane.id, "s_m": s_m, "route": route}, own(way, at_m, 0.0, size), possible)
+            yield CarPlace(
+                {"lane": lane.id, "s_m": s_m, "route": route},
+                partial(way_places, way, at_m, offset_m=0.0, size=size),
+                possible,
+            )
 
-    traffic = Traffic(shot, own(network.way, camera.y_m, camera.offset_m, placement.HOST_SIZE_M))
+    host = partial(way_places, network.way, camera.y_m, offset_m=camera.offset_m, size=placement.HOST_SIZE_M)
+    traffic = Traffic(shot, host)
     return tuple(filter(None, draw_cars(looks, scene.assets, traffic, places))) if near else ()
 
 
@@ -230,12 +212,3 @@ def _onward(
         route.append(at.id)
         length_m += at.end_m - at.start_m
     return tuple(route)
-
-
-def _footprints(way: LaneCurve, lengths_m: np.ndarray, offset_m: float, size: tuple[float, float]) -> np.ndarray:
-    """The rectangles of a car at lengths along its way."""
-    inside = np.clip(lengths_m, 0.6, max(way.end_m - 0.6, 0.6))
-    behind, ahead = way.xy_world(inside - 0.5), way.xy_world(inside + 0.5)
-    heading = (ahead - behind) / np.maximum(np.linalg.norm(ahead - behind, axis=1, keepdims=True), 1e-9)
-    middle = way.xy_world(lengths_m) + offset_m * np.stack([heading[:, 1], -heading[:, 0]], axis=-1)
-    return placement.footprint(middle, heading, *size)

@@ -170,7 +170,7 @@ def draw_side(axes: Axes, view: SceneView) -> None:
     foot = view.ramp_foot
     if foot is not None and -view.behind_m < foot[1] < AHEAD_M:
         axes.axvline(foot[1], color=colors.FAINT, linestyle="--", linewidth=1)
-        is_merge = view.scene is not None and view.scene.paper_road.flip_lateral
+        is_merge = view.scene is not None and view.scene.roads.flip_lateral
         words = "ramp of the exit ends" if is_merge else "ramp of the exit begins"
         side, gap = ("left", 4) if foot[1] < AHEAD_M / 2 else ("right", -4)
         axes.annotate(words, (foot[1], 0.95), (gap, 0), ("data", "axes fraction"), "offset points", ha=side, va="top")

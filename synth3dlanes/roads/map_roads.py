@@ -10,7 +10,7 @@ import numpy as np
 
 from synth3dlanes.labels.labels import Direction
 from synth3dlanes.roads.cross_section import CrossSection, greatest_and_mean
-from synth3dlanes.roads.lane_curves import Course, TableLine, along, ways_through
+from synth3dlanes.roads.lane_curves import Course, LaneCurve, TableLine, along, ways_through
 from synth3dlanes.roads.line_forms import plan_line
 from synth3dlanes.roads.line_table import LineTable
 from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
@@ -104,14 +104,20 @@ class _Reading:
 
     # -- roads
 
-    def _near(self, at_m: float) -> list[Road]:
-        """The roads within AROUND_M of a place along the route, and those of the route."""
+    @cached_property
+    def way(self) -> LaneCurve:
+        """The centre line of the host's route."""
         wanted = {name.rsplit(".", 2)[0] for name in self.map.route}
         by_id = {road.id: road for road in self.bare if road.id in wanted}
         lanes = {lane.id: lane for road in by_id.values() for lane in self._lanes(road)}
         route = [lanes[name] for name in self.map.route]
         courses = {lane.id: Course.of(by_id[lane.road].stretch_of(lane), lane.middle, *lane.driven) for lane in route}
-        host = along(route, courses).xy_world(np.array([at_m]))[0]
+        return along(route, courses)
+
+    def _near(self, at_m: float) -> list[Road]:
+        """The roads within AROUND_M of a place along the route, and those of the route."""
+        wanted = {lane.road for lane in self.way.lanes}
+        host = self.way.xy_world(np.array([at_m]))[0]
 
         def is_near(road: MapRoad) -> bool:
             return any(np.hypot(p.x_m - host[0], p.y_m - host[1]) - p.length_m < AROUND_M for p in road.plan)
@@ -156,6 +162,12 @@ class _Reading:
             if not route & set(chain) and len(ends) > 1 and len(set(ends)) == 1:
                 found.update(dict.fromkeys(chain, ends[0]))
         return found
+
+
+def route_way(roads: RoadMap) -> LaneCurve:
+    """The centre line of the host's route of a map, from above."""
+    names, flat = {name.rsplit(".", 2)[0] for name in roads.route}, Terrain(gaussians=())
+    return _Reading(roads, [_bare(road, flat) for road in roads.roads if road.id in names], flat).way
 
 
 def bare_roads(roads: RoadMap, terrain: Terrain) -> list[Road]:

@@ -4,9 +4,10 @@ World frame, metres and radians. Pure data: nothing here reads files or computes
 added later; older scenes can still be read and render as before. New ones have every key: all are of one schema.
 """
 
+from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -120,6 +121,7 @@ class PaperRoad(DocumentPart):
     divider_dashed: bool = False
     works: Annotated[RoadWorks | None, Field(exclude_if=_is_none)] = None
     # Only maps have these.
+    digest: ClassVar[str] = "none"
     paint: ClassVar[tuple[MapPaint, ...]] = ()
     junctions: ClassVar[tuple[MapJunction, ...]] = ()
     location: ClassVar[Literal["urban", "nonurban"]] = "nonurban"
@@ -500,8 +502,7 @@ class Scene(DocumentPart):
     @model_validator(mode="after")
     def _has_its_lanes(self) -> "Scene":
         """Check that the lanes of host and cars exist at their stations."""
-        problem = _map_problem(self, self.map) if self.map is not None else _road_problem(self, self.paper_road)
-        if problem:
+        if problem := PROBLEMS[type(self.roads)](self, self.roads):
             raise ValueError(problem)
         return self
 
@@ -553,6 +554,10 @@ def _map_problem(scene: Scene, roads: RoadMap) -> str:
             if pair not in roads.all_links:
                 return f"cars.{i}.route: expected linked lanes, got {pair[0]} and {pair[1]}"
     return ""
+
+
+# What is missing, by how a scene has its roads.
+PROBLEMS: dict[type, Callable[[Scene, Any], str]] = {PaperRoad: _road_problem, RoadMap: _map_problem}
 
 
 def to_json(scene: Scene) -> str:

@@ -59,7 +59,7 @@ class Origin(Provenance):
         """How a sample's scene differs from the one drawn again, in one line; "" if they are equal. A scene on a map
         cannot be drawn again without its file; its map must be a part of that one."""
         if self.map is not None:
-            digest = scene.map.digest if scene.map else "none"
+            digest = scene.roads.digest
             return "" if digest == self.map.digest else f"map.digest: expected {self.map.digest}, got {digest}"
         try:
             drawn = self.drawn(scene, split, index)

@@ -17,24 +17,17 @@ HOST_SIZE_M = (5.0, 2.0)
 TREE_SINK_M = 0.1
 
 
-Placement = tuple[Float[np.ndarray, "*t 2"], Float[np.ndarray, "*t 2"]]
-
-
-def lane_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"]) -> Placement:
-    """World (x, y) on a lane's centre line, or on its path beyond it, and the unit heading of its traffic there; at
-    each station as the host drives."""
+def car_place(
+    network: Network, lane: str, driven_m: float, offset_m: float = 0.0
+) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """World (x, y) `offset_m` to the driver's right of a lane's centre line, or of its path beyond it, at a station as
+    the host drives, and the unit heading of its traffic there."""
     path = network.path(lane)
-    s = path.stations_on(lane, np.asarray(driven_m) * network.onwards)
-    stations = s + np.array([-0.5, 0.0, 0.5]).reshape(3, *[1] * s.ndim)
-    before, middle, beyond = path.xy_world(stations.ravel()).reshape(*stations.shape, 2)
-    along = beyond - before if path.ascends else before - beyond
-    return middle, along / np.linalg.norm(along, axis=-1, keepdims=True)
-
-
-def car_place(network: Network, lane: str, driven_m: float | Float[np.ndarray, "*t"], offset_m: float) -> Placement:
-    """World (x, y) of a car `offset_m` to its driver's right of the lane's centre, and its heading."""
-    middle, heading = lane_place(network, lane, driven_m)
-    return middle + offset_m * np.stack([heading[..., 1], -heading[..., 0]], axis=-1), heading
+    s = path.stations_on(lane, driven_m * network.onwards) + np.array([-0.5, 0.0, 0.5])
+    before, middle, beyond = path.xy_world(s)
+    heading = beyond - before if path.ascends else before - beyond
+    heading = heading / np.linalg.norm(heading)
+    return middle + offset_m * np.array([heading[1], -heading[0]]), heading
 
 
 def world_from_car(network: Network, car: Car, model: CarModel) -> Matrix4:
