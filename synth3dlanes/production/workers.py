@@ -38,10 +38,11 @@ PR_SET_PDEATHSIG = 1
 # Environment variable with the id of the process that a worker works for.
 PARENT = "SYNTH3DLANES_PARENT"
 # For the C library: a worker keeps the memory that a picture frees, in huge pages, for the next one. Without the second
-# value, which is as large as the third, large blocks would go back to the system at once.
+# value, which is as large as the third, large blocks would go back to the system at once; without the last one, those
+# of threads other than the main one, in which Blender renders.
 MEMORY = {
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1:glibc.malloc.mmap_threshold=4294967296"
-    ":glibc.malloc.trim_threshold=4294967296"
+    ":glibc.malloc.trim_threshold=4294967296:glibc.malloc.arena_max=1"
 }
 # Objects between two collections of garbage, each of which may look through the whole map that a worker keeps.
 OBJECTS_BETWEEN = 20_000
