@@ -46,12 +46,14 @@ from synth3dlanes.world.graded import GradedGround
 from synth3dlanes.world.horizon import TerrainGrid
 from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.spans import Span, spans
-from synth3dlanes.world.verges import FINE_M, PRESS_M
+from synth3dlanes.world.verges import PRESS_M
 
 # Rows along roads by their distance from the host's way.
 ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
 # Their distance from the host is asked in these steps.
 COARSE_M = 4.0
+# Distance ahead of the host to which the terrain has its finest cells: elsewhere it meets the edges of pavement, too.
+FINE_M = 40.0
 # Depth of the terrain below the edges of the pavement, times the size of its cells.
 UNDER_FALL_M = 0.03
 # Distance from the host's way within which kerbs hide what is labelled; the tolerance of their simplified lines, and
