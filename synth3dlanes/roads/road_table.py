@@ -5,7 +5,7 @@ A road is known by its number. What a call tells of a place is what the `Road` o
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -147,6 +147,69 @@ class _ManyShapes:
         return np.asarray(a + x * (b + x * (c + x * d)))
 
 
+class _SectionTable:
+    """Sections of roads as arrays, by the number of each."""
+
+    def __init__(self, sections: Sequence[CrossSection]) -> None:
+        nothing = Profile(())
+        self._all = sections
+        self._start_m, self._end_m = (np.array([getattr(at, end) for at in sections]) for end in ("start_m", "end_m"))
+        self._n_left = np.array([at.n_left for at in sections])
+        self._paved = np.array([at.paved for at in sections]).T
+        self._first_lane = np.array([*accumulate((len(at.lanes) for at in sections), initial=0)])
+        self._widths = _Cubics([width for at in sections for width in at.widths])
+        self._offsets = _Cubics([at.offset for at in sections])
+        self._heights = _Cubics([at.heights or nothing for at in sections])
+        self._banks = _Cubics([at.banks or nothing for at in sections])
+        self._is_banked = np.array([at.banks is not None for at in sections])
+        self.has_heights = np.array([at.heights is not None for at in sections])
+        self._shapes = _ManyShapes([at.shapes for at in sections])
+        self._is_shaped = self.has_heights & np.array([at.shapes is not None for at in sections], dtype=bool)
+        self._has_level = self.has_heights & np.array([any(lane.level for lane in at.lanes) for at in sections], bool)
+
+    def edge(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
+        """The offset of an edge of a section at each station."""
+        return self._across(section, edge, s) - self._offsets(section, s)
+
+    def paved_edges(self, section: Indices, s: Scalars) -> tuple[Scalars, Scalars]:
+        """The offsets of the left and the right edge of the pavement at each station."""
+        offset = self._offsets(section, s)
+        left, right = (self._across(section, edge.take(section), s) - offset for edge in self._paved)
+        return left, right
+
+    def _across(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
+        """The offset of an edge from the one on the line."""
+        middle, x = self._n_left.take(section), s - self._start_m.take(section)
+        low, high = np.minimum(edge, middle), np.maximum(edge, middle)
+        across, lane = np.zeros(len(s)), self._first_lane.take(section) + low
+        for i in range(int((high - low).max(initial=0))):
+            at = np.flatnonzero(low + i < high)
+            across[at] += np.maximum(self._widths(lane.take(at) + i, x.take(at)), 0.0)
+        return np.where(edge > middle, across, -across)
+
+    def height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
+        """The height of the surface without raised lanes at places; 0 in sections without heights."""
+        at = np.clip(s, self._start_m.take(section), self._end_m.take(section))
+        z, banked, shaped = self._heights(section, at), self._is_banked.take(section), self._is_shaped.take(section)
+        bank = np.zeros(len(s))
+        if banked.any():
+            bank[banked] = self._banks(section[banked], at[banked])
+            z[banked] -= np.tan(bank[banked]) * t[banked]
+        if shaped.any():
+            fall = np.cos(bank[shaped])
+            z[shaped] += self._shapes(section[shaped], at[shaped], -t[shaped] / fall) / fall
+        for i in np.unique(section[self._has_level[section]]):
+            here = section == i
+            z[here] = self._all[i].height(s[here], t[here])
+        return z
+
+
+@lru_cache(maxsize=2)
+def _section_table(sections: tuple[CrossSection, ...]) -> _SectionTable:
+    """The table of sections: the tables of roads, of stretches of these and of them without lanes have the same."""
+    return _SectionTable(sections)
+
+
 class RoadTable:
     """The lines, sections and heights of roads as arrays."""
 
@@ -159,26 +222,8 @@ class RoadTable:
         self._is_other = np.array([not isinstance(line, Spiral) for line in lines])
         self._is_straight = ~self._is_other & (self._spirals[:, 3:5] == 0).all(axis=1)
         self.start_m, self.end_m = (np.array([getattr(road, end) for road in roads]) for end in ("start_m", "end_m"))
-        self._sections = [section for road in roads for section in road.sections]
         self._by_road = Ragged.of([section.start_m for section in road.sections] for road in roads)
-        self._index_sections(self._sections)
-
-    def _index_sections(self, sections: Sequence[CrossSection]) -> None:
-        ends = ("start_m", "end_m")
-        self._section_start_m, self._section_end_m = (np.array([getattr(at, end) for at in sections]) for end in ends)
-        self._n_left = np.array([at.n_left for at in sections])
-        self._paved = np.array([at.paved for at in sections]).T
-        self._first_lane = np.array([*accumulate((len(at.lanes) for at in sections), initial=0)])
-        self._widths = _Cubics([width for at in sections for width in at.widths])
-        nothing = Profile(())
-        self._offsets = _Cubics([at.offset for at in sections])
-        self._heights = _Cubics([at.heights or nothing for at in sections])
-        self._banks = _Cubics([at.banks or nothing for at in sections])
-        self._is_banked = np.array([at.banks is not None for at in sections])
-        self._has_heights = np.array([at.heights is not None for at in sections])
-        self._shapes = _ManyShapes([at.shapes for at in sections])
-        self._is_shaped = self._has_heights & np.array([at.shapes is not None for at in sections], dtype=bool)
-        self._has_level = self._has_heights & np.array([any(lane.level for lane in at.lanes) for at in sections], bool)
+        self._sections = _section_table(tuple(section for road in roads for section in road.sections))
 
     def frames(self, road: Indices, s: Scalars) -> LineFrames:
         """Each road's line at a station."""
@@ -232,17 +277,7 @@ class RoadTable:
 
     def edge(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
         """The offset of an edge of a section at each station."""
-        return self._across(section, edge, s) - self._offsets(section, s)
-
-    def _across(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
-        """The offset of an edge from the one on the line."""
-        middle, x = self._n_left.take(section), s - self._section_start_m.take(section)
-        low, high = np.minimum(edge, middle), np.maximum(edge, middle)
-        across, lane = np.zeros(len(s)), self._first_lane.take(section) + low
-        for i in range(int((high - low).max(initial=0))):
-            at = np.flatnonzero(low + i < high)
-            across[at] += np.maximum(self._widths(lane.take(at) + i, x.take(at)), 0.0)
-        return np.where(edge > middle, across, -across)
+        return self._sections.edge(section, edge, s)
 
     def knots(self, lines: Sequence[TableLine]) -> Iterator[tuple[AnyScalars, AnyPoints2, AnyScalars]]:
         """The stations of the knots of lines, each from its first station to its last one, their places, and the
@@ -281,10 +316,7 @@ class RoadTable:
 
     def edges(self, road: Indices, s: Scalars) -> tuple[Scalars, Scalars]:
         """The offsets of the left and the right edge of the pavement of each road at a station."""
-        section = self.section(road, s)
-        offset = self._offsets(section, s)
-        left, right = (self._across(section, edge.take(section), s) - offset for edge in self._paved)
-        return left, right
+        return self._sections.paved_edges(self.section(road, s), s)
 
     def nearest(self, at: OnRoads) -> tuple[Scalars, Scalars, Scalars]:
         """The stations and offsets on the pavement of its road that are nearest to each place, and how far away."""
@@ -295,30 +327,16 @@ class RoadTable:
     def base_points(self, road: Indices, s: Scalars, t: Scalars) -> Points3:
         """Points on the surface of each road without raised lanes."""
         xy, section = self.xy(road, s, t), self.section(road, s)
-        z = self._height(section, s, t)
-        low = ~self._has_heights[section]
+        z = self._sections.height(section, s, t)
+        low = ~self._sections.has_heights[section]
         z[low] = height_at(self._terrain, xy[low])
         return np.column_stack([xy, z])
 
     def over_terrain(self, road: Indices, s: Scalars, t: Scalars, terrain_m: Scalars) -> Scalars:
         """How high the surface of each road without raised lanes is over the terrain, whose heights are given."""
         section = self.section(road, s)
-        return np.where(self._has_heights.take(section), self._height(section, s, t) - terrain_m, 0.0)
-
-    def _height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
-        at = np.clip(s, self._section_start_m.take(section), self._section_end_m.take(section))
-        z, banked, shaped = self._heights(section, at), self._is_banked.take(section), self._is_shaped.take(section)
-        bank = np.zeros(len(s))
-        if banked.any():
-            bank[banked] = self._banks(section[banked], at[banked])
-            z[banked] -= np.tan(bank[banked]) * t[banked]
-        if shaped.any():
-            fall = np.cos(bank[shaped])
-            z[shaped] += self._shapes(section[shaped], at[shaped], -t[shaped] / fall) / fall
-        for i in np.unique(section[self._has_level[section]]):
-            here = section == i
-            z[here] = self._sections[i].height(s[here], t[here])
-        return z
+        own = self._sections
+        return np.where(own.has_heights.take(section), own.height(section, s, t) - terrain_m, 0.0)
 
 
 class _Index(NamedTuple):

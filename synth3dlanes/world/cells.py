@@ -1,5 +1,7 @@
 """Areas cut by the lines of a grid into faces that share their corners with those beside them. World frame, metres."""
 
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -19,44 +21,67 @@ PlanPlaces = Float[np.ndarray, "_ 2"]
 PlanQuads = Float[np.ndarray, "_ 4 2"]
 
 
+class Faces(NamedTuple):
+    """Faces from above, and the number of the area of each."""
+
+    quads: PlanQuads
+    area: CellIndices
+
+
 class CutCells(NamedTuple):
-    """What an area covers of a grid: the columns and rows of the cells that are wholly in it, those of the cells that
-    its border cuts, and the faces in these that are in the area, and outside, if they were asked for."""
+    """What areas cover of a grid: the number of the area, the column and the row of the cells that are wholly in it,
+    those of the cells that its border cuts, and the faces in these that are in the area, and outside, if they were
+    asked for."""
 
-    whole: Int[np.ndarray, "2 _"]
-    cut: Int[np.ndarray, "2 _"]
-    inside: PlanQuads
-    outside: PlanQuads
+    whole: Int[np.ndarray, "3 _"]
+    cut: Int[np.ndarray, "3 _"]
+    inside: Faces
+    outside: Faces
 
 
-def cut_cells(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, outside: bool = True) -> CutCells:
-    """The cells of a grid that an area covers, no corner of which is on a line of the grid (`beside`)."""
+def cut_cells(
+    xs: Scalars, ys: Float[np.ndarray, " m"], areas: Sequence[BaseGeometry], outside: bool = True
+) -> CutCells:
+    """The cells of a grid that each of some areas covers, no corner of which is on a line of the grid (`beside`)."""
     n_columns, n_rows = len(xs) - 1, len(ys) - 1
-    runs = _runs(xs, ys, area)
+    runs = _runs(xs, ys, areas)
     column, row = runs.cell.T
     is_there = (column >= 0) & (column < n_columns) & (row >= 0) & (row < n_rows)
-    number = np.where(is_there, row * n_columns + column, -1)
+    number = np.where(is_there, (runs.area * n_rows + row) * n_columns + column, -1)
     cut, which, counts = np.unique(number, return_index=True, return_counts=True)
     cut, which, counts = (values[cut >= 0] for values in (cut, which, counts))
     is_one = (counts == 1) & runs.divides[which]
-    plain, odd = which[is_one], cut[~is_one]
-    cells, parts = _odd_parts(xs, ys, area, odd % n_columns, odd // n_columns)
-    rest = [_faces(runs, plain, is_in=False), triangles_of(_differences(cells, parts))] if outside else []
+    plain, odd = which[is_one], _of_areas(cut[~is_one], n_columns, n_rows)
+    odd, cells, parts = _odd_parts(xs, ys, areas, odd)
+    rest = [_faces(runs, plain, is_in=False), _triangles_in(_differences(cells, parts), odd[0])] if outside else []
     return CutCells(
-        _whole(xs, ys, area, cut),
-        np.stack([cut % n_columns, cut // n_columns]),
-        np.concatenate([_faces(runs, plain, is_in=True), triangles_of(parts)]),
-        np.concatenate([np.zeros((0, 4, 2)), *rest]),
+        _whole(xs, ys, areas, cut),
+        _of_areas(cut, n_columns, n_rows),
+        _joined([_faces(runs, plain, is_in=True), _triangles_in(parts, odd[0])]),
+        _joined(rest),
     )
 
 
+def _of_areas(number: CellIndices, n_columns: int, n_rows: int) -> Int[np.ndarray, "3 _"]:
+    """The areas, columns and rows of the cells of all areas by their numbers."""
+    return np.stack([number // (n_columns * n_rows), number % n_columns, number // n_columns % n_rows])
+
+
+def _joined(parts: Sequence[Faces]) -> Faces:
+    """All of some faces."""
+    found = [Faces(np.zeros((0, 4, 2)), np.zeros(0, dtype=int)), *parts]
+    return Faces(*(np.concatenate(values) for values in zip(*found, strict=True)))
+
+
 class _Runs(NamedTuple):
-    """The border of an area, ring after ring with the area on the left: its corners and where it crosses lines of a
-    grid. Between two crossings a run is in one cell, all points from `first` to `last`; `sides` are those of the cell
-    where it begins and ends, 0 below, then on to the right of that. `n_left` is how many corners of the cell are on the
-    left of the run, in the area. `divides` says that the run has a cell in two parts."""
+    """The borders of areas, ring after ring with the area on the left: their corners and where they cross lines of a
+    grid. A run is of the area with a number. Between two crossings it is in one cell, all points from `first` to
+    `last`; `sides` are those of the cell where it begins and ends, 0 below, then on to the right of that. `n_left` is
+    how many corners of the cell are on the left of the run, in the area. `divides` says that the run has a cell in two
+    parts."""
 
     xy: PlanPlaces
+    area: CellIndices
     first: CellIndices
     last: CellIndices
     cell: Int[np.ndarray, "_ 2"]
@@ -66,9 +91,10 @@ class _Runs(NamedTuple):
     corners: Float[np.ndarray, "_ 4 2"]
 
 
-def _runs(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry) -> _Runs:
-    """The runs of the border of an area. A ring that crosses no line is a run that does not divide its cell."""
-    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(area)))
+def _runs(xs: Scalars, ys: Float[np.ndarray, " m"], areas: Sequence[BaseGeometry]) -> _Runs:
+    """The runs of the borders of areas. A ring that crosses no line is a run that does not divide its cell."""
+    polygons, area = shapely.get_parts(shapely.orient_polygons(areas), return_index=True)
+    rings, of_polygon = shapely.get_rings(polygons, return_index=True)
     places, ring = shapely.get_coordinates(rings, return_index=True)
     at = np.flatnonzero(ring[1:] == ring[:-1]) if len(ring) else np.zeros(0, dtype=int)
     start, end, ring = places[at], places[at + 1], ring[at]
@@ -115,10 +141,11 @@ def _runs(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry) -> _Runs
     along = [np.choose(side, [x, y, -x, -y]) for side, (x, y) in zip(sides, (xy[first].T, xy[last].T), strict=True)]
     n_left = np.where(sides[0] != sides[1], (sides[0] - sides[1]) % 4, np.where(along[0] > along[1], 0, 4))
     divides = is_on.any(axis=0).all(axis=0) & ((sides[0] != sides[1]) | (last - first > 1))
-    return _Runs(xy, first, last, cell, sides, n_left, divides, corners)
+    area = area[of_polygon[of_ring[taken][first]]]
+    return _Runs(xy, area, first, last, cell, sides, n_left, divides, corners)
 
 
-def _faces(runs: _Runs, which: CellIndices, is_in: bool) -> PlanQuads:
+def _faces(runs: _Runs, which: CellIndices, is_in: bool) -> Faces:
     """The faces on the left of runs, in the area, or on their right, outside."""
     end, n_left, n_points = runs.sides[int(is_in)][which], runs.n_left[which], runs.last[which] - runs.first[which] + 1
     n_corners = n_left if is_in else 4 - n_left
@@ -139,40 +166,54 @@ def _faces(runs: _Runs, which: CellIndices, is_in: bool) -> PlanQuads:
     bent = ~is_straight[number]
     renumbered = (np.cumsum(~is_straight) - 1)[number[bent]]
     polygons = shapely.polygons(shapely.linearrings(ring[bent], indices=renumbered)) if bent.any() else np.zeros(0)
-    return np.concatenate([triangles, triangles_of(polygons)])
+    own = runs.area[which]
+    return _joined([Faces(triangles, own[number[fans]]), _triangles_in(polygons, own[~is_straight])])
 
 
 def _odd_parts(
-    xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, column: CellIndices, row: CellIndices
-) -> tuple[np.ndarray, np.ndarray]:
-    """CutCells that the border crosses in more than one run, or lies in, and the parts of an area in them."""
+    xs: Scalars, ys: Float[np.ndarray, " m"], areas: Sequence[BaseGeometry], odd: Int[np.ndarray, "3 _"]
+) -> tuple[Int[np.ndarray, "3 _"], np.ndarray, np.ndarray]:
+    """The cells that a border crosses in more than one run, or lies in, in another order, as boxes, and the parts of
+    their areas in them."""
+    odd = odd[:, np.lexsort(odd[1::-1])]
+    of, column, row = odd
     cells, parts = shapely.box(xs[column], ys[row], xs[column + 1], ys[row + 1]), list[BaseGeometry]()
-    order = np.argsort(column, kind="stable")
-    for some in np.split(order, np.flatnonzero(np.diff(column[order])) + 1):
-        if len(some):
+    ends = np.flatnonzero(np.diff(of) | np.diff(column)) + 1
+    for number, i, j in zip(*(np.split(values, ends) for values in odd), strict=True):
+        if len(j):
             # A little wider, so that cells do not touch its sides: these are slow to ask about.
-            i, j = int(column[some[0]]), row[some]
+            x0, x1 = xs[i[0]], xs[i[0] + 1]
             low, high = float(ys[j.min()]) - ASIDE_M, float(ys[j.max() + 1]) + ASIDE_M
-            strip = clipped(area, (float(xs[i]) - ASIDE_M, low, float(xs[i + 1]) + ASIDE_M, high))
-            parts += [clipped(strip, (xs[i], ys[k], xs[i + 1], ys[k + 1])) for k in j.tolist()]
-    return cells[order], np.array(parts)
+            strip = clipped(areas[number[0]], (float(x0) - ASIDE_M, low, float(x1) + ASIDE_M, high))
+            parts += [clipped(strip, (x0, ys[k], x1, ys[k + 1])) for k in j.tolist()]
+    return odd, cells, np.array(parts)
 
 
-def _whole(xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, cut: CellIndices) -> Int[np.ndarray, "2 _"]:
+def _whole(
+    xs: Scalars, ys: Float[np.ndarray, " m"], areas: Sequence[BaseGeometry], cut: CellIndices
+) -> Int[np.ndarray, "3 _"]:
     """The cells that are wholly in an area, by their middles: its border passes through the cells `cut` alone."""
-    if area.is_empty:
-        return np.zeros((2, 0), dtype=int)
-    x0, y0, x1, y1 = shapely.bounds(area)
-    ranges = [
-        np.arange(max(int(np.searchsorted(lines, low)) - 1, 0), min(int(np.searchsorted(lines, high)), len(lines) - 1))
-        for lines, low, high in ((xs, x0, x1), (ys, y0, y1))
-    ]
-    row, column = (at.ravel() for at in np.meshgrid(ranges[1], ranges[0], indexing="ij"))
-    rest = ~np.isin(row * (len(xs) - 1) + column, cut, assume_unique=True)
-    row, column = row[rest], column[rest]
-    middles = np.stack([(xs[column] + xs[column + 1]) / 2, (ys[row] + ys[row + 1]) / 2], axis=1)
-    inside = contains(area, middles)
-    return np.stack([column[inside], row[inside]])
+    n_columns, n_rows, found = len(xs) - 1, len(ys) - 1, [np.zeros((3, 0), dtype=int)]
+    starts = np.searchsorted(cut, np.arange(len(areas) + 1) * n_columns * n_rows)
+    for i, area in enumerate(areas):
+        if area.is_empty:
+            continue
+        x0, y0, x1, y1 = shapely.bounds(area)
+        columns, rows = (
+            np.arange(max(int(np.searchsorted(lines, low)) - 1, 0), min(int(np.searchsorted(lines, high)), n))
+            for lines, low, high, n in ((xs, x0, x1, n_columns), (ys, y0, y1, n_rows))
+        )
+        if not len(columns) or not len(rows):
+            continue
+        is_rest = np.ones((len(rows), len(columns)), dtype=bool)
+        row, column = np.divmod(cut[starts[i] : starts[i + 1]] - i * n_columns * n_rows, n_columns)
+        is_rest[row - rows[0], column - columns[0]] = False
+        row, column = np.nonzero(is_rest)
+        row, column = row + rows[0], column + columns[0]
+        middles = np.stack([(xs[column] + xs[column + 1]) / 2, (ys[row] + ys[row + 1]) / 2], axis=1)
+        inside = contains(area, middles)
+        found.append(np.stack([np.full(int(inside.sum()), i), column[inside], row[inside]]))
+    return np.concatenate(found, axis=1)
 
 
 def _differences(cells: np.ndarray, parts: np.ndarray) -> np.ndarray:
@@ -183,31 +224,32 @@ def _differences(cells: np.ndarray, parts: np.ndarray) -> np.ndarray:
         return np.array([difference(cell, part) for cell, part in zip(cells, parts, strict=True)])
 
 
-def triangles_of(parts: np.ndarray) -> PlanQuads:
-    """The triangles of areas, as quads whose last corner is there twice. They have all corners of the areas, and no
-    others: triangles of areas beside each other share these."""
-    pieces = shapely.get_parts(shapely.get_parts(parts))
-    polygons = pieces[shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON]
+def _triangles_in(parts: np.ndarray, area: CellIndices) -> Faces:
+    """The triangles of parts of areas, as quads whose last corner is there twice. They have all corners of the parts,
+    and no others: triangles of parts beside each other share these."""
+    pieces, of_part = shapely.get_parts(parts, return_index=True)
+    pieces, of_piece = shapely.get_parts(pieces, return_index=True)
+    is_polygon = shapely.get_type_id(pieces) == shapely.GeometryType.POLYGON
+    polygons, area = pieces[is_polygon], area[of_part[of_piece[is_polygon]]]
     if not len(polygons):
-        return np.zeros((0, 4, 2))
-    return shapely.get_coordinates(_triangulated(polygons)).reshape(-1, 4, 2)[:, [0, 1, 2, 2]]
+        return _joined([])
+    triangles = _triangulated(polygons)
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)
+    return Faces(corners[:, [0, 1, 2, 2]], np.repeat(area, shapely.get_num_geometries(triangles)))
 
 
 def _triangulated(polygons: np.ndarray) -> np.ndarray:
-    """The triangles of polygons; those that are too thin for any are left out."""
+    """The triangles of polygons; none of those that are too thin for any."""
     try:
         return np.asarray(shapely.constrained_delaunay_triangles(polygons))
     except shapely.errors.GEOSException:
-        pass
-    found = []
-    for polygon in polygons:
-        for grid_m in (0.0, *GRIDS_M):
-            try:
-                found.append(shapely.constrained_delaunay_triangles(shapely.set_precision(polygon, grid_m)))
-                break
-            except shapely.errors.GEOSException:
-                continue
-    return np.array(found)
+        if len(polygons) > 1:
+            # Few are so thin: all others are done together.
+            return np.concatenate([_triangulated(half) for half in np.array_split(polygons, 2)])
+    for grid_m in GRIDS_M:
+        with suppress(shapely.errors.GEOSException):
+            return np.asarray(shapely.constrained_delaunay_triangles(shapely.set_precision(polygons, grid_m)))
+    return np.array([shapely.GeometryCollection()])
 
 
 def beside(axis: Scalars, places: Float[np.ndarray, " m"]) -> Scalars:

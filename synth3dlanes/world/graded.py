@@ -121,15 +121,16 @@ class GradedGround:
     network: Network
     spans: Sequence[Span]
 
-    def above(self, xy_world: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
+    def above(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], are_paved: bool = True) -> Scalars:
         """Height of roads where they lie on the ground, and of what they are laid on: from the edges of their pavement
         the ground falls or rises until it meets the terrain. It stays below decks, and goes over tunnels where places
-        are `covered`."""
+        are `covered`. Without `are_paved`, hardly any place is on pavement: then it takes less time."""
         found = np.zeros(len(xy_world))
         if self._has_heights.any():
+            above = self._above if are_paved else self._between_roads
             for first in range(0, len(found), TOGETHER):
                 some = slice(first, first + TOGETHER)
-                found[some] = self._above(xy_world[some], covered[some])
+                found[some] = above(xy_world[some], covered[some])
         return found
 
     def _above(self, xy_world: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
@@ -143,26 +144,25 @@ class GradedGround:
         np.maximum.at(paved, places.point[is_on], raised_m[is_on])
         is_paved = np.isfinite(paved) & ~covered
         found[is_paved], rest = paved[is_paved], ~is_paved
-        found[rest] = self._between_roads(xy_world[rest], covered[rest], paved[rest])
+        found[rest] = self._between_roads(xy_world[rest], covered[rest])
         return found
 
-    def _between_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], paved: Scalars) -> Scalars:
-        """What `above` says of places that are not on pavement of this height (minus infinity: on none) alone."""
+    def _between_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"]) -> Scalars:
+        """What `above` says of places by all roads whose slopes may reach them."""
         found = self.network.index.places(xy_world, self._slopes_reach_m)
         # Most places are near no road.
-        near, heights = _mask(len(xy_world), found.point), np.where(np.isfinite(paved), paved, 0.0)
+        near, heights = _mask(len(xy_world), found.point), np.zeros(len(xy_world))
         found = found._replace(point=(np.cumsum(near) - 1)[found.point])
-        heights[near] = self._near_roads(xy_world[near], covered[near], paved[near], found)
+        heights[near] = self._near_roads(xy_world[near], covered[near], found)
         return heights
 
-    def _near_roads(
-        self, xy_world: Points2, covered: Bool[np.ndarray, " n"], paved: Scalars, found: OnRoads
-    ) -> Scalars:
+    def _near_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], found: OnRoads) -> Scalars:
         """What `_between_roads` says of places that are found to be near roads."""
-        bounds = _Bounds.of(len(xy_world))
+        bounds, paved = _Bounds.of(len(xy_world)), np.full(len(xy_world), -np.inf)
         places, away_m, raised_m = self._beside(xy_world, found, on_ground=True)
         is_off = away_m >= EDGE_M
         bounds.beside(places.point[is_off], away_m[is_off], raised_m[is_off])
+        np.maximum.at(paved, places.point[~is_off], raised_m[~is_off])
         if self.spans:
             z, near = height_at(self.network.terrain, xy_world), set(found.road.tolist())
             for span in self.spans:

@@ -4,7 +4,7 @@ Roads are strips along their lines; junctions, their walkways and islands are ar
 all of these.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -12,21 +12,24 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
+from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.roads.cross_section import KERB_M
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapLaneKind
+from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.areas import clipped, contains, difference, intersection, outset, union, valid
-from synth3dlanes.world.cells import beside, cut_cells, merged
+from synth3dlanes.world.cells import Merged, beside, cut_cells, merged
 from synth3dlanes.world.decks import span_bodies
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, with_crease
 from synth3dlanes.world.paved_areas import GroundArea, PavedAreas
 from synth3dlanes.world.solids import Body
 
-# Faces of lanes are no wider than this; cells of junctions, by how far these are from the host.
-COLUMN_M, CELLS_M, CELLS_TO_M = 0.9, (0.75, 1.5, 3.0), (60.0, 150.0)
+# Faces of lanes are no wider than this; cells of junctions, and faces of the kerbs around them, by how far these are
+# from the host.
+COLUMN_M, CELLS_M, KERBS_M, CELLS_TO_M = 0.9, (0.75, 1.5, 4.0), (1.0, 2.0, 4.0), (60.0, 150.0)
 # What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M down.
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
@@ -50,13 +53,8 @@ class AreaSurfaces:
     @cached_property
     def pavement(self) -> list[Mesh]:
         """The strips of all roads outside junctions, and the areas of junctions and islands."""
-        found, paved = list[Mesh](), self.paved
-        for road in paved.outside:
-            for stretch in road.stretches:
-                if stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
-                    found += _strips(paved, stretch, (stretch is road.stretches[0], stretch is road.stretches[-1]))
-        found += _area_meshes(paved)
-        near = (_near(paved, mesh) for mesh in found)
+        paved = self.paved
+        near = (_near(paved, mesh) for mesh in [*_strips(paved), *_area_meshes(paved)])
         return [mesh for mesh in near if len(mesh.faces)]
 
     @property
@@ -86,12 +84,13 @@ class AreaSurfaces:
         inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
         z[inside] = paved.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
         whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
-        cells = [cut_cells(xs, ys, area) for area in (bed, over)]
-        free = cells[0] if over.is_empty else cut_cells(xs, ys, union([bed, over]))
-        column, row = np.concatenate([own.cut for own in cells], axis=1)
+        cells = [cut_cells(xs, ys, [area]) for area in (bed, over)]
+        free = cells[0] if over.is_empty else cut_cells(xs, ys, [union([bed, over])])
+        _, column, row = np.concatenate([own.cut for own in cells], axis=1)
         vertices = [whole.vertices_world]
         faces = [np.delete(whole.faces, np.unique(row * (len(xs) - 1) + column), axis=0)]
-        for own, is_over in ((np.concatenate([free.outside, cells[0].inside]), False), (cells[1].inside, True)):
+        below = np.concatenate([free.outside.quads, cells[0].inside.quads])
+        for own, is_over in ((below, False), (cells[1].inside.quads, True)):
             places, quads = merged(own)
             # The corners of cells are those of the grid.
             at = [
@@ -118,47 +117,85 @@ def _near(paved: PavedAreas, mesh: Mesh) -> Mesh:
     return mesh if kept.all() else replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
-def _strips(paved: PavedAreas, stretch: Road, is_end: tuple[bool, bool]) -> list[Mesh]:
-    """The lanes of a stretch of a road, raised ones with kerbs on all sides. Others have upright faces on the sides of
-    the road and at its ends, where what follows may be narrower."""
+class _Strip(NamedTuple):
+    """Lanes beside each other of a stretch of a road: the number of that in the network's table, stations, the offsets
+    of columns at each, how far these are across the texture, the surfaces between them and at both sides, whether they
+    are raised, and whether the strip has upright faces where it begins and ends."""
+
+    number: int
+    s: Scalars
+    t: Float[np.ndarray, "r c"]
+    across: Float[np.ndarray, " c"]
+    surfaces: Int[np.ndarray, " k"]
+    is_raised: bool
+    has_ends: tuple[bool, bool]
+
+
+def _strips(paved: PavedAreas) -> list[Mesh]:
+    """The lanes of all roads outside junctions, raised ones with kerbs on all sides. Others have upright faces on the
+    sides of the road and at its ends, where what follows may be narrower."""
+    outside, strips, number = {road.id for road in paved.outside}, list[_Strip](), -1
+    for road in paved.network.roads:
+        for stretch in road.stretches:
+            number += 1
+            if road.id in outside and stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
+                is_end = stretch is road.stretches[0], stretch is road.stretches[-1]
+                strips += _strips_of(paved, number, stretch, is_end)
+    counts = [strip.t.size for strip in strips]
+    places = [(np.repeat(at.number, at.t.size), np.repeat(at.s, at.t.shape[1]), at.t.ravel()) for at in strips]
+    if not places:
+        return []
+    points = paved.network.line_table.table.base_points(*map(np.concatenate, zip(*places, strict=True)))
+    return [
+        _strip_mesh(strip, own.reshape(*strip.t.shape, 3))
+        for strip, own in zip(strips, parted(points, counts), strict=True)
+    ]
+
+
+def _strips_of(paved: PavedAreas, number: int, stretch: Road, is_end: tuple[bool, bool]) -> Iterator[_Strip]:
+    """The strips of a stretch of a road, from the left."""
     s, (section,) = paved.stretch_rows(stretch), stretch.sections
-    edges, first, last = section.edges(s), *section.paved
-    found, i = [], first
+    edges, i, last = section.edges(s), *section.paved
+    widths_m = np.diff(edges, axis=0)
+    columns = np.maximum(np.ceil(widths_m.mean(axis=1) / COLUMN_M), 1).astype(int)
+    surfaces = np.array([SURFACES.get(lane.kind, ROAD) for lane in section.lanes])
     while i < last:
         run = next((run for run in section.raised if run[0] == i), None)
         level = next((run[0] for run in section.raised if run[0] > i), last)
         end = min(run[1] if run else level, last)
-        columns, surfaces, across = [], [], []
-        for k in range(i, end):
-            n = max(int(np.ceil((edges[k + 1] - edges[k]).mean() / COLUMN_M)), 1)
-            share = np.linspace(0, 1, n + 1)[0 if k == i else 1 :]
-            columns += [edges[k] + (edges[k + 1] - edges[k]) * at for at in share]
-            across += ((k + share) * paved.network.across.width_m).tolist()
-            surfaces += [SURFACES.get(section.lanes[k].kind, ROAD)] * n
-        t = np.stack(columns, axis=1)
-        vertices = stretch.rows(s, t)
-        uv = np.stack(np.broadcast_arrays(np.array(across)[None], s[:, None]), -1)
-        # The texture goes on over kerbs.
-        up_m, down_m, over_m = (KERB_M, KERB_M + FOOT_M, 0.2) if run else (0.0, SKIRT_M, 0.0)
-        vertices[..., 2] += up_m
-        feet = vertices[:, [0, -1]] - [0, 0, down_m]
-        vertices = np.concatenate([feet[:, :1], vertices, feet[:, 1:]], axis=1)
-        uv = np.concatenate([uv[:, :1] - [over_m, 0], uv, uv[:, -1:] + [over_m, 0]], axis=1)
-        surfaces = [surfaces[0], *surfaces, surfaces[-1]]
-        ends = [int(run is not None or at) for at in is_end]
-        vertices, uv = (np.pad(values, (ends, (0, 0), (0, 0)), mode="edge") for values in (vertices, uv))
-        is_foot = np.zeros(len(vertices), dtype=bool)
-        is_foot[: ends[0]] = is_foot[len(is_foot) - ends[1] :] = True
-        vertices[is_foot, 1:-1, 2] -= down_m
-        mesh = grid(vertices, uv, np.array(surfaces))
-        if not run:
-            # Shading of a level edge does not bend down to its skirt.
-            is_skirt = np.tile((is_foot[1:] | is_foot[:-1])[:, None], len(surfaces))
-            is_skirt[:, [0, -1]] = True
-            mesh = with_crease(mesh, is_skirt.ravel())
-        found.append(mesh)
+        n = columns[i:end]
+        lane = np.repeat(np.arange(i, end), n)
+        share = (np.arange(len(lane)) - np.repeat(np.cumsum(n) - n, n) + 1) / n[lane - i]
+        t = np.concatenate([edges[i : i + 1], edges[lane] + widths_m[lane] * share[:, None]]).T
+        across = np.append(i, lane + share) * paved.network.across.width_m
+        own = surfaces[np.concatenate([[i], lane, [end - 1]])]
+        yield _Strip(
+            number, s, t, across, own, run is not None, (run is not None or is_end[0], run is not None or is_end[1])
+        )
         i = end
-    return found
+
+
+def _strip_mesh(strip: _Strip, points: Float[np.ndarray, "r c 3"]) -> Mesh:
+    """A strip with these points, and its upright faces."""
+    # The texture goes on over kerbs.
+    up_m, down_m, over_m = (KERB_M, KERB_M + FOOT_M, 0.2) if strip.is_raised else (0.0, SKIRT_M, 0.0)
+    (n_rows, n_columns), (first, last) = strip.t.shape, strip.has_ends
+    row = np.concatenate([[0] * first, np.arange(n_rows), [n_rows - 1] * last]).astype(int)
+    column = np.clip(np.arange(-1, n_columns + 1), 0, n_columns - 1)
+    vertices, uv = points[row[:, None], column], np.zeros((len(row), len(column), 2))
+    uv[..., 0], uv[..., 1] = strip.across[column], strip.s[row, None]
+    uv[:, 0, 0] -= over_m
+    uv[:, -1, 0] += over_m
+    is_foot = np.zeros(vertices.shape[:2], dtype=bool)
+    is_foot[:, [0, -1]] = is_foot[: int(first)] = is_foot[len(row) - int(last) :] = True
+    vertices[..., 2] += np.where(is_foot, up_m - down_m, up_m)
+    mesh = grid(vertices, uv, strip.surfaces)
+    if strip.is_raised:
+        return mesh
+    # Shading of a level edge does not bend down to its skirt.
+    is_skirt = np.zeros((len(row) - 1, len(column) - 1), dtype=bool)
+    is_skirt[:, [0, -1]] = is_skirt[: int(first)] = is_skirt[len(row) - 1 - int(last) :] = True
+    return with_crease(mesh, is_skirt.ravel())
 
 
 class _AreaFaces(NamedTuple):
@@ -175,7 +212,7 @@ class _AreaFaces(NamedTuple):
 def _area_meshes(paved: PavedAreas) -> list[Mesh]:
     """All areas, with kerbs around them where they are raised. One that is not goes on a little below what lies beside
     it."""
-    flat = [_area_faces(paved, area) for area in paved.areas if not area.polygon.is_empty]
+    flat = _area_faces(paved, [area for area in paved.areas if not area.polygon.is_empty])
     # Heights of all together, and below what lies beside them.
     heights = paved.area_heights([(at.area, np.concatenate([at.xy, *at.rings])) for at in flat])
     beside = [at.xy[at.is_beside] for at in flat]
@@ -190,32 +227,49 @@ def _area_meshes(paved: PavedAreas) -> list[Mesh]:
     return found
 
 
-def _area_faces(paved: PavedAreas, area: GroundArea) -> _AreaFaces:
-    """The faces of an area: a grid of cells, cut at its border."""
-    wide = area.polygon
-    if not area.raised_m:
-        shapely.prepare(area.polygon)
-        beyond = outset(area.polygon, SEAM_M)
-        x0, y0, x1, y1 = shapely.bounds(beyond).tolist()
-        wide = union([area.polygon, intersection(beyond, clipped(paved.pavement, (x0, y0, x1, y1)))])
-    x0, y0, x1, y1 = shapely.bounds(wide)
-    away_m = float(paved.way.away_at(np.array([[(x0 + x1) / 2, (y0 + y1) / 2]]))[0]) - np.hypot(x1 - x0, y1 - y0) / 2
-    cell_m = CELLS_M[int(np.searchsorted(CELLS_TO_M, away_m))]
-    wide_corners = shapely.get_coordinates(wide)
-    xs, ys = (
-        beside(np.arange(low - cell_m, high + 2 * cell_m, cell_m), places)
-        for low, high, places in zip((x0, y0), (x1, y1), wide_corners.T, strict=True)
-    )
-    cells = cut_cells(xs, ys, wide, outside=False)
-    column, row = cells.whole
-    corners = [np.stack([xs[column + i], ys[row + j]], -1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    xy, faces = merged(np.concatenate([np.stack(corners, axis=1), cells.inside]))
-    is_beside = np.zeros(len(xy), dtype=bool)
-    if not area.raised_m:
-        is_beside = ~contains(area.polygon, xy)
-        is_beside[is_beside] = shapely.distance(area.polygon, shapely.points(xy[is_beside])) > SEAM_EDGE_M
-    rings = shapely.segmentize(shapely.get_rings(shapely.get_parts(area.polygon)), 1.0)
-    return _AreaFaces(area, xy, faces, is_beside, [shapely.get_coordinates(ring) for ring in rings])
+def _area_faces(paved: PavedAreas, areas: Sequence[GroundArea]) -> list[_AreaFaces]:
+    """The faces of areas: grids of cells, cut at their borders."""
+    wide = [_wide(paved, area) for area in areas]
+    middles, radii_m = np.zeros((len(areas), 2)), np.zeros(len(areas))
+    if areas:
+        low, high = np.split(shapely.bounds(wide), 2, axis=1)
+        middles, radii_m = (low + high) / 2, np.hypot(*(high - low).T) / 2
+    far = np.searchsorted(CELLS_TO_M, paved.way.away_at(middles) - radii_m)
+    found: list[_AreaFaces | None] = [None] * len(areas)
+    for distance, (cell_m, kerb_m) in enumerate(zip(CELLS_M, KERBS_M, strict=True)):
+        own = np.flatnonzero(far == distance).tolist()
+        for i, (xy, faces) in zip(own, _faces([wide[i] for i in own], cell_m), strict=True):
+            area, is_beside = areas[i], np.zeros(len(xy), dtype=bool)
+            if not area.raised_m:
+                is_beside = ~contains(area.polygon, xy)
+                is_beside[is_beside] = shapely.distance(area.polygon, shapely.points(xy[is_beside])) > SEAM_EDGE_M
+            rings = shapely.segmentize(shapely.get_rings(shapely.get_parts(area.polygon)), kerb_m)
+            found[i] = _AreaFaces(area, xy, faces, is_beside, [shapely.get_coordinates(ring) for ring in rings])
+    return [at for at in found if at is not None]
+
+
+def _wide(paved: PavedAreas, area: GroundArea) -> BaseGeometry:
+    """An area with what it has below the surfaces beside it."""
+    if area.raised_m:
+        return area.polygon
+    shapely.prepare(area.polygon)
+    beyond = outset(area.polygon, SEAM_M)
+    x0, y0, x1, y1 = shapely.bounds(beyond).tolist()
+    return union([area.polygon, intersection(beyond, clipped(paved.pavement, (x0, y0, x1, y1)))])
+
+
+def _faces(areas: Sequence[BaseGeometry], cell_m: float) -> list[Merged]:
+    """The faces of each of some areas, cut by one grid."""
+    if not areas:
+        return []
+    places = shapely.get_coordinates(areas)
+    xs, ys = (beside(np.arange(at.min() - cell_m, at.max() + 2 * cell_m, cell_m), at) for at in places.T)
+    cells = cut_cells(xs, ys, areas, outside=False)
+    of, column, row = cells.whole
+    whole = np.stack([np.stack([xs[column + i], ys[row + j]], -1) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))], axis=1)
+    return [
+        merged(np.concatenate([whole[of == i], cells.inside.quads[cells.inside.area == i]])) for i in range(len(areas))
+    ]
 
 
 def _kerb(area: GroundArea, tops: Sequence[Float[np.ndarray, "_ 3"]]) -> Mesh:

@@ -296,16 +296,17 @@ class PavedAreas:
             shapely.prepare(polygon)
         return found
 
-    def above(self, flat: Points2) -> Scalars:
-        """Height over the terrain of the ground below all decks, without kerbs."""
+    def above(self, flat: Points2, are_paved: bool = True) -> Scalars:
+        """Height over the terrain of the ground below all decks, without kerbs; `are_paved` as `GradedGround.above` has
+        it."""
         covered = np.zeros(len(flat), dtype=bool)
         for span in self.tunnels:
             covered |= contains(span.area, flat)
-        return self.graded_ground.above(flat, covered)
+        return self.graded_ground.above(flat, covered, are_paved)
 
-    def graded(self, xy_world: Points2) -> Scalars:
-        """Height of the ground below all decks, without kerbs."""
-        return np.asarray(height_at(self.network.terrain, xy_world) + self.above(xy_world))
+    def graded(self, xy_world: Points2, are_paved: bool = True) -> Scalars:
+        """Height of the ground below all decks, without kerbs; `are_paved` as `GradedGround.above` has it."""
+        return np.asarray(height_at(self.network.terrain, xy_world) + self.above(xy_world, are_paved))
 
     @cached_property
     def spans(self) -> list[Span]:
@@ -385,7 +386,7 @@ class PavedAreas:
     def bed_height(self, xy_world: Points2) -> Scalars:
         """Height of the terrain mesh, which goes on below decks, and a little under the edges of other pavement."""
         z, beside = self._bed(xy_world)
-        z[beside] = self.graded(xy_world[beside])
+        z[beside] = self.graded(xy_world[beside], are_paved=False)
         return z
 
     def inner_bed_height(self, xy_world: Points2) -> Scalars:
@@ -401,7 +402,7 @@ class PavedAreas:
             return self.bed_height(xy_world)
         z, beside = (np.zeros(len(xy_world)), np.ones(len(xy_world), dtype=bool)) if is_over else self._bed(xy_world)
         xy, covered = xy_world[beside], np.full(int(beside.sum()), is_over)
-        z[beside] = height_at(self.network.terrain, xy) + self.graded_ground.above(xy, covered)
+        z[beside] = height_at(self.network.terrain, xy) + self.graded_ground.above(xy, covered, are_paved=False)
         return np.asarray(z - UNDER_FALL_M) if is_over else z
 
     def _bed(self, flat: Points2) -> tuple[Scalars, Bool[np.ndarray, " n"]]:

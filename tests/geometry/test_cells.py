@@ -36,25 +36,27 @@ def faces_m2(quads: np.ndarray) -> np.ndarray:
 def test_faces_cover_an_area_and_the_rest_of_the_cells_that_it_cuts(area: shapely.Geometry) -> None:
     corners = shapely.get_coordinates(area)
     xs, ys = (beside(AXIS, at) for at in corners.T)
-    cells = cut_cells(xs, ys, area)
-    (column, row), (cut_column, cut_row) = cells.whole, cells.cut
+    cells = cut_cells(xs, ys, [area])
+    (_, column, row), (_, cut_column, cut_row) = cells.whole, cells.cut
     boxes = shapely.box(xs[cut_column], ys[cut_row], xs[cut_column + 1], ys[cut_row + 1])
-    inside, outside = faces_m2(cells.inside), faces_m2(cells.outside)
+    inside, outside = faces_m2(cells.inside.quads), faces_m2(cells.outside.quads)
     assert (inside > 0).all()
     assert (outside > 0).all()
     part = intersection(area, shapely.box(xs[0], ys[0], xs[-1], ys[-1]))
     whole_m2 = ((xs[column + 1] - xs[column]) * (ys[row + 1] - ys[row])).sum()
     assert whole_m2 + inside.sum() == pytest.approx(part.area, abs=1e-5)
     assert inside.sum() + outside.sum() == pytest.approx(shapely.area(boxes).sum(), abs=1e-5)
-    middles = [shapely.points(quads[:, :3].mean(axis=1)) for quads in (cells.inside, cells.outside)]
+    middles = [shapely.points(quads[:, :3].mean(axis=1)) for quads in (cells.inside.quads, cells.outside.quads)]
     assert shapely.covers(area, middles[0]).all()
     assert not shapely.covers(area, middles[1]).any()
 
 
 def test_faces_on_both_sides_of_a_border_share_its_corners() -> None:
     xs, ys = (beside(AXIS, at) for at in shapely.get_coordinates(RING).T)
-    cells = cut_cells(xs, ys, RING)
-    inside, outside = ({tuple(at) for at in np.round(q.reshape(-1, 2), 6)} for q in (cells.inside, cells.outside))
+    cells = cut_cells(xs, ys, [RING])
+    inside, outside = (
+        {tuple(at) for at in np.round(q.reshape(-1, 2), 6)} for q in (cells.inside.quads, cells.outside.quads)
+    )
     border = {tuple(at) for at in np.round(shapely.get_coordinates(RING), 6)}
     assert border <= inside & outside
 
