@@ -43,7 +43,7 @@ class WalkedLine(NamedTuple):
 
     @classmethod
     def through(cls, points: Points2) -> "WalkedLine":
-        """The route through points; of points that almost coincide it keeps one."""
+        """The route through points, without those that are hardly apart."""
         kept = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-3])
         return cls(points[kept], lengths_along(points[kept]))
 
@@ -66,9 +66,11 @@ class Walkways:
     """The walkways of a map that come within a reach of some places."""
 
     def __init__(self, network: Network, places: Points2, reach_m: float) -> None:
-        low, high = network.index.boxes
-        near = ((low < places.max(axis=0) + reach_m) & (high > places.min(axis=0) - reach_m)).all(axis=1)
-        self.strips = [strip for i in np.flatnonzero(near).tolist() for strip in _strips(network.roads[i])]
+        self.strips = list[Walkway]()
+        if any(road.sections for road in network.roads):
+            low, high = network.index.boxes
+            near = ((low < places.max(axis=0) + reach_m) & (high > places.min(axis=0) - reach_m)).all(axis=1)
+            self.strips += [strip for i in np.flatnonzero(near).tolist() for strip in _strips(network.roads[i])]
         self.ends = np.array([strip.middle[[0, -1]] for strip in self.strips]).reshape(-1, 2)
 
     def starts(self, places: Points2, reach_m: float) -> list[tuple[int, int]]:

@@ -19,7 +19,7 @@ from synth3dlanes.blender.materials import BUMPS, TERRAIN_MEANS, Materials, make
 from synth3dlanes.blender.render import opened  # noqa: E402
 from synth3dlanes.scene.assets.built_in import assets_dir  # noqa: E402
 from synth3dlanes.scene.assets.catalogue import CARS, ROAD_MEANS, THINGS, TREES  # noqa: E402
-from synth3dlanes.scene.things import ThingKind  # noqa: E402
+from synth3dlanes.scene.things import SEMANTIC_IDS, ThingKind  # noqa: E402
 
 BODY_TOLERANCE_M = 0.03
 MODELS = [(kind, number) for kind, models in THINGS.items() for number in range(len(models))]
@@ -188,8 +188,7 @@ def test_only_lamps_that_light_the_road_are_made_of_what_shines_white(assets: Lo
 def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Materials) -> None:
     expected = [(materials.terrains, 1), (materials.roads, 2), (materials.shoulders, 3), ((materials.marking,), 4)]
     expected += [(mesh.materials, 5) for mesh in assets.cars] + [(mesh.materials, 6) for mesh in assets.trees]
-    ids = {"pedestrian": 16, "cyclist": 17, "motorcyclist": 18, "cone": 19, "barrel": 20, "barricade": 21}
-    expected += [(m.materials, ids[kind]) for kind, models in assets.things.items() for poses in models for m in poses]
+    expected += [(m.materials, SEMANTIC_IDS[kind]) for kind, models in assets.things.items() for poses in models for m in poses]
     for group, semantic_id in expected:
         assert [material.pass_index for material in group] == [semantic_id] * len(group)
 
