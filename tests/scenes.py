@@ -113,6 +113,7 @@ def things_ahead() -> Scene:
         for kind, models in THINGS.items()
         for number, model in enumerate(models, start=1)
     ]
+
     def placed(i: int) -> dict[str, float]:
         """Across the picture, whatever their number, in turn 18 m and 22 m ahead of the camera."""
         ahead_m = 18.0 + 4 * (i % 2)

@@ -1,7 +1,8 @@
 """Scene: the full description of one world, and its JSON form (`scene.json`, docs/format.md).
 
 World frame, metres and radians. Pure data: nothing here reads files or computes geometry. Fields with a default were
-added later; older scenes can still be read and render as before. New ones have every key: all are of one schema.
+added later; older scenes can still be read and render as before. A field that is added now is left out where it has its
+default, so that scenes of equal recipes keep their bytes.
 """
 
 from collections.abc import Callable

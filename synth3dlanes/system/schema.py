@@ -140,7 +140,7 @@ def _other(error: ValidationError) -> str:
         if not problem["loc"] and problem["type"].endswith("_type"):
             return shown(problem["input"])
     missing = {problem["loc"] for problem in problems if problem["type"] == "missing"}
-    is_bare = len(missing) == len(problems) > 2
+    is_bare = len(missing) == len(problems) > 2 and all(len(place) == 1 for place in missing)
     return "another document" if is_bare or missing & {("format",), ("version",)} else ""
 
 

@@ -188,7 +188,9 @@ def test_only_lamps_that_light_the_road_are_made_of_what_shines_white(assets: Lo
 def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Materials) -> None:
     expected = [(materials.terrains, 1), (materials.roads, 2), (materials.shoulders, 3), ((materials.marking,), 4)]
     expected += [(mesh.materials, 5) for mesh in assets.cars] + [(mesh.materials, 6) for mesh in assets.trees]
-    expected += [(m.materials, SEMANTIC_IDS[kind]) for kind, models in assets.things.items() for poses in models for m in poses]
+    expected += [
+        (m.materials, SEMANTIC_IDS[kind]) for kind, models in assets.things.items() for poses in models for m in poses
+    ]
     for group, semantic_id in expected:
         assert [material.pass_index for material in group] == [semantic_id] * len(group)
 

@@ -64,6 +64,11 @@ def test_a_wrong_file_is_a_format_error_that_names_it(text):
         parse(text, "some/file.json")
 
 
+def test_keys_that_many_points_lack_are_told_by_their_places():
+    with pytest.raises(FormatError, match=r"^some/file.json: Lines\.0\.0\.y: missing"):
+        parse(json.dumps({"Lines": [[{"x": "1"}] * 3]}), "some/file.json")
+
+
 @pytest.mark.parametrize(
     ("part", "parts", "folder"),
     [

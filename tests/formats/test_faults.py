@@ -37,7 +37,7 @@ def exported(request, two_frames, tmp_path_factory):
 
 
 def test_every_format_is_here_but_that_without_lanes():
-    assert set(format_names()) - set(PLANTED) == {"cosmos", "kitti"}, "their faults are in tests of their own"
+    assert set(format_names()) - set(PLANTED) == {"cosmos", "kitti"}, "each needs a row in faults.py"
 
 
 def test_a_clean_export_is_as_the_labels_say(exported):
