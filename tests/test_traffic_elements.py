@@ -49,6 +49,16 @@ def test_a_sign_straight_ahead_is_where_its_numbers_say():
     )
 
 
+def test_signals_over_lanes_hang_over_the_middle_of_the_lane_that_they_govern():
+    labels = ground_truth(signals_scene())
+    over_lanes = [item for item in labels.traffic_elements if item.category == "lane_signal"]
+    assert len(over_lanes) == 3
+    for item in over_lanes:
+        line = next(lane.xyz_cam for lane in labels.lanes if lane.id == item.lanes[0])
+        x_m, y_m = item.center_cam[:2]
+        assert np.interp(y_m, line[:, 1], line[:, 0]) == pytest.approx(x_m, abs=0.05)
+
+
 def test_the_yaw_is_the_way_of_the_traffic_and_an_arm_reaches_to_its_right():
     """One for traffic that drives to the left (world -x): its face looks to the right, and its right is ahead."""
     for_left = light(0.0, "red", yaw_rad=np.pi / 2, reach_m=3.0)

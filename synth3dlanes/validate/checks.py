@@ -5,18 +5,18 @@ from functools import partial
 from typing import NamedTuple
 
 from synth3dlanes.validate.bias import signed_values
-from synth3dlanes.validate.boxes import check_boxes, check_cars, instant
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
 from synth3dlanes.validate.integrity import check_row
 from synth3dlanes.validate.labels import check_form, check_labels, check_objects
+from synth3dlanes.validate.moving import instant
 from synth3dlanes.validate.passes import check_bonnet, check_height, check_kinds, check_normals, check_sky
 from synth3dlanes.validate.picture import check_alignment, check_appearance, check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.seen import check_lidar, check_seen
 from synth3dlanes.validate.standing import check_roadside, check_standing
-from synth3dlanes.validate.traffic_elements import check_elements
+from synth3dlanes.validate.things import check_boxes, check_cars, check_elements
 from synth3dlanes.validate.weather import check_weather
 
 

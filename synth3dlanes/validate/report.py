@@ -22,8 +22,8 @@ from synth3dlanes.system.errors import FormatError, OutageError
 from synth3dlanes.system.files import Folder, encoded
 from synth3dlanes.system.words import counted
 from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, Mean, judge, mean_of
-from synth3dlanes.validate.boxes import between
 from synth3dlanes.validate.findings import Bounded, Finding, Instant, Problem, Result, Signed
+from synth3dlanes.validate.moving import between
 
 FOLDER = "validation"
 # No lanes are drawn if a line extends farther than this outside the image.

@@ -13,9 +13,9 @@ from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.host import Lidar
 from synth3dlanes.scene.scene import Car
 from synth3dlanes.scene.settings import RenderSettings
-from synth3dlanes.validate.boxes import SeenPart, _step_rad, judge, views_of
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.things import SeenPart, _step_rad, judge, views_of
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, reasons
@@ -132,10 +132,10 @@ def test_swapped_ids_are_found_by_the_scene_and_by_pixels(sample):
         (lambda items: [replace(items[0], box_px=items[0].box_px + 0.5), *items[1:]], "objects.1: box_px"),
         (lambda items: [replace(items[0], truncation=0.1), *items[1:]], "objects.1: truncation: expected 0"),
         (lambda items: [replace(items[0], velocity_cam=np.zeros(3)), *items[1:]], "objects.1: velocity_cam"),
-        (lambda items: [replace(items[0], lidar_points=7), *items[1:]], "objects.1.lidar_points: expected"),
+        (lambda items: [replace(items[0], lidar_points=7), *items[1:]], "objects.1: lidar_points: expected"),
         (
             lambda items: [replace(items[0], seen_box_px=items[0].seen_box_px + 1), *items[1:]],
-            "objects.1.seen_box_px: expected",
+            "objects.1: seen_box_px",
         ),
     ],
 )

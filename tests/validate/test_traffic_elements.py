@@ -10,8 +10,8 @@ from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import findings_of
-from synth3dlanes.validate.traffic_elements import judge, over_its_lane, shining
+from synth3dlanes.validate.findings import Finding, findings_of
+from synth3dlanes.validate.things import judge, shining, views_of
 from synth3dlanes.world.world import resolve
 from tests.signals import signals_scene
 from tests.validate.examining import findings
@@ -43,7 +43,7 @@ def test_a_right_sample_has_no_findings(sample):
     items = sample.labels.traffic_elements
     assert len(items) == 9
     assert [item.visible_fraction for item in items if item.kind != "information"] == pytest.approx([1] * 8, abs=0.01)
-    assert findings(sample, "elements", "labels") == []
+    assert findings(sample, "boxes", "elements", "labels") == []
 
 
 def move(*by_m: float) -> Callable[[ObjectLabel], ObjectLabel]:
@@ -65,16 +65,20 @@ PLACES = {
 
 @pytest.mark.parametrize("fault", PLACES)
 def test_pixels_alone_tell_a_wrong_place_or_size(sample, fault):
+    def found(item: ObjectLabel) -> list[Finding]:
+        return [finding for view in views_of(sample, item) for finding in findings_of(judge(item, view))]
+
     for item in (item_of(sample, "road_sign", kind="speed_50"), item_of(sample, "lane_signal")):
-        assert findings_of(judge(sample, item)) == []
-        assert findings_of(judge(sample, PLACES[fault](item))), item.kind
+        assert found(item) == []
+        assert found(PLACES[fault](item)), item.kind
 
 
 def test_pixels_alone_tell_a_wrong_share(sample):
-    for item in sample.labels.traffic_elements:
-        assert findings_of(judge(sample, item)) == []
-        (found,) = findings_of(judge(sample, replace(item, visible_fraction=item.visible_fraction * 2 / 3)))
-        assert "visible_fraction: expected" in found.reason
+    items = sample.labels.traffic_elements
+    wrong = [replace(item, visible_fraction=item.visible_fraction - 0.01) for item in items]
+    found = [finding.reason for finding in findings(with_elements(sample, wrong), "boxes")]
+    expected = [f"traffic_elements.{item.id}.visible_fraction: expected {item.visible_fraction:g}" for item in items]
+    assert [reason.partition(" by its pixels")[0] for reason in found] == expected
 
 
 @pytest.mark.parametrize("state", ["green", "amber"])
@@ -91,25 +95,17 @@ def test_colours_alone_tell_a_cross_from_an_arrow(sample):
         assert findings_of(shining(sample, replace(item, state=other)))
 
 
-def test_places_alone_tell_that_a_signal_hangs_over_another_lane(sample):
-    item = item_of(sample, "lane_signal", lanes=("main_2",))
-    assert findings_of(over_its_lane(sample, item)) == []
-    for lane in ("main_1", "main_3"):
-        assert findings_of(over_its_lane(sample, replace(item, lanes=(lane,))))
-
-
 def test_elements_that_are_not_those_of_the_scene_are_found(sample):
     items = list(sample.labels.traffic_elements)
     stop = next(number for number, item in enumerate(items) if item.kind == "stop")
 
     def reasons(changed: ObjectLabel) -> str:
         found = with_elements(sample, [*items[:stop], changed, *items[stop + 1 :]])
-        return " ".join(finding.reason for finding in findings(found, "elements", "labels"))
+        return " ".join(finding.reason for finding in findings(found, "boxes", "labels"))
 
     assert "kind: expected" in reasons(replace(items[stop], kind="give_way"))
     assert "category: expected" in reasons(replace(items[stop], category="traffic_light"))
     assert "lanes.0: expected" in reasons(replace(items[stop], lanes=("main_1",)))
-    assert "expected segments of the graph, got main_9" in reasons(replace(items[stop], lanes=("main_9",)))
     assert "center_cam" in reasons(move(0.01, 0, 0)(items[stop]))
     assert "seen_box_px" in reasons(replace(items[stop], seen_box_px=items[stop].seen_box_px + 1))
 

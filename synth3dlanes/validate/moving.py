@@ -1,0 +1,66 @@
+"""Check that objects move from picture to picture of a scene as the velocities of their labels say. Labels alone are
+compared."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import Finding, Instant, MovingObject
+
+# The most that tyres hold, in metres per second squared. The mean speed between two pictures differs from the mean of
+# both speeds by at most a quarter of the change that this allows.
+MOST_ACCELERATION = 10.0
+# Rounding of places, and of velocities in metres per second.
+PLACE_M, SPEED = 0.002, 0.005
+# A velocity is along the axis of a body, whose axles stand on ground of different slopes where ramps begin: its middle
+# goes another way, by 0.1 radians in one of 350 cars, by 0.0003 in most.
+OFF_AXIS = 0.15
+
+
+def instant(evidence: Evidence) -> Iterator[Instant]:
+    """What a picture of a clip or a rig tells of its objects."""
+    scene, items = evidence.scene, evidence.labels.objects
+    if items and scene.shot.n_frames * scene.shot.n_cameras * scene.shot.n_views > 1:
+        world_from_cam = evidence.camera.world_from_cam
+        objects = {item.id: _object(world_from_cam, item) for item in items}
+        yield Instant(f"{scene.split}:{scene.index}", scene.shot.time_s, objects)
+
+
+def _object(world_from_cam: Float[np.ndarray, "4 4"], item: ObjectLabel) -> MovingObject:
+    """An object by its place on the road, whose velocity is labelled."""
+    foot_cam = transform(item.cam_from_object, np.array([[0.0, 0.0, -item.size_m[2] / 2]]))
+    velocity = None if item.velocity_cam is None else world_from_cam[:3, :3] @ item.velocity_cam
+    return MovingObject(transform(world_from_cam, foot_cam)[0], velocity)
+
+
+def between(before: Instant, after: Instant) -> Iterator[Finding]:
+    """Findings where an object is not where both of its velocities lead to."""
+    step_s = after.time_s - before.time_s
+    if before.scene != after.scene or step_s < 0:
+        return
+    least_m = PLACE_M + SPEED * step_s + MOST_ACCELERATION * step_s**2 / 4
+    for number, now in after.objects.items():
+        then = before.objects.get(number)
+        if then is None:
+            continue
+        moved_m, expected_m = now.foot_world - then.foot_world, np.zeros(3)
+        if step_s:
+            if now.velocity_world is None or then.velocity_world is None:
+                continue
+            expected_m = step_s * (now.velocity_world + then.velocity_world) / 2
+        level_m, up_m = np.hypot(*expected_m[:2]), abs(expected_m[2])
+        off_level_m, off_up_m = np.hypot(*(moved_m - expected_m)[:2]), abs(moved_m[2] - expected_m[2])
+        if not (off_level_m <= least_m + OFF_AXIS * up_m and off_up_m <= least_m + OFF_AXIS * level_m):
+            yield Finding(
+                "",
+                f"objects.{number}: expected it moved by {_text(expected_m)} m in the {step_s:.3g} s since the picture "
+                f"before, as its velocities say, got {_text(moved_m)} m",
+            )
+
+
+def _text(vector: Float[np.ndarray, "3"]) -> str:
+    return "(" + ", ".join(f"{value:.2f}" for value in vector) + ")"

@@ -1,0 +1,341 @@
+"""Judge what has labels of its own, objects and traffic elements, by what depth, ids, the sweep and the image show.
+
+Points of what is labelled must be in its box, and reach the sides that are seen. A box that is too small, turned or
+moved is found by points outside it, one that is too large by the gap before a side. `car_visible_fraction` is the share
+of the pixels that a car would fill, were it alone, in which it is seen: its box in the image bounds these. What labels
+count of ids is counted anew. No pixels of a sign or signal may be without a label, and the lights of a signal must
+shine where its state says.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull
+
+from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.labels.labels import CameraLabel
+from synth3dlanes.labels.object_labels import ObjectLabel, as_seen, object_document
+from synth3dlanes.scene.instance_ids import END, thing_of
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.things import SEMANTIC_IDS
+from synth3dlanes.truth.object_truth import with_pixel_shares
+from synth3dlanes.validate.bodies import corners_world, covers, outline
+from synth3dlanes.validate.documents import differences, some
+from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.findings import PROOF_M, Finding, Result, counted, judged
+from synth3dlanes.world.objects import PlacedObject
+
+# How far outside a box points may be, and how many of them farther.
+ROOM_M, MAX_SINGLE = 0.02, 2
+# Sides are judged only of what is seen as a whole.
+MIN_SEEN = 0.99
+# Of objects and of faces of elements: the least number of points, the share of these that may be outside a box
+# (built-in models reach at most 2 cm beyond theirs), how far before a side points may end, and which part of what lies
+# between two pixels, or between two beams, of which one may return nothing.
+MIN_POINTS, MAX_OUTSIDE, MAX_GAP_M, MAX_PART = 150, 0.002, 0.035, {"pixels": 0.75, "points": 2.0}
+MIN_PIXELS, MAX_FACE_OUTSIDE, MAX_FACE_GAP_M, MAX_FACE_PART = 60, 0.01, 0.03, 1.0
+# A board may reach a side in a corner alone.
+OF_CORNER = {"road_sign": 1.5}
+# The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
+BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
+# The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. Wheels are at
+# least WHEELS_M behind: they are hidden as a whole by an end that is CLEARANCE_M over the ground, or higher.
+SET_BACK, WHEELS_M, CLEARANCE_M = 0.25, 1.1, 0.15
+# The most that mirrors reach beyond a body.
+MIRROR_M = 0.07
+
+
+# The share that the ids of an image show of an element is exact.
+MAX_SHARE_ERROR = 0.002
+# Pixels of an element without a label are a fault if there are more than MAX_UNLABELLED within FARTHEST_M.
+MAX_UNLABELLED, FARTHEST_M = 4, 190.0
+# Heads of which fewer rows are seen are not judged by their colours; how much brighter a dark light may be than a lit
+# one, and how far a red cross may be from red, in levels.
+MIN_ROWS, BRIGHTER, LEAST_HUE = 18, 50.0, 12.0
+LIT = {"off": (), "red": (0,), "red_amber": (0, 1), "amber": (1,), "green": (2,)}
+# Signs of red minus green of the lights over lanes.
+HUES = {"red_cross": 1, "green_arrow": -1}
+
+
+class SeenPart(NamedTuple):
+    """Points of what is labelled in its frame, the eye in it, and how far points are from each other at most."""
+
+    source: str
+    points: Float[np.ndarray, "n 3"]
+    eye: Float[np.ndarray, "3"]
+    apart_m: float
+
+
+class SideLimit(NamedTuple):
+    """A side of a box: its axis, its sign on that, its name, and how far before it points may end."""
+
+    axis: int
+    sign: int
+    name: str
+    most_m: float
+
+
+def check_boxes(evidence: Evidence) -> Iterator[Result]:
+    """Findings about objects and elements that are not where pixels and points show them."""
+    yield from _recounted(evidence)
+    objects, elements = evidence.labels.objects or (), evidence.labels.traffic_elements or ()
+    wheels_m = _wheels_m(evidence.scene) if objects else []
+    for item in (*objects, *elements):
+        for seen in views_of(evidence, item):
+            series, number = thing_of(item.id)
+            is_known = series == "car" and number < len(wheels_m)
+            yield from judge(item, seen, wheels_m[number] if is_known else WHEELS_M)
+
+
+def _recounted(evidence: Evidence) -> Iterator[Finding]:
+    """Findings where labels count other pixels and points than ids show."""
+    labels, returns = evidence.labels, None if evidence.returns is None else evidence.returns.instance
+    instance = evidence.passes.get("instance")
+    for group, items in (("objects", labels.objects or ()), ("traffic_elements", labels.traffic_elements or ())):
+        shown = np.zeros((0, 0), dtype=int) if instance is None else instance
+        beams = returns if group == "objects" else None
+        for item, anew in zip(items, as_seen(items, shown, beams), strict=True):
+            known = anew if instance is not None else replace(anew, seen_box_px=item.seen_box_px)
+            wrong = list(differences(object_document(known), object_document(item)))
+            if wrong:
+                yield Finding("", f"{group}.{item.id}: {some(wrong)}")
+    if instance is None:
+        return
+    shares = {item.id: item.visible_fraction for item in labels.traffic_elements or ()}
+    asked = [item for item in evidence.truth.traffic_elements or () if shares.get(item.id) is not None]
+    for item in with_pixel_shares(asked, evidence.world.site, evidence.camera, instance):
+        share, got = item.visible_fraction or 0.0, shares[item.id] or 0.0
+        if abs(share - got) > MAX_SHARE_ERROR:
+            reason = f"expected {share:g} by its pixels, got {got:g}"
+            yield Finding("", f"traffic_elements.{item.id}.visible_fraction: {reason}")
+
+
+def _wheels_m(scene: Scene) -> list[float]:
+    """How far behind the ends of each car its wheels are, at least WHEELS_M."""
+    models = [(scene.assets.car_models[car.model - 1], car.scale) for car in scene.cars]
+    return [
+        max(WHEELS_M, scale * ((model.length_m - model.wheelbase_m) / 2 - model.wheel_radius_m))
+        for model, scale in models
+    ]
+
+
+def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
+    """What pixels show of what is labelled, and points of an object, if it is near the camera and there are enough."""
+    found, box_from_cam = [], invert(item.cam_from_object)
+    distance_m = float(np.linalg.norm(item.center_cam))
+    if distance_m > PROOF_M:
+        return []
+    if {"depth", "instance"} <= evidence.has:
+        rows, columns = np.nonzero((evidence.passes["instance"] == item.id) & evidence.has_points)
+        if len(rows) >= (MIN_PIXELS if item.is_element else MIN_POINTS):
+            points_cam = evidence.points_cam(rows, columns)
+            apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
+            found.append(SeenPart("pixels", transform(box_from_cam, points_cam), box_from_cam[:3, 3], apart_m))
+    points, sweep = evidence.returns, evidence.sweep
+    if sweep is not None and points is not None and not item.is_element:
+        own, lidar = points.instance == item.id, sweep.lidar
+        if own.sum() >= MIN_POINTS:
+            eye = transform(box_from_cam, lidar.cam_from_lidar[:3, 3])
+            corners_lidar = transform(invert(lidar.cam_from_lidar), item.corners_cam)
+            apart_m = distance_m * _step_rad(lidar.elevations_rad, points.xyz_lidar[own], corners_lidar)
+            found.append(SeenPart("points", transform(box_from_cam, points.xyz_cam[own]), eye, apart_m))
+    return found
+
+
+def _step_rad(
+    elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3"], corners_lidar: Float[np.ndarray, "8 3"]
+) -> float:
+    """The largest angle between two neighbouring beams, of those that meet points and one on either side; infinite
+    where a part of the body is over all beams."""
+    beams = np.sort(elevations_rad)
+    up_rad, top_rad = (np.arctan2(at[:, 2], np.hypot(*at[:, :2].T)) for at in (xyz_lidar, corners_lidar))
+    first, last = np.searchsorted(beams, [up_rad.min(), up_rad.max()])
+    return np.inf if top_rad.max() > beams[-1] else float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
+
+
+def judge(item: ObjectLabel, seen: SeenPart, wheels_m: float = WHEELS_M) -> Iterator[Result]:
+    """Findings where points are outside the box of an object, whose wheels are `wheels_m` behind its ends, or of an
+    element; else where they end before a side that is seen."""
+    half, source = item.size_m / 2, seen.source
+    group, bound = ("traffic_elements", "elements") if item.is_element else ("objects", "boxes")
+    share = MAX_FACE_OUTSIDE if item.is_element else MAX_OUTSIDE
+    beyond_m = np.abs(seen.points) - half
+    outside, label = (beyond_m > ROOM_M).any(axis=1), f"{group}.{item.id}"
+    reason = f"{label}: expected its {source} in its box, got {{wrong}} of {{n}} up to {beyond_m.max():.2f} m outside"
+    yield from counted(f"{bound}.outside_{source}", outside, reason, MAX_SINGLE, share)
+    if outside.sum() > max(MAX_SINGLE, share * len(outside)) or not _is_whole(item):
+        return
+    # The box of a person is around all steps, and the ends of a bicycle are thin.
+    of_car = _sides(half, seen, wheels_m) if thing_of(item.id)[0] == "car" else ()
+    for axis, sign, side, most_m in _sides_of_face(item, seen.apart_m) if item.is_element else of_car:
+        gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
+        reason = f"expected its {source} to reach the {side} side of its box, got them {gap_m:.2f} m before it"
+        yield from judged(f"{bound}.gap_{source}_{side}", gap_m, f"{label}: {reason}", most=most_m)
+
+
+def _is_whole(item: ObjectLabel) -> bool:
+    """Whether it is in the image and seen as a whole."""
+    box, whole = item.box_px, item.unclipped_box_px
+    is_inside = item.truncation == 0 or (
+        item.is_element and box is not None and whole is not None and bool(np.allclose(box, whole))
+    )
+    return is_inside and (item.visible_fraction or 0.0) >= MIN_SEEN
+
+
+def _sides_of_face(item: ObjectLabel, apart_m: float) -> Iterator[SideLimit]:
+    """The sides of an element's face."""
+    most_m = MAX_FACE_GAP_M + (MAX_FACE_PART + OF_CORNER.get(item.category, 0.0)) * apart_m
+    for axis, name in ((0, "left right"), (2, "lower upper")):
+        for sign, side in zip((-1, 1), name.split(), strict=True):
+            yield SideLimit(axis, sign, side, most_m)
+
+
+def _sides(half: Float[np.ndarray, "3"], seen: SeenPart, wheels_m: float) -> Iterator[SideLimit]:
+    """The sides that are seen."""
+    for axis, name in enumerate(("left right", "rear front", "lower upper")):
+        for sign, side in zip((-1, 1), name.split(), strict=True):
+            has_outline = seen.source == "pixels" and axis != ALONG
+            if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
+                hidden_m = _hidden_m(half, seen.eye, (axis, sign), wheels_m) if has_outline else 0.0
+                yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
+
+
+def _hidden_m(
+    half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], side: tuple[int, int], wheels_m: float
+) -> float:
+    """How far before a side what is set back from an object's nearer end may be hidden by this end: wheels under a
+    bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
+    wider."""
+    axis, sign = side
+    away_m, aside_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), half[axis] - sign * eye[axis]
+    share, of_wheels = (back_m / (away_m + back_m) for back_m in (SET_BACK * half[ALONG], wheels_m))
+    if axis == UP and sign < 0 and aside_m * of_wheels > CLEARANCE_M:
+        return float(aside_m * of_wheels)
+    if axis != ACROSS:
+        return float(max(aside_m, 0.0) * share)
+    # A body hides its far side from an eye beyond the near one, and the mirror there from one beyond the middle.
+    mirror_m = min(aside_m * share, MIRROR_M) if sign * eye[axis] < 0 else 0.0
+    return float(max((aside_m - 2 * half[axis]) * share, mirror_m))
+
+
+# Share of a car's projected box that the car fills: 0.52 to 0.93 for all built-in cars; up to 1 for a user's. People
+# and riders, whose boxes are around all poses, fill less of theirs.
+FILL, OWN_FILL, OF_THING = (0.5, 0.95), (0.2, 1.0), (0.1, 1.0)
+# Cars fit their nominal boxes to 1 %, but for mirrors.
+MIRROR_ROOM = 1.2
+# Labels measure shares with at least RAYS rays, passes with pixel centres. Labels of 1,020 cars that are seen are at
+# most 0.02 outside these limits, a fifth of the error allowed.
+RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX, EDGE_PX = 60, 4.0, 0.03, 6, 1.0
+# Boxes that reach farther aside than this cosine of the angle from the viewing axis say less: pixels are stretched.
+WIDE = 0.4
+# Share of a large box, cut by the image's border, that a car of which there is any pixel fills.
+SLIVER = 0.05
+
+
+def check_cars(evidence: Evidence) -> Iterator[Result]:
+    """Findings where the share of a car, or of a thing, does not fit its number of pixels."""
+    items, cars = evidence.labels.objects, evidence.labels.car_visible_fraction
+    assert cars is not None
+    # Of older labels only those of cars are known.
+    things = [item.visible_fraction or 0.0 for item in (items or ())[len(cars) :]]
+    counts = np.bincount(evidence.passes["instance"].ravel(), minlength=END)
+    for item, share in zip(evidence.world.view.objects, [*cars, *things], strict=False):
+        kind, number = thing_of(item.id)
+        low, high = _seen_share(evidence, item, int(counts[item.id]))
+        off, near = max(low - share, share - high, 0.0), low if share < low else high
+        expected = f"{low:.2f} to {high:.2f} of {kind} {number} by its {counts[item.id]} pixels"
+        reason = f"{kind}_visible_fraction: expected {expected}, got {share:.2f}"
+        yield from judged(f"{kind}s.seen_share", off, reason, most=_error(near))
+
+
+def _seen_share(evidence: Evidence, item: PlacedObject, n_px: int) -> tuple[float, float]:
+    """Limits of the share of an object's pixels that is seen, from their number and the object's box in the image."""
+    camera = evidence.camera
+    corners_cam, outer_cam = (
+        transform(invert(camera.world_from_cam), corners_world(item, room)) for room in (1.0, MIRROR_ROOM)
+    )
+    uv, outer = outline(camera, corners_cam), outline(camera, outer_cam)
+    if not _n_pixels(outer, camera):
+        return 0.0, float(n_px > 0)
+    box_px = _n_pixels(uv, camera)
+    if not box_px:
+        return 0.0, 1.0
+    is_wide = (corners_cam[:, 1] < WIDE * np.linalg.norm(corners_cam, axis=1)).any()
+    if is_wide or not camera.shows(corners_cam).all():
+        # It may show a sliver only; but one without any pixel is not seen.
+        return max(n_px - SLACK_PX, 0) / box_px, 1.0 if n_px else min(SLACK_PX / (SLIVER * box_px), 1.0)
+    least, most = OF_THING if item.kind else OWN_FILL if evidence.scene.assets.cars else FILL
+    hull_px = float(ConvexHull(uv).volume)
+    return n_px / (most * box_px), min((n_px + SLACK_PX) / (least * hull_px), 1.0)
+
+
+def _n_pixels(corners: Float[np.ndarray, "n 2"], camera: CameraLabel) -> int:
+    """The number of the image's pixels whose centres, or whose neighbours', are inside the hull of corners."""
+    if not len(corners):
+        return 0
+    size = np.array([camera.width_px, camera.height_px])
+    low, high = (np.clip(edge, 0, size).astype(int) for edge in (corners.min(axis=0) - 1, corners.max(axis=0) + 2))
+    uv = np.stack(np.meshgrid(*(np.arange(*ends) for ends in zip(low, high, strict=True))), axis=-1).reshape(-1, 2)
+    return int(covers(corners, uv + 0.5, EDGE_PX).sum())
+
+
+def _error(share: float) -> float:
+    """How far a label may be from this share: it is the mean of some rays that are seen or not."""
+    share = min(max(share, 0.0), 1.0)
+    return MAX_SHARE_OFF + SIGMAS * float(np.sqrt(share * (1 - share) / RAYS))
+
+
+def check_elements(evidence: Evidence) -> Iterator[Result]:
+    """Findings about traffic elements without a label, and in another state than their lights show."""
+    items = evidence.labels.traffic_elements
+    if items is None or "instance" not in evidence.has:
+        return
+    if {"semantic", "depth"} <= evidence.has:
+        yield from _unlabelled(evidence, items)
+    for item in items:
+        yield from shining(evidence, item)
+
+
+def _unlabelled(evidence: Evidence, items: tuple[ObjectLabel, ...]) -> Iterator[Finding]:
+    """Pixels of signs and signals near the camera whose id has no label."""
+    semantic, instance = evidence.passes["semantic"], evidence.passes["instance"]
+    is_it = np.isin(semantic, [SEMANTIC_IDS["sign"], SEMANTIC_IDS["signal"]])
+    is_it &= np.abs(evidence.passes["depth"]) < FARTHEST_M
+    ids, counts = np.unique(instance[is_it], return_counts=True)
+    known = {item.id for item in items}
+    for id_, count in zip(ids.tolist(), counts.tolist(), strict=True):
+        if id_ not in known and count > MAX_UNLABELLED:
+            yield Finding("", f"traffic_elements: expected one with id {id_}, which {count} pixels show, got none")
+
+
+def shining(evidence: Evidence, item: ObjectLabel) -> Iterator[Result]:
+    """A signal whose dark lights are much brighter than its lit ones, or a cross or arrow of the other colour."""
+    if evidence.image is None or item.state is None or item.seen_box_px is None:
+        return
+    left, top, right, bottom = item.seen_box_px.tolist()
+    faces_us = float(item.normal_cam @ item.center_cam) < -0.7 * float(np.linalg.norm(item.center_cam))
+    if bottom - top < MIN_ROWS or not faces_us or not _is_whole(item):
+        return
+    own = evidence.passes["instance"][top:bottom, left:right] == item.id
+    pixels = np.where(own[..., None], evidence.image[top:bottom, left:right], 0).astype(float)
+    if item.category == "traffic_light":
+        lights = [_brightest(part, part.any(axis=2)) for part in np.array_split(pixels, 3, axis=0)]
+        lit = LIT[item.state]
+        dark = [level for number, level in enumerate(lights) if number not in lit]
+        off = max(dark, default=0.0) - min((lights[number] for number in lit), default=np.inf)
+        levels = ", ".join(f"{level:.0f}" for level in lights)
+        reason = f"traffic_elements.{item.id}.state: expected {item.state} lights, got levels of {levels} from the top"
+        yield from judged("elements.dark_light", off, reason, most=BRIGHTER)
+    elif item.state in HUES:
+        chosen = pixels[pixels.max(axis=2) >= np.percentile(pixels.max(axis=2), 90)]
+        hue = HUES[item.state] * float((chosen[:, 0] - chosen[:, 1]).mean())
+        got = f"expected the colour of {item.state}, got {-hue:.0f} levels of the other"
+        yield from judged("elements.hue", hue, f"traffic_elements.{item.id}.state: {got}", least=-LEAST_HUE)
+
+
+def _brightest(part: Float[np.ndarray, "h w 3"], own: Bool[np.ndarray, "h w"]) -> float:
+    """The level of the brightest tenth of the pixels of an element, by their strongest channel."""
+    return float(np.percentile(part[own].max(axis=1), 90)) if own.any() else 0.0
