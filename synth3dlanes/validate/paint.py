@@ -26,8 +26,8 @@ RESOLVED_PX = 1.0
 # Paint may appear up to this far beyond its end along the line, because it floats over the road.
 END_M = 0.06
 
-# The length over which sides of symbols are straight from above.
-SIDE_M = 0.5
+# The length over which sides of symbols are straight from above, and how far from one points are asked.
+SIDE_M, NEAR_M = 0.5, 1.0
 
 Stretches = Float[np.ndarray, "m 2"]
 
@@ -191,11 +191,13 @@ def _merged(stretches: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
 
 def beyond_symbols(world: World, xy_world: Points2) -> Float[np.ndarray, "m n"]:
     """Distance of points outside the paint of each symbol, seen from above; negative inside."""
-    found, points = np.zeros((len(world.symbol_shapes), len(xy_world))), np.asarray(shapely.points(xy_world))
-    for of_symbol, form in zip(found, world.symbol_shapes, strict=True):
+    found = np.full((len(world.symbol_shapes), len(xy_world)), np.inf)
+    for beyond_m, form in zip(found, world.symbol_shapes, strict=True):
         outlines = [form.places_world(dense(polygon, SIDE_M))[:, :2] for polygon in form.polygons]
         paint = shapely.union_all(shapely.make_valid([shapely.Polygon(outline) for outline in outlines]))
-        of_symbol += shapely.distance(paint, points)
-        inside = of_symbol == 0
-        of_symbol[inside] = -shapely.distance(paint.boundary, points[inside])
+        low, high = np.reshape(paint.bounds, (2, 2))
+        near = ((xy_world > low - NEAR_M) & (xy_world < high + NEAR_M)).all(axis=1)
+        points = np.asarray(shapely.points(xy_world[near]))
+        inside = shapely.intersects_xy(paint, xy_world[near])
+        beyond_m[near] = np.where(inside, -1, 1) * shapely.distance(paint.boundary, points)
     return found

@@ -87,6 +87,8 @@ def _on_ground(evidence: Evidence) -> Iterator[Result]:
     """Findings about lines whose visible points are not on the faces of the ground, where these are near."""
     lanes, world_from_cam = evidence.labels.lanes, evidence.camera.world_from_cam
     asked = [lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M) for lane in lanes]
+    # The end of a map's road, on which an outer line lies, may be a kerb.
+    asked = [at & (lane.connector is None or _is_inner(lane)) for lane, at in zip(lanes, asked, strict=True)]
     points_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, asked, strict=True)])
     above_m = np.abs(ground_of(evidence.world).nearest(transform(world_from_cam, points_cam)).above_m)
     ends = np.cumsum([np.count_nonzero(at) for at in asked])[:-1]
@@ -95,6 +97,10 @@ def _on_ground(evidence: Evidence) -> Iterator[Result]:
         by = f"{np.median(off_m) if len(off_m) else 0:.3g} in the median"
         reason = f"expected points within {MAX_OFF_M} m of the ground, got {{wrong}} of {{n}} off, by {by}"
         yield from counted("points.ground_m", off_m > MAX_OFF_M, reason, MAX_SINGLE, MAX_SHARE, lane.id)
+
+
+def _is_inner(lane: Lane) -> bool:
+    return lane.kind == "centerline" or (lane.left is not None and lane.right is not None)
 
 
 def _depth_at_lines(evidence: Evidence) -> Iterator[Result]:

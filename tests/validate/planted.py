@@ -38,10 +38,9 @@ from synth3dlanes.system.errors import FormatError
 from synth3dlanes.validate.made_again import compare
 from synth3dlanes.world.world import World, resolve
 from tests.validate import redone
-from tests.validate.faults import FAULTS, WORLDS, Fault, in_samples
+from tests.validate.faults import FAULTS, OF_STREETS, OF_WORKS, UNSEEN, WORLDS, Fault
 from tests.validate.faults import World as Changing
 from tests.validate.sealing import Members, check, read_members, seal
-from tests.validate.subtle import OF_STREETS, OF_WORKS, SUBTLE
 
 IMAGE = "jpg"
 # Few samples a pixel: passes are taken at the pixels' centres, and do not depend on them.
@@ -52,7 +51,7 @@ STREETS += ["roadside.median=guardrail", "host.bonnet=0.12"]
 # Road works in every scene, by day.
 WORKS = ["works.present=true", "road.topology=1", "weather.kind=clear", "weather.daytime=day"]
 # Faults that files do not tell, or not always: of pictures, and of what was rendered from another scene.
-AGAIN = {f"image: {name}": change for name, change in redone.PICTURES.items()}
+AGAIN = {f"again: {fault.name}": fault for fault in (*FAULTS, *UNSEEN) if fault.again == "image: "}
 OTHERS = [Changing(f"world: {name}", changes, ": ") for name, changes in redone.WORLDS.items()]
 NUMBERED = (*WORLDS, *OTHERS)
 SAMPLE = re.compile(r"\w+:\d{8}")
@@ -116,7 +115,7 @@ def render(
     clean = folder / "clean"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
     counts = {w: n if world.needs_many or few is None else few for w, world in enumerate(WORLDS)}
-    return clean, [*FAULTS, *SUBTLE, *_worlds(folder / "worlds", recipe, counts, workers)]
+    return clean, [*FAULTS, *_worlds(folder / "worlds", recipe, counts, workers)]
 
 
 def streets(seed: int) -> Recipe:
@@ -142,7 +141,7 @@ def render_works(folder: Path, seed: int, n: int, workers: int) -> tuple[Path, l
 
 def render_unseen(folder: Path, seed: int, n: int, workers: int) -> list[Fault]:
     """Faults of these samples that files do not tell, or not always."""
-    pictures = [Fault(name, in_samples(change), "image: ") for name, change in AGAIN.items()]
+    pictures = [Fault(name, fault.spoil, fault.again) for name, fault in AGAIN.items()]
     counts = dict.fromkeys(range(len(WORLDS), len(NUMBERED)), n)
     recipe = streets(seed)
     recipe = replace(recipe, scenes=replace(recipe.scenes, shots=SINGLE), settings=SETTINGS)
@@ -158,7 +157,7 @@ def _worlds(root: Path, recipe: Recipe, counts: dict[int, int], workers: int) ->
     rendered = read_members(root)
     others = {w: {i: rendered[job] for job, (at, i) in enumerate(jobs) if at == w} for w in counts}
     return [
-        Fault(NUMBERED[w].name, partial(seal, change=partial(in_place, other)), NUMBERED[w].words)
+        Fault(NUMBERED[w].name, None, NUMBERED[w].words, edit=partial(seal, change=partial(in_place, other)))
         for w, other in others.items()
     ]
 

@@ -11,7 +11,6 @@ from tests.validate import planted
 from tests.validate.examining import evidence_of, reasons
 from tests.validate.faults import FAULTS, WORLDS, Fault
 from tests.validate.sealing import check, describe, drop_passes, read_members, seal
-from tests.validate.subtle import SUBTLE
 
 pytestmark = [pytest.mark.render, pytest.mark.timeout(900)]
 
@@ -66,7 +65,7 @@ def test_a_fault_of_each_kind_is_found_and_named(small_streets, tmp_path):
     """By its check alone; all checks are asked in the thorough tests."""
     clean, of_streets = planted.render_streets(tmp_path, STREETS_SEED, 1, 1)
     assert check(clean).problems == []
-    faults = {fault.name: fault for fault in (*FAULTS, *SUBTLE, *of_streets)}
+    faults = {fault.name: fault for fault in (*FAULTS, *of_streets)}
     for name, fault in ((name, faults[planted_one]) for name, planted_one in ONE_OF_EACH.items()):
         root = Path(shutil.copytree(clean, tmp_path / name))
         fault.plant(root)
