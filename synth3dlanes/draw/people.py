@@ -1,5 +1,5 @@
-"""People near the host, on the walkways of maps: they stand, walk round corners, and cross at crosswalks when lights
-let them and no vehicle comes, or those of a town's clip stop. World frame, metres and seconds."""
+"""People near the host, on the walkways of maps. They stand, walk round corners, and cross at crosswalks when their
+light is green and no vehicle comes; in a clip of a town, vehicles stop for them. World frame, metres and seconds."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -61,8 +61,8 @@ class Crosswalk(NamedTuple):
 
 
 def draw_people(scene: Scene, bodies: Bodies, of: DrawsOf, crossers: tuple[Crosser, ...] | None) -> Iterator[Thing]:
-    """The people of a scene: first those at crosswalks, then those on the walkways of roads that have any.
-    `crossers` are those that the traffic of a clip knows of, None where it knows of nobody."""
+    """The people of a scene: first people at crosswalks, then people on the walkways of roads. `crossers` are the
+    people that the traffic of a clip stops for, None if it stops for nobody."""
     own, looks, network = of("people"), of("people", "people_looks"), bodies.network
     density, n_crossing = own("per_100_m") / 100, own("crossing")
     if not (density or n_crossing):

@@ -43,7 +43,7 @@ class WalkedLine(NamedTuple):
 
     @classmethod
     def through(cls, points: Points2) -> "WalkedLine":
-        """The route through points, without those that are hardly apart."""
+        """The route through points; of points that almost coincide it keeps one."""
         kept = np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-3])
         return cls(points[kept], lengths_along(points[kept]))
 
