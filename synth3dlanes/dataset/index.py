@@ -57,6 +57,7 @@ ADDED: dict[str, int | float | bool | str] = {
     "n_buildings": 0,
     "works": "none",
     "works_lines": "none",
+    "vignette": 0.0,
 }
 ARROW_TYPES: dict[object, pa.DataType] = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
 ADDED_SCHEMA = pa.schema([(column, ARROW_TYPES[type(default)]) for column, default in ADDED.items()])

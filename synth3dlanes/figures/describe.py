@@ -69,6 +69,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
         "sensor": {
             "motion blur": f"{scene.sensor.motion_blur_m:.2f} m",
             "noise": f"{scene.sensor.noise:.1f} levels at middle gray",
+            **({"corners": f"{100 * scene.sensor.vignette:.0f} % darker"} if scene.sensor.vignette else {}),
         },
         **({} if (scene.weather, scene.host) == (Weather(), Bonnet()) else {"weather": _weather(scene)}),
         "objects": {

@@ -10,7 +10,7 @@ from synth3dlanes.imaging.glare import add_glow, add_lamp_heads, add_sun_glare
 from synth3dlanes.imaging.glass import add_dirt, add_drops
 from synth3dlanes.imaging.haze import through_air
 from synth3dlanes.imaging.layers import Layers
-from synth3dlanes.imaging.sensor import add_noise, gain, motion_blur
+from synth3dlanes.imaging.sensor import add_noise, add_vignette, gain, motion_blur
 from synth3dlanes.scene.host import HostCamera
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import KINDS
@@ -55,6 +55,8 @@ def develop(
         linear = add_drops(linear, sensor.drops, scene.glass_stream("drops"))
     if sensor.dirt > 0:
         linear = add_dirt(linear, sensor.dirt, scene.glass_stream("dirt"))
+    if sensor.vignette > 0:
+        linear = add_vignette(linear, view.camera, sensor.vignette)
     if not view.camera.lens.is_pinhole:
         linear = np.where(is_seen[..., None], linear, np.float32(0))
     if sensor.noise > 0:

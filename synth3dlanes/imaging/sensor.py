@@ -27,6 +27,15 @@ def gain(linear: LinearImage, is_seen: Bool[np.ndarray, "h w"], metering: float)
     return float(np.clip(METERED_MEAN / max(mean, 1e-9), 1, MOST_GAIN) ** metering)
 
 
+def add_vignette(linear: LinearImage, camera: HostCamera, strength: float) -> LinearImage:
+    """The picture with darker corners: at half a diagonal from the optical axis, or farther, `strength` of the light is
+    missing, nearer to it less with the square of the distance."""
+    height_px, width_px = linear.shape[:2]
+    right_px, down_px = np.arange(width_px) + 0.5 - camera.cx_px, np.arange(height_px) + 0.5 - camera.cy_px
+    share = (right_px**2 + down_px[:, None] ** 2) / ((width_px**2 + height_px**2) / 4)
+    return linear * (1 - strength * np.minimum(share, 1))[..., None].astype(np.float32)
+
+
 def motion_blur(
     linear: LinearImage, depth_m: Float[np.ndarray, "h w"], camera: HostCamera, driven_cam: Float[np.ndarray, "3"]
 ) -> LinearImage:

@@ -240,7 +240,7 @@ class AirParams(Group):
 
 class SensorParams(Group):
     """Metres driven during the exposure, noise at middle gray in 8-bit levels (standard deviation), flare, dirt and
-    drops on the glass, and the quality of JPEG images."""
+    drops on the glass, the quality of JPEG images, and the light that the corners lack."""
 
     motion_blur_m: MotionBlur
     noise: NoiseLevel
@@ -248,6 +248,7 @@ class SensorParams(Group):
     dirt: Fraction = added(0.0)
     drops: Fraction = added(0.0)
     jpeg_quality: Annotated[Integer, integers(1, 100)] = added(JPEG_QUALITY)
+    vignette: Fraction = added(0.0)
 
 
 class WeatherParams(Group):

@@ -5,6 +5,7 @@ added later; older scenes can still be read and render as before. A field that i
 default, so that scenes of equal recipes keep their bytes.
 """
 
+import operator
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
@@ -358,7 +359,8 @@ class Air(DocumentPart):
 
 class Sensor(DocumentPart):
     """Metres driven during the exposure; the standard deviation of the noise at middle gray, in 8-bit levels; lens
-    flare, dirt and drops of water on the glass, each from 0 to 1; and the quality of JPEG images."""
+    flare, dirt and drops of water on the glass, each from 0 to 1; the quality of JPEG images; and the share of light
+    that the image's corners lack."""
 
     motion_blur_m: Annotated[float, Field(ge=0, le=1000)] = 0.0
     noise: Annotated[float, Field(ge=0, le=1000)] = 0.0
@@ -366,6 +368,7 @@ class Sensor(DocumentPart):
     dirt: Unit = 0.0
     drops: Unit = 0.0
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] = JPEG_QUALITY
+    vignette: Annotated[Unit, Field(exclude_if=operator.not_)] = 0.0
 
 
 class Weather(DocumentPart):

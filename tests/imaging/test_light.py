@@ -10,7 +10,7 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.imaging.film import response, tonemap
 from synth3dlanes.imaging.haze import through_air
-from synth3dlanes.imaging.sensor import MOST_GAIN, add_noise, gain, motion_blur
+from synth3dlanes.imaging.sensor import MOST_GAIN, add_noise, add_vignette, gain, motion_blur
 from synth3dlanes.imaging.sky import SKY_SHAPE, clear_sky, cloud_cover, overcast_dome, sun_color, sun_direction
 from synth3dlanes.scene.scene import Light
 from synth3dlanes.world.bonnet import bonnet
@@ -120,6 +120,21 @@ def test_the_sky_stands_still(rng):
     blurred = motion_blur(image, depth_m, LEVEL, np.array([0, 0.5, 0.0]))
     np.testing.assert_array_equal(blurred[:180], image[:180])
     np.testing.assert_array_equal(motion_blur(image, np.full_like(depth_m, np.inf), LEVEL, np.ones(3)), image)
+
+
+def test_corners_are_darker_by_the_square_of_the_distance_from_the_optical_axis():
+    """The axis of this camera is right of the middle, so the left corners are beyond half a diagonal."""
+    camera = LEVEL.model_copy(update={"cx_px": 300.0, "cy_px": 180.0})
+    white = np.ones((360, 480, 3), np.float32)
+    seen = add_vignette(white, camera, 0.8)
+    assert (seen == seen[..., :1]).all()
+    assert seen[..., 0].max() == pytest.approx(1, abs=1e-4)
+    assert np.unravel_index(seen[..., 0].argmax(), (360, 480)) in ((179, 299), (179, 300), (180, 299), (180, 300))
+    # Half a diagonal is 300 px.
+    assert seen[180, 150, 0] == pytest.approx(1 - 0.8 / 4, abs=0.005)
+    assert seen[0, 60, 0] == pytest.approx(0.2, abs=0.005)
+    assert seen[0, 0, 0] == pytest.approx(0.2), "no darker than the parameter says"
+    np.testing.assert_allclose(add_vignette(3 * white, camera, 0.8), 3 * seen, rtol=1e-6)
 
 
 @given(st.sampled_from([1.0, 2.5, 6.0]))
