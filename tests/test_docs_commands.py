@@ -207,15 +207,3 @@ def test_blocks_and_inline_commands(page: Path) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for named in re.findall(r"(?<=\.)\[([a-z,]+)\]", page.read_text()):
         assert set(named.split(",")) <= set(extras)
-
-
-def test_a_wrong_command_is_found() -> None:
-    from synth3dlanes_cli.main import main
-
-    for line in ("synth3dlanes generate --n 3 --out d --colour red", "synth3dlanes generate --n x --out d"):
-        with pytest.raises(click.UsageError):
-            parse(shlex.split(line))
-    with pytest.raises(click.UsageError):
-        look_up(main, ["synth3dlanes", "stats", "DIR", "--nn", "3"])
-    with pytest.raises(AssertionError, match="neither ours nor marked"):
-        run_command(["curl", "example.org"])

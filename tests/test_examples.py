@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,7 +19,6 @@ from PIL import Image
 import synth3dlanes as s3d
 
 FOLDER = Path(__file__).parents[1] / "examples"
-PROGRAMS = sorted(path.stem for path in FOLDER.glob("*.py"))
 
 
 def loaded(name: str) -> ModuleType:
@@ -38,14 +36,6 @@ def run(name: str, *words: object) -> str:
     done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
-
-
-def test_there_are_six_short_programs_that_the_page_lists() -> None:
-    assert len(PROGRAMS) == 6
-    page = (FOLDER / "README.md").read_text()
-    for name in PROGRAMS:
-        assert f"[{name}.py]({name}.py)" in page
-        assert len((FOLDER / f"{name}.py").read_text().splitlines()) <= 60
 
 
 @pytest.fixture(scope="module")
@@ -187,12 +177,3 @@ def test_it_is_stored_without_outputs_and_asks_for_no_file_of_the_repository() -
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
     assert {tag for cell in cells for tag in cell["metadata"].get("tags", [])} == set(SMALLEST)
     nbformat.validate(nbformat.read(NOTEBOOK, as_version=4))
-
-
-def test_the_badge_and_the_first_cell_lead_to_the_repository() -> None:
-    address = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["urls"]["Repository"]
-    place = address.removeprefix("https://github.com/")
-    colab = f"https://colab.research.google.com/github/{place}/blob/main/examples/first_steps.ipynb"
-    assert f"[![Open in Colab](docs/pictures/colab.svg)]({colab})" in (ROOT / "README.md").read_text()
-    (install,) = ("".join(c.source) for c in replaced({}).cells if "install" in c.metadata.get("tags", []))
-    assert f"synth3dlanes @ git+{address}" in install

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from synth3dlanes.draw.sample import Scenes, sample_scene, scene_texts
+from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.params.params import load_params
-from synth3dlanes.scene.scene import to_json
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.world.world import resolve
 
@@ -205,12 +204,6 @@ def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
         assert min(b - a - (of_a + of_b) / 2 for (a, of_a), (b, of_b) in itertools.pairwise(ends)) > 0.5
         counts.append(len(scene.cars))
     assert 5 <= min(counts) <= max(counts) <= 60 / 3.5
-
-
-@pytest.mark.thorough
-def test_many_scenes_from_several_processes_are_the_same_scenes(params, scenes):
-    texts = list(scene_texts(Scenes(params), range(200)))
-    assert texts == [to_json(scene) for scene in scenes[:200]]
 
 
 def test_vegetation_changes_nothing_else():

@@ -9,10 +9,7 @@ import pytest
 import shapely
 from pydantic import ValidationError
 
-from synth3dlanes.dataset.columns import numbers_of
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
-from synth3dlanes.figures.describe import describe
-from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.formats.lanelet_map import lanelets_of
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.params.params import load_params
@@ -281,26 +278,6 @@ def test_works_change_nothing_but_the_lanes_and_what_is_on_them() -> None:
     assert scene.paper_road.model_copy(update={"works": None}) == without.paper_road
     for name in ("terrain", "markings", "surface", "light", "air", "sensor", "weather", "host", "roadside"):
         assert getattr(scene, name) == getattr(without, name)
-
-
-def test_streets_rarely_have_works() -> None:
-    params = load_params("streets")
-    document = params.model_dump(mode="json")
-    topologies, present = document["road"]["topology"], document["works"]["present"]
-    (once,) = (weight for value, weight in topologies.items() if int(value) == 1)
-    (yes,) = (weight for value, weight in present.items() if str(value).lower() == "true")
-    share = once / sum(topologies.values()) * yes / sum(present.values())
-    assert share == pytest.approx(1 / 15, abs=0.01)
-
-
-def test_index_and_summary_say_them() -> None:
-    scene = flat(CLOSED)
-    labels = ground_truth(scene)
-    row = numbers_of(scene, labels)
-    assert (row["works"], row["works_lines"]) == ("lane_closed", "yellow")
-    assert (numbers_of(FLAT, ground_truth(FLAT))["works"]) == "none"
-    words = describe(ShownScene(scene, labels))["road"]["road works"]
-    assert words == "lane closed on the outer side, from y = -30 m to 40 m, yellow temporary lines"
 
 
 def test_a_lanelet_beside_the_closed_lane_is_cut_where_the_temporary_line_meets_it() -> None:

@@ -1,6 +1,5 @@
 """What the networks' commands say: on a terminal, in a log, of names of weights and of arguments."""
 
-import io
 import re
 import time
 from pathlib import Path
@@ -9,11 +8,9 @@ import pytest
 import torch
 from click.testing import CliRunner
 from PIL import Image
-from rich.console import Console
 from synth3dlanes_baseline import evaluate, onnx_export, progress, sources
 from synth3dlanes_cli import options
 from synth3dlanes_cli.main import main
-from synth3dlanes_cli.networks import WEIGHTS
 
 
 @pytest.fixture
@@ -81,15 +78,6 @@ def test_arguments_in_the_wrong_order_are_suspected(folder):
         assert (told.exit_code, told.stderr) == (2, f"synth3dlanes predict: {expected}\n")
 
 
-def test_the_shell_completes_names_of_weights(in_tmp_path):
-    for words in ("predict", "onnx", "evaluate DIR --checkpoint", "train DIR --init", "benchmark hills --checkpoint"):
-        environment = {"_SYNTH3DLANES_COMPLETE": "bash_complete", "COMP_WORDS": f"synth3dlanes {words} "}
-        environment["COMP_CWORD"] = str(len(words.split()) + 1)
-        told = CliRunner().invoke(main, [], prog_name="synth3dlanes", env=environment)
-        names = [line.partition(",")[2] for line in told.output.splitlines()]
-        assert names[:3] == WEIGHTS.split("|"), (words, told.output)
-
-
 def test_a_log_file_gets_a_line_now_and_then_with_what_is_left(capsys, monkeypatch):
     clock = 0.0
     monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
@@ -124,38 +112,3 @@ def test_an_epoch_is_one_line_with_loss_validation_speed_and_time_left(capsys, m
     assert lines[2].endswith("8.0 images/s")
     assert "centerline AP" in lines[0]
     assert "reaches confidence" not in "".join(lines)
-
-
-def screen_after(written):
-    """The lines of a terminal after a text with the codes that a bar uses: to the line's start, erase, up, down."""
-    lines, row = [""], 0
-    for code, text in re.findall(r"(\x1b\[[0-9;?]*[A-Za-z]|[\r\n])|([^\x1b\r\n]+)", written):
-        if code == "\n":
-            row += 1
-            lines += [""] * (row == len(lines))
-        elif code == "\x1b[1A":
-            row -= 1
-        elif code == "\x1b[2K" or text:
-            lines[row] = text
-    return [line.rstrip() for line in lines if line.strip()]
-
-
-def test_on_a_terminal_the_bar_moves_with_every_step_and_goes_with_the_end(monkeypatch, tmp_path):
-    terminal, clock = io.StringIO(), 100.0
-    monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
-    monkeypatch.setattr(
-        progress, "Console", lambda stderr: Console(file=terminal, force_terminal=True, width=100, color_system=None)
-    )
-    with progress.TrainingLog(tmp_path, 6, 2, 0, 4, is_shown=True) as log:
-        for step in range(1, 7):
-            clock += 0.5
-            log.step(step, 1e-3, {"total": torch.tensor(float(step))})
-            if step % 2 == 0:
-                log.epoch(step, None)
-                log.line.bar.refresh()  # as its thread does ten times a second
-                bar = screen_after(terminal.getvalue())[-1]
-                assert bar.startswith(f"step {step}/6 ")
-                assert "images/s  loss " in bar
-                assert bar.endswith("left")
-    whole = screen_after(terminal.getvalue())
-    assert [line.split(":")[0] for line in whole] == ["epoch 1/3", "epoch 2/3", "epoch 3/3"]

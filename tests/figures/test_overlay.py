@@ -11,7 +11,7 @@ from PIL import Image
 from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
 from synth3dlanes.figures.gallery import draw_clip, draw_gallery
 from synth3dlanes.figures.overlay import draw_overlay, lines_img, objects_in_image, stretches_img
-from synth3dlanes.figures.page import MAX_FRAMES, scene_page
+from synth3dlanes.figures.page import scene_page
 from synth3dlanes.figures.samples import ShownSample, ShownScene
 from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.labels.labels import Labels, LaneKind
@@ -62,15 +62,6 @@ def test_hidden_points_are_dotted_and_seen_ones_solid(straight_labels, gray_imag
     beyond = is_line[horizon + 15 : border - 4]
     assert beyond.any()
     assert not beyond.all(), "dots with gaps beyond it"
-
-
-def test_the_image_is_left_as_it_was_and_lines_follow_its_size(straight_labels, gray_image):
-    before = gray_image.copy()
-    draw_overlay(gray_image, straight_labels)
-    assert (gray_image == before).all()
-    twice = draw_overlay(np.full((720, 960, 3), 120, dtype=np.uint8), straight_labels)
-    labels = Labels(straight_labels.camera, straight_labels.lanes[:1], straight_labels.graph)
-    assert middle_of(draw_overlay(np.full_like(twice, 120), labels), 520, "centerline") == pytest.approx(480, abs=0.15)
 
 
 def test_points_behind_the_camera_are_never_drawn(straight_labels, gray_image):
@@ -140,16 +131,6 @@ def test_every_image_has_its_cell_in_reading_order(straight_labels):
     assert (sheet[-10, -10] == 255).all()
 
 
-def test_lanes_are_drawn_when_given(straight_labels, gray_image):
-    plain = draw_gallery([ShownSample("00000007", gray_image)], 4)
-    drawn = draw_gallery([ShownSample("00000007", gray_image, straight_labels)], 4)
-    assert plain.size == drawn.size == (488, 386)
-    expected = draw_overlay(gray_image, straight_labels)
-    assert (expected != gray_image).any()
-    for sheet, image in ((plain, gray_image), (drawn, expected)):
-        np.testing.assert_array_equal(np.asarray(sheet)[22:382, 4:484], image)
-
-
 @pytest.mark.parametrize("width_px", [None, 300])
 def test_each_cell_carries_its_own_key_above_its_picture_at_a_size_that_can_be_read(gray_image, width_px):
     """The keys are drawn after the images are shrunk: each cell begins with the same picture of its key."""
@@ -202,14 +183,3 @@ def test_a_page_of_a_clip_has_each_frame_and_begins_with_its_own(flat_scene, gra
     assert 'data-pause-ms="250"' in page
     assert "show frame 1, 0.25 s." in page
     assert 'id="frames"' not in scene_page(ShownScene(flat_scene, clip[0][0], gray_image))
-
-
-def test_a_page_of_a_long_clip_has_some_of_its_frames(flat_scene, gray_image):
-    n_frames = 2 * MAX_FRAMES + 1
-    labels = labelled(shown_in(flat_scene, 0, n_frames))
-    page = scene_page(
-        ShownScene(shown_in(flat_scene, 100, n_frames), labels, gray_image, clip=[(labels, gray_image)] * n_frames)
-    )
-    words = [int(number) for number in re.findall(r'data-words="frame (\d+),', page)]
-    assert words == list(range(0, n_frames, 3))
-    assert re.search(r'value="33"', page)
