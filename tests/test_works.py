@@ -9,6 +9,7 @@ import pytest
 import shapely
 from pydantic import ValidationError
 
+from synth3dlanes.dataset.columns import numbers_of
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
 from synth3dlanes.formats.lanelet_map import lanelets_of
 from synth3dlanes.labels import labels as label_file
@@ -278,6 +279,13 @@ def test_works_change_nothing_but_the_lanes_and_what_is_on_them() -> None:
     assert scene.paper_road.model_copy(update={"works": None}) == without.paper_road
     for name in ("terrain", "markings", "surface", "light", "air", "sensor", "weather", "host", "roadside"):
         assert getattr(scene, name) == getattr(without, name)
+
+
+def test_the_index_says_them() -> None:
+    scene = flat(CLOSED)
+    row = numbers_of(scene, ground_truth(scene))
+    assert (row["works"], row["works_lines"]) == ("lane_closed", "yellow")
+    assert (numbers_of(FLAT, ground_truth(FLAT))["works"]) == "none"
 
 
 def test_a_lanelet_beside_the_closed_lane_is_cut_where_the_temporary_line_meets_it() -> None:

@@ -1,16 +1,25 @@
-"""Data sets in an S3 store."""
+"""Data sets in an S3 store, on a server of plain HTTP, and at addresses that name none."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from http import HTTPStatus
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 import s3fs
 from click.testing import Result
 
+from synth3dlanes.dataset.address import translate_store_errors
+from synth3dlanes.dataset.read import Reader
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
+from synth3dlanes.system.errors import FormatError, InputError, OutageError, Synth3dlanesError
 from tests import fake_samples, store_server
 from tests.thorough import first
 
@@ -155,3 +164,120 @@ def test_an_address_that_nothing_opens_is_named(run: Run, folder: Path) -> None:
         result = run(*command)
         assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
         assert result.stderr.startswith("lake://a/b: expected a folder or an address that fsspec can open")
+
+
+class Plain(SimpleHTTPRequestHandler):
+    """Files by their names, in one answer or in parts; no folder is listed. `sent` holds the sizes of all answers."""
+
+    sent: list[int]
+    has_ranges = True
+
+    def do_GET(self) -> None:
+        path = Path(self.translate_path(self.path))
+        if not path.is_file():
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        data = path.read_bytes()
+        asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", "")) if self.has_ranges else None
+        part = data[int(asked[1]) : int(asked[2]) + 1] if asked else data
+        self.send_response(HTTPStatus.PARTIAL_CONTENT if asked else HTTPStatus.OK)
+        self.send_header("Content-Length", str(len(part)))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.sent.append(len(part))
+            self.wfile.write(part)
+
+    do_HEAD = do_GET
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+class Whole(Plain):
+    """The same without parts."""
+
+    has_ranges = False
+
+
+@contextmanager
+def serving(folder: Path, kind: type[Plain] = Plain) -> Iterator[str]:
+    kind.sent = []
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(kind, directory=str(folder))) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def test_samples_are_read_at_random_without_their_shards(folder: Path) -> None:
+    with serving(folder) as url:
+        reader, expected = Reader(f"{url}/train"), Reader(str(folder / "train"))
+        assert len(reader) == len(expected) == 12
+        assert reader.index.equals(expected.index)
+        Plain.sent.clear()
+        for i in (11, 0, 7):
+            assert reader.raw(i) == expected.raw(i)
+        assert sum(Plain.sent) < 3 * (folder / "train/00000.tar").stat().st_size
+        with pytest.raises(FormatError, match=r"expected a split of a data set, as DIR/train, got no .*dataset\.json"):
+            Reader(f"{url}/elsewhere/train")
+        with pytest.raises(FormatError, match="val: expected shards"):
+            Reader(f"{url}/val")
+    with pytest.raises(OutageError, match=r"^http://.*: cannot be reached: "):
+        Reader(f"{url}/train")
+
+
+def test_a_shard_that_is_not_made_yet_is_left_out(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "d")
+    (tmp_path / "d/train/00001.parquet").unlink()
+    with serving(tmp_path / "d") as url:
+        assert [sample.key for sample in Reader(f"{url}/train")] == [f"{i:08d}" for i in (0, 1, 2, 3, 4, 10, 11)]
+
+
+def test_a_server_that_sends_whole_files_alone_is_named(run: Run, folder: Path) -> None:
+    with serving(folder, Whole) as url:
+        result = run("stats", url)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert result.stderr == (
+            f"{url}/dataset.json: expected a server that sends parts of files (range requests), got the whole file\n"
+        )
+        assert run("info", url).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        *("reference://x", "data:,x", "jlab://", "jlab://x", "dbfs://", "dbfs://x", "generic://x", "http://[::1"),
+        *("http://", "github://x", "zip://x", "tar://x", "blockcache://x", "dir://x"),
+        *("asyncwrapper://x", "memory://x", "lake://x", "://", "a\0b", "arrow_hdfs://x"),
+    ],
+)
+def test_an_address_that_is_none_is_one_line(run: Run, place: str) -> None:
+    for command in (("info", place), ("stats", place)):
+        result = run(*command)
+        assert result.exit_code == 2, result.output
+        # No shell passes a null character on: it is told by the library, with the name of its own argument.
+        assert repr(place) in result.stderr if "\0" in place else result.stderr.startswith(place.rstrip("/"))
+        assert result.stderr.count("\n") == 1
+        assert not isinstance(result.exception, Synth3dlanesError)
+
+
+def test_what_may_be_gone_in_a_minute_is_told_from_what_will_not() -> None:
+    import socket
+
+    class Answer(Exception):
+        def __init__(self, status: int) -> None:
+            self.status = status
+
+    outages = (
+        ConnectionRefusedError(),
+        TimeoutError(),
+        socket.gaierror(-2, "unknown"),
+        OSError(16, "busy"),
+        Answer(503),
+    )
+    refusals = (PermissionError(), FileNotFoundError(), ValueError(), NotImplementedError(), Answer(401), KeyError("x"))
+    for kind, errors in ((OutageError, outages), (FormatError, refusals)):
+        for error in errors:
+            with pytest.raises(kind, match=r"^there: cannot be reached: "), translate_store_errors("there"):
+                raise error
+    with pytest.raises(InputError, match="mine"), translate_store_errors("there"):
+        raise InputError("mine")

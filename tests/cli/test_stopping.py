@@ -1,17 +1,23 @@
-"""Ctrl-C, SIGTERM and SIGHUP end every command with the exit code of a shell and one line, never "Aborted!"."""
+"""How commands start and end: signals, closed streams, little memory, and what the machine does to them."""
 
+import errno
 import os
+import resource
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import psutil
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 from synth3dlanes_cli.main import main
 
 from synth3dlanes.production.signals import StopSignal
+from synth3dlanes.system import files
+from tests.small_files import withstands
 from tests.thorough import first
 
 
@@ -135,3 +141,142 @@ run()
     assert done.returncode == 2
     assert done.stderr.startswith("nothing: expected one of ")
     assert len(done.stderr.splitlines()) == 1
+
+
+COMMAND = f"{sys.executable} -m synth3dlanes"
+
+
+def shell(line: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=240)
+
+
+@pytest.mark.parametrize("closed", first(1, ["<&- 2>&-", "2>&-", "<&-"]))
+def test_a_closed_stream_is_like_any_other(closed: str) -> None:
+    done = shell(f"{COMMAND} params show tiny --json {closed}")
+    assert (done.returncode, done.stdout[:1], done.stderr) == (0, "{", "")
+
+
+@pytest.mark.parametrize("closed", first(1, [">&- 2>&-", ">&-"]))
+def test_without_an_output_a_command_still_works(closed: str) -> None:
+    done = shell(f"{COMMAND} params show tiny {closed}; echo $?; {COMMAND} sample --params none.yaml {closed}; echo $?")
+    said = "none.yaml: cannot read: No such file or directory\n" if closed == ">&-" else ""
+    assert (done.stdout, done.stderr) == ("0\n2\n", said)
+
+
+def test_a_name_of_any_bytes_is_printed(tmp_path: Path, folder: Path) -> None:
+    done = shell(f"cd {tmp_path}; {COMMAND} merge {folder} --out $'\\xff'")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "\\udcff/train: 12 samples\n", "")
+
+
+def test_too_little_memory_is_one_line() -> None:
+    """Where a library asks for more than a limit allows."""
+    from synth3dlanes_cli.entry import NO_MEMORY
+
+    script = "import sys, resource, synth3dlanes_cli.main as main; import synth3dlanes.draw.sample, numpy\n"
+    script += "room = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize() + (1 << 28)\n"
+    script += "resource.setrlimit(resource.RLIMIT_AS, (room, room))\n"
+    script += "synth3dlanes.draw.sample.scene_texts = lambda *_: [numpy.ones(1 << 30)]\n"
+    script += "main.main(['sample'], prog_name='synth3dlanes')"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=240)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", f"synth3dlanes sample: {NO_MEMORY}\n")
+
+
+@pytest.mark.parametrize("kib", [100_000, 300_000, 524_287])
+def test_a_limit_in_which_no_library_can_be_loaded_is_named(kib: int) -> None:
+    done = shell(f"ulimit -v {kib}; {COMMAND} sample --params tiny")
+    line = f"synth3dlanes: expected an address space of at least 524288 KiB (ulimit -v), got {kib}\n"
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", line)
+
+
+def test_what_libraries_say_of_too_little_memory_is_known() -> None:
+    from synth3dlanes_cli.entry import is_lack_of_memory
+
+    assert is_lack_of_memory(MemoryError())
+    assert is_lack_of_memory(RuntimeError("can't start new thread"))
+    assert is_lack_of_memory(ImportError("libx.so: failed to map segment from shared object"))
+    assert not is_lack_of_memory(RuntimeError("shape mismatch"))
+
+
+ERRORS = ("ENOSPC", "EIO", "EROFS", "EBUSY", "EDQUOT", "EMFILE")
+WRITING = [
+    "gallery DIR --n 2 --out OUT/it.jpg",
+    "merge DIR --out OUT/d",
+    "export DIR --format tusimple --out OUT/e",
+    "split DIR/train --into train=0.5,val=0.5 --out OUT/s",
+    "inspect DIR/train:0 --html OUT/i.html",
+    "report DIR --html OUT/r.html",
+]
+READING = [
+    "gallery DIR --n 2 --out OUT/it.jpg",
+    "info DIR",
+    "stats DIR",
+    "params check OUT/given.yaml",
+    "drive check OUT/given.yaml",
+    "inspect OUT/given.json",
+    "validate DIR",
+    "export DIR --format tusimple --out OUT/e",
+]
+
+
+@pytest.mark.parametrize(("name", "command"), first(3, [(name, line) for line in WRITING for name in ERRORS]))
+def test_the_environment_is_told_with_exit_code_1(
+    name: str,
+    command: str,
+    run: Callable[..., Result],
+    folder: Path,
+    in_tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    number = getattr(errno, name)
+
+    def fail(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(files, "_created", fail)
+    done = run(*command.replace("DIR", str(folder)).replace("OUT", str(in_tmp_path)).split())
+    assert done.exit_code == 1, done.output
+    assert os.strerror(number) in done.stderr
+    assert "Traceback" not in done.output
+
+
+@pytest.mark.parametrize(("command", "spare"), first(2, [(line, spare) for spare in (0, 1, 3) for line in READING]))
+def test_too_many_open_files_are_told_with_exit_code_1(
+    command: str, spare: int, run: Callable[..., Result], folder: Path, in_tmp_path: Path
+) -> None:
+    (in_tmp_path / "given.yaml").write_text("name: x")
+    (in_tmp_path / "given.json").write_text("{}")
+    words = command.replace("DIR", str(folder)).replace("OUT", str(in_tmp_path)).split()
+    run(*words)  # loads what it imports
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    free = os.open(os.devnull, os.O_RDONLY)
+    os.close(free)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (free + spare, before[1]))
+    try:
+        done = run(*words)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    assert "Traceback" not in done.output
+    if os.strerror(errno.EMFILE) in done.output:
+        assert done.exit_code == 1, done.output
+    else:
+        assert spare, done.output
+
+
+COMMANDS = [
+    "gallery DIR --n 4 --out OUT/it.jpg",
+    "inspect DIR/train:3 --out OUT/it.png",
+    "split DIR/train --into train=0.5,val=0.5 --out OUT",
+    "gallery DIR --n 4 --out OUT/it.png",
+    "inspect DIR/train:3 --html OUT/it.html",
+    "stats DIR --out OUT/it.png",
+    "report DIR --n 4 --html OUT/it.html",
+    "merge DIR --out OUT",
+]
+
+
+@pytest.mark.parametrize("command", first(1, COMMANDS))
+def test_a_full_disk(command: str, run: Callable[..., Result], folder: Path, in_tmp_path: Path) -> None:
+    (in_tmp_path / "out").mkdir()
+    words = command.replace("DIR", str(folder)).replace("OUT", str(in_tmp_path / "out")).split()
+    withstands(lambda: run(*words), in_tmp_path / "out")
