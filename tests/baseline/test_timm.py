@@ -21,7 +21,7 @@ from torch import nn
 
 from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
 from tests.baseline.conftest import drawn_samples
-from tests.baseline.test_loading import run
+from tests.baseline.test_workers import run
 from tests.thorough import first
 
 
