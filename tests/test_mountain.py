@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.formats.comparing import Rule, SourceSample, compare_map
+from synth3dlanes.formats.comparing import Rule, SourceSample
+from synth3dlanes.formats.comparing_maps import compare_map
 from synth3dlanes.formats.lane_map import lane_segments
 from synth3dlanes.formats.lanelet_map import lanelets_of
 from synth3dlanes.geometry.frames import transform

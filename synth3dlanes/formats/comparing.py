@@ -6,7 +6,7 @@ view, z up) by the axes of their own road plane, and projected by the intrinsics
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,10 +15,9 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.polylines import resampled
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
-from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage, Scalars
+from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage
 
 if TYPE_CHECKING:
     # Who reads a format needs none of these.
@@ -42,8 +41,6 @@ ANGLE_RAD, HEIGHT_M = 1e-6, 1e-6
 ROUNDING = 1e-3
 # Where cameras are compared: shares of the image, and depths.
 SHARES, DEPTHS_M = (0.1, 0.5, 0.9), (5.0, 50.0)
-# How far a boundary may be from half a lane's width.
-SIDE_M = 0.05
 FLU_CORNERS = CORNERS[:, [1, 0, 2]] * [1, -1, 1]
 """Corners of a box of size 2 with x forward and y left, in the order of CORNERS."""
 
@@ -321,19 +318,19 @@ def nearest(points: Points, ours: Sequence[OurLine], rule: Rule) -> OurLine | No
 
 def distances(points: Points, line: Points) -> Distances:
     """How far points are from a polyline."""
-    return _feet(points, line)[0]
+    return feet_of(points, line)[0]
 
 
 def stations(points: Points, line: Points) -> Distances:
     """Where along a polyline the nearest places to points are, by its length."""
-    _, at, share = _feet(points, line)
+    _, at, share = feet_of(points, line)
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     return np.asarray(np.concatenate([[0.0], np.cumsum(lengths)])[at] + share * np.append(lengths, 0.0)[at])
 
 
 def is_beside(points: Points, line: Points) -> Flags:
     """Which points are beside a polyline from above, not before its beginning or behind its end."""
-    _, at, share = _feet(points[:, :2], line[:, :2])
+    _, at, share = feet_of(points[:, :2], line[:, :2])
     return np.asarray((at + share > 0) & (at + share < len(line) - 1))
 
 
@@ -389,10 +386,11 @@ def _gap(points: Points, line: OurLine, rule: Rule) -> Gap:
 def _too_far(points: Points, gap: Gap, ours: Sequence[OurLine], rule: Rule) -> str:
     other = nearest(points, ours, rule)
     there = "" if other is None or other.id == gap.name or _gap(points, other, rule).worst > rule.limit else other.id
-    return _too_far_from(gap, rule) + (f" (it lies on {there})" if there else "")
+    return too_far(gap, rule) + (f" (it lies on {there})" if there else "")
 
 
-def _too_far_from(gap: Gap, rule: Rule) -> str:
+def too_far(gap: Gap, rule: Rule) -> str:
+    """What is wrong with a line that is beyond the limit."""
     unit = rule.unit
     return f"expected {gap.name} within {rule.limit:g} {unit} of the labels, got it {gap.worst:.3g} {unit} away"
 
@@ -402,26 +400,40 @@ def _apart(found: Sequence[Points], line: OurLine) -> float:
 
 
 def _order_problems(points: Points, line: OurLine, rule: Rule) -> Iterator[str]:
-    back = _back(stations(points, line.points) * rule.direction)
-    if back > max(rule.limit, ROUNDING):
+    limit = max(rule.limit, ROUNDING)
+    back = back_along(points[:: rule.direction], line.points, limit)
+    if back > limit:
         order = "near to far" if rule.direction > 0 else "far to near"
         yield f"expected points from {order}, got {back:.3g} {rule.unit} back"
 
 
-def _back(at: Scalars) -> float:
-    """How far places along a line, which should increase, go back."""
-    return float(np.max(np.maximum.accumulate(at) - at, initial=0.0))
+def back_along(points: Points, line: Points, slack: float = 0.0) -> float:
+    """How far points that should follow a line go back on it. In an image it may pass a place twice: of the places that
+    are nearest to a point, but for `slack`, the first that goes on is taken."""
+    apart, share = _all_feet(points, line)
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    at = np.concatenate([[0.0], np.cumsum(lengths)])[: share.shape[1]] + share * (lengths if len(lengths) else 0.0)
+    reached, back = -np.inf, 0.0
+    for places in (row[off <= off.min() + slack] for row, off in zip(at, apart, strict=True)):
+        ahead = places[places >= reached - ROUNDING]
+        back = max(back, 0.0 if len(ahead) else float(reached - places.max()))
+        reached = max(reached, float(ahead.min())) if len(ahead) else reached
+    return back
 
 
-def _feet(points: Points, line: Points) -> tuple[Distances, Int[np.ndarray, " _"], Distances]:
+def feet_of(points: Points, line: Points) -> tuple[Distances, Int[np.ndarray, " _"], Distances]:
     """Distances from a polyline, the steps of it that are nearest, and where on these."""
+    apart, share = _all_feet(points, line)
+    every, at = np.arange(len(points)), apart.argmin(axis=1)
+    return apart[every, at], at, share[every, at]
+
+
+def _all_feet(points: Points, line: Points) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
+    """Distances of points from each step of a polyline, and where on it they are nearest."""
     starts, steps = (line[:-1], np.diff(line, axis=0)) if len(line) > 1 else (line, np.zeros_like(line))
     to = points[:, None] - starts
     share = np.clip((to * steps).sum(axis=2) / np.maximum((steps**2).sum(axis=1), 1e-12), 0, 1)
-    apart = np.linalg.norm(to - share[..., None] * steps, axis=2)
-    at = apart.argmin(axis=1)
-    every = np.arange(len(points))
-    return apart[every, at], at, share[every, at]
+    return np.linalg.norm(to - share[..., None] * steps, axis=2), share
 
 
 def compare_camera(
@@ -481,93 +493,3 @@ def compare_boxes(
         tracks[name] = f"object {nearest} of {of}"
     problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
     return Comparison.within(gaps, {"m": limit_m}).because(problems) + Comparison(tracks=tracks), matched
-
-
-def middle_of(left: Points3, right: Points3) -> Points3:
-    """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
-    if len(left) != len(right):
-        left, right = (resampled(line, 100) for line in (left, right))
-    return (left + right) / 2
-
-
-def side_problems(
-    name: str, middle: Points, sides: Mapping[str, Points], halves_m: tuple[float, float]
-) -> Iterator[str]:
-    """Findings where the left or right boundary of a lane is on the other side, or not half its least to half its
-    greatest width from its middle, seen from above; each point of one is beside a point of the other."""
-    least_m, most_m = halves_m
-    dx, dy = np.gradient(middle[:, :2], axis=0).T
-    for side, line in sides.items():
-        x, y = (line - middle)[:, :2].T
-        to_left_m = float(np.median((dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9)))
-        got_m = to_left_m if side == "left" else -to_left_m
-        if not least_m - SIDE_M <= got_m <= most_m + SIDE_M:
-            yield f"lane {name}: expected its {side} boundary {most_m:.3f} m on that side, got {got_m:.3f} m"
-
-
-def compare_map(
-    found: Sequence[tuple[str, Points]],
-    truth: SourceSample,
-    rule: Rule,
-    is_in_area: Callable[[Points], Flags] = lambda points: np.ones(len(points), dtype=bool),
-) -> Comparison:
-    """Lanes of a map by the segments of the lane graph that they are, in the world frame, beside the centre lines that
-    follow these segments, seen from above, and in height. Only what the labels reach is compared: ahead of the camera,
-    in the area."""
-    labels = truth.labels
-    ours = {
-        lane.id: (transform(labels.camera.world_from_cam, lane.xyz_cam), lane.direction)
-        for lane in labels.lanes
-        if lane.kind == "centerline"
-    }
-    segments = labels.graph.segments
-    paths = {segment.id: [name for name in segment.centerlines if name in ours] for segment in segments}
-    gaps, problems, strange, outside = list[Gap](), list[str](), Counter[str](), Counter[str]()
-    covered = {name: np.zeros(len(ours[name][0]), dtype=bool) for name in ours}
-    for name, points in found:
-        if name not in paths:
-            problems.append(f"{rule.name} {name}: expected a segment of the lane graph, got none of this name")
-            strange[rule.name] += 1
-            continue
-        gap, wrong = _nearest_path(points, [(path, *ours[path]) for path in paths[name]], rule)
-        for path in paths[name]:
-            covered[path] |= distances(ours[path][0], points) < COVERED_M
-        if gap is None:
-            outside[rule.name] += 1
-            continue
-        gaps.append(replace(gap, name=name))
-        if not gap.worst <= rule.limit:
-            problems.append(f"{rule.name} {name}: {_too_far_from(gap, rule)}")
-        problems += (f"{rule.name} {name}: {problem}" for problem in wrong)
-    for name, (points, _) in ours.items():
-        bare = is_in_area(points) & ~covered[name]
-        if bare.sum() >= SURE_POINTS:
-            apart = min((float(distances(points[bare], line).max()) for _, line in found), default=np.inf)
-            problems.append(f"{rule.name} along {name}: expected one, got none nearer than {apart:.3g} m")
-    return Comparison(tuple(gaps), tuple(problems), strange=strange, outside=outside)
-
-
-ASIDE_M = 8.0
-"""A place of a lane that is farther aside of its path is beyond the path's end."""
-COVERED_M = 0.5
-"""A centre line of ours has a lane of the map where one is this near."""
-
-
-def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule: Rule) -> tuple[Gap | None, list[str]]:
-    """How far points are aside of the nearest path, where it reaches, and what is wrong with height and direction. A
-    lane goes on beyond the end of its path, in a serpentine to the side of a part of it: that is another place."""
-    found = list[tuple[Gap, list[str]]]()
-    for name, line, direction in paths:
-        apart, at, share = _feet(points[:, :2], line[:, :2])
-        inner = (at + share > 0) & (at + share < len(line) - 1) & (apart < ASIDE_M)
-        if inner.sum() < 2:
-            continue
-        problems, feet = [], line[at] + share[:, None] * np.diff(line, axis=0, append=line[-1:])[at]
-        above = float(np.abs(points - feet)[inner, 2].max())
-        if not above <= rule.slack:
-            problems.append(f"expected {name} within {rule.slack:g} m of the labels' height, got it {above:.3g} m away")
-        back = _back((at + share)[inner] * (-1 if direction == "oncoming" else 1))
-        if back > COVERED_M:
-            problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
-        found.append((Gap.of(name, "m", apart[inner], rule.name), problems))
-    return min(found, key=lambda pair: pair[0].worst, default=(None, []))

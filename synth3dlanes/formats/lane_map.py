@@ -3,7 +3,7 @@
 Segments are those of the lane graph. World frame, metres; lines go as their traffic does.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,10 +14,9 @@ from scipy.spatial import cKDTree
 from synth3dlanes.labels.labels import Marking, PaintColor, Pair, Segment
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.roads import NetworkLane
-from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.paint import is_double, paint_color, pair_of
-from synth3dlanes.world.world import World, scene_network
+from synth3dlanes.world.world import World
 
 REACH_M = 75.0  # beyond the corner of the area that is labelled
 ON_LINE_M = 0.4  # from a point of a delimiter, of which there is one every half metre
@@ -100,31 +99,3 @@ def _is_against(xy: Float[np.ndarray, "_ 2"], points_world: Points3) -> bool:
     """Whether a line goes the other way than the points of a lane beside it."""
     first, last = (int(np.linalg.norm(xy - end, axis=1).argmin()) for end in points_world[[0, -1], :2])
     return last < first
-
-
-def link_gaps(scene: Scene, links: Iterable[tuple[str, str]]) -> dict[tuple[str, str], float]:
-    """How far the end of a lane is from the beginning of the next: maps may have lanes that do not quite meet."""
-    network, found = scene_network(scene), {}
-    for one, other in links:
-        (_, end_m), (start_m, _) = (network.lanes[name].driven for name in (one, other))
-        ends = []
-        for name, s_m in ((one, end_m), (other, start_m)):
-            lane, s = network.lanes[name], np.array([s_m])
-            ends.append(network.road(lane.road).points(s, lane.middle(s))[0])
-        found[one, other] = float(np.linalg.norm(ends[0] - ends[1]))
-    return found
-
-
-def half_widths(scene: Scene, names: list[str]) -> list[tuple[float, float]]:
-    """Half the least and the greatest width of each lane."""
-    found, network = [], scene_network(scene)
-    for name in names:
-        lane = network.lanes[name]
-        left, right = lane.edges
-        first_m, last_m = np.nan_to_num(
-            [lane.start_m, lane.end_m], posinf=network.graph_end_m, neginf=-network.graph_end_m
-        )
-        s = np.linspace(first_m, last_m, 50)
-        widths_m = right(s) - left(s)
-        found.append((float(widths_m.min()) / 2, float(widths_m.max()) / 2))
-    return found

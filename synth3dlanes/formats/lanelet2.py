@@ -17,18 +17,10 @@ import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.comparing import (
-    Comparison,
-    Gap,
-    Rule,
-    SourceSample,
-    compare_map,
-    distances,
-    is_beside,
-    middle_of,
-)
+from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, distances, is_beside
+from synth3dlanes.formats.comparing_maps import compare_map, link_gaps, middle_of
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
-from synth3dlanes.formats.lane_map import MIRRORED, link_gaps
+from synth3dlanes.formats.lane_map import MIRRORED
 from synth3dlanes.formats.lanelet_map import (
     BOUND_STEP_M,
     JOIN_M,

@@ -24,17 +24,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, RootModel
 
-from synth3dlanes.formats.comparing import (
-    Comparison,
-    Rule,
-    SourceSample,
-    compare_camera,
-    compare_map,
-    pinhole_pixels,
-    side_problems,
-)
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_camera, pinhole_pixels
+from synth3dlanes.formats.comparing_maps import compare_map, half_widths, link_gaps, side_problems
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
-from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, half_widths, lane_segments, link_gaps
+from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, lane_segments
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_text
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, expect_pinhole
 from synth3dlanes.geometry.frames import invert, transform
@@ -529,10 +522,11 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 
     middles = [(name, lines[0]) for name, lines in zip(names, lanes, strict=True)]
     compared = compare_map(middles, truth, RULE, is_in_area) + _compared_cameras(found, by_name)
+    halves_m = half_widths(truth.scene, names)
     sides = (
         problem
-        for name, (middle, *edges), halves_m in zip(names, lanes, half_widths(truth.scene, names), strict=True)
-        for problem in side_problems(name, middle, dict(zip(("left", "right"), edges, strict=False)), halves_m)
+        for name, (middle, *edges) in zip(names, lanes, strict=True)
+        for problem in side_problems(name, middle, dict(zip(("left", "right"), edges, strict=False)), halves_m[name])
     )
     elements = _element_problems(found, names, truth.labels.traffic_elements or ())
     topology = _topology_problems(found, names, graph.successors, truth.scene)

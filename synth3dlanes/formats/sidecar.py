@@ -51,7 +51,9 @@ class Sidecars(dict[str, Line], Generic[Line]):
 
     def __init__(self, out: Path, model: type[Line], key: str = "image") -> None:
         self.path = out / SIDECAR
-        for number, line in enumerate(read_file(self.path).splitlines(), start=1):
+        # An export without frames has none.
+        lines = read_file(self.path).splitlines() if self.path.exists() else []
+        for number, line in enumerate(lines, start=1):
             found = parse(model, line, f"{self.path}:{number}", "a frame of an export")
             self[getattr(found, key)] = found
 

@@ -264,8 +264,8 @@ FAULTS = {
     "paint": (of_lanes(left_lane_mark_type=lambda lane: "SOLID_BLUE"), "is painted, got SOLID_BLUE"),
     "no links": (of_lanes(successors=lambda lane: []), "got none"),
     "no neighbours": (of_lanes(right_neighbor_id=lambda lane: None), "on its right, got None"),
-    "crossings": (in_map(crossings), "expected a pedestrian crossing on a crosswalk, got it 0.5 m away"),
-    "no areas": (in_map(lambda document: document.update(drivable_areas={})), "expected it in the drivable areas, got"),
+    "crossings": (in_map(crossings), "pedestrian crossing: expected one on a crosswalk, got none nearer than 0.5"),
+    "no areas": (in_map(lambda document: document.update(drivable_areas={})), "expected it in the drivable area, got"),
     "higher ground": (heights(lambda found: found + 1), "expected the ground at its height, got it 1 m away"),
     "ground turned about": (heights(lambda found: found[::-1]), "expected the ground at its height"),
 }  # fmt: skip

@@ -20,9 +20,10 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats import export
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import SampleFrame
-from synth3dlanes.formats.nuscenes.convention import scene_name, segment_type
-from synth3dlanes.formats.nuscenes.format import annotate
+from synth3dlanes.formats.nuscenes.format import scene_name
+from synth3dlanes.formats.nuscenes.format import write as annotate
 from synth3dlanes.formats.nuscenes.maps import arcline_paths
+from synth3dlanes.formats.nuscenes.tables import segment_type
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.lens import Lens
@@ -562,7 +563,7 @@ FAULTS = {
     "no middle of the road": (layer("road_divider", lambda rows: []), "expected a road divider along it"),
     "edges": (edges_as_dividers, "expected no divider along the edge of a road"),
     "paint": (layer("lane_divider", each(painted)), "got DOUBLE_SOLID_YELLOW"),
-    "no crossings": (layer("ped_crossing", lambda rows: []), "expected a pedestrian crossing on a crosswalk"),
+    "no crossings": (layer("ped_crossing", lambda rows: []), "pedestrian crossing: expected one on a crosswalk"),
     "no areas": (layer("drivable_area", lambda rows: []), "expected it in the drivable area"),
     "no nodes": (layer("node", lambda rows: rows[:1]), "expected a record with the token"),
 }  # fmt: skip

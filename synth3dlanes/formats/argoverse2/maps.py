@@ -23,17 +23,18 @@ import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.comparing import (
-    Comparison,
-    Rule,
-    SourceSample,
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, distances, is_beside
+from synth3dlanes.formats.comparing_maps import (
+    FoundLane,
+    area_problems,
     compare_map,
-    distances,
-    is_beside,
+    half_widths,
+    link_problems,
     middle_of,
     side_problems,
+    symbol_problems,
 )
-from synth3dlanes.formats.lane_map import LaneSegment, half_widths, lane_segments, link_gaps
+from synth3dlanes.formats.lane_map import MIRRORED, LaneSegment, lane_segments
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import resampled, thinned
@@ -318,7 +319,7 @@ def read_map(vectors: Path, heights: Path, cells: Path) -> LogMap:
     found = schema.parse(_Vectors, read_file(vectors), str(vectors), "a map of Argoverse 2", 1 << 28)
     lanes = tuple(found.lane_segments.values())
     areas = tuple(_array(area.area_boundary) for area in found.drivable_areas.values())
-    crossings = tuple(_array([*c.edge1, *c.edge2]) for c in found.pedestrian_crossings.values())
+    crossings = tuple(_array([*c.edge1, *c.edge2[::-1]]) for c in found.pedestrian_crossings.values())
     if any(min(len(lane.left), len(lane.right)) < 2 for lane in lanes) or any(len(area) < 3 for area in areas):
         raise FormatError(f"{vectors}: expected boundaries of two points and areas of three or more, got fewer")
     similar = schema.parse(_Cells, read_file(cells), str(cells), "a similarity")
@@ -340,9 +341,8 @@ def _array(points: list[_Point]) -> Float[np.ndarray, "n 3"]:
     return np.array([(point.x, point.y, point.z) for point in points]).reshape(-1, 3)
 
 
-# The pieces of each segment, in order, and half its least and its greatest width.
 PiecesOf = dict[str, list[LogLane]]
-HalvesOf = dict[str, tuple[float, float]]
+"""The pieces of each segment, in order."""
 
 
 def compare_log_map(found: LogMap, truth: SourceSample) -> Comparison:
@@ -356,43 +356,20 @@ def compare_log_map(found: LogMap, truth: SourceSample) -> Comparison:
     for i, number in sorted(pieces):
         lanes.setdefault(segments[i].id, []).append(pieces[i, number])
     middles = [(name, np.concatenate([piece.middle for piece in lane])) for name, lane in lanes.items()]
-    halves_m = dict(zip(lanes, half_widths(truth.scene, list(lanes)), strict=True))
-    problems = list[str]()
-    for name, lane in ((name, piece) for name, own in lanes.items() for piece in own):
-        middle = lane.middle
-        sides = {"left": lane.left, "right": lane.right}
-        beside = {side: line for side, line in sides.items() if len(line) == len(middle)}
-        problems += side_problems(name, middle, beside, halves_m[name])
-    problems += [*_link_problems(lanes, truth), *_neighbour_problems(lanes, truth, halves_m)]
-    problems += [*_paint_problems(lanes, truth), *_crossing_problems(found, truth), *_ground_problems(found, truth)]
+    halves_m, problems, linked = half_widths(truth.scene, lanes), list[str](), list[FoundLane]()
+    for name, piece in ((name, piece) for name, own in lanes.items() for piece in own):
+        problems += side_problems(name, piece.middle, {"left": piece.left, "right": piece.right}, halves_m[name])
+        after, before = (list(map(str, ids)) for ids in (piece.successors, piece.predecessors))
+        linked.append(FoundLane(str(piece.id), name, piece.middle, after, before))
+    problems += [*link_problems(linked, truth, GAP_M), *_neighbour_problems(lanes, truth, halves_m)]
+    problems += symbol_problems("pedestrian crossing", found.crossings, truth, ("crosswalk",), RULE.limit)
+    problems += [*_paint_problems(lanes, truth), *_ground_problems(found, truth)]
     return compare_map(middles, truth, RULE).because(problems)
 
 
-def _link_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
-    """Findings where links are not those of the lane graph and between pieces, or lanes do not meet."""
-    graph = truth.labels.graph
-    links = [pair for pieces in lanes.values() for pair in pairwise(pieces)]
-    links += (
-        (pieces[-1], lanes[after][0])
-        for name, pieces in lanes.items()
-        for after in graph.successors.get(name, ())
-        if after in lanes
-    )
-    pairs = [(a, b) for a, after in graph.successors.items() for b in after if a in lanes and b in lanes]
-    gaps_m = {(lanes[a][-1].id, lanes[b][0].id): gap_m for (a, b), gap_m in link_gaps(truth.scene, pairs).items()}
-    for name, lane in ((name, piece) for name, pieces in lanes.items() for piece in pieces):
-        after = {to.id for one, to in links if one is lane}
-        before = {one.id for one, to in links if to is lane}
-        for word, got, expected in (("follow", lane.successors, after), ("precede", lane.predecessors, before)):
-            if sorted(got) != sorted(expected):
-                yield f"lane {name}: expected {sorted(expected) or 'none'} to {word} {lane.id}, got {got or 'none'}"
-        for other in (to for one, to in links if one is lane):
-            gap_m = float(np.linalg.norm(lane.middle[-1] - other.middle[0]))
-            if not gap_m <= GAP_M + gaps_m.get((lane.id, other.id), 0.0):
-                yield f"lane {name}: expected {other.id} to begin where {lane.id} ends, got it {gap_m:.3f} m away"
-
-
-def _neighbour_problems(lanes: PiecesOf, truth: SourceSample, halves_m: HalvesOf) -> Iterator[str]:
+def _neighbour_problems(
+    lanes: PiecesOf, truth: SourceSample, halves_m: Mapping[str, tuple[float, float]]
+) -> Iterator[str]:
     """Findings where a lane has another neighbour than in the lane graph: to the left it may have an oncoming one,
     across a line that both share."""
     owner = {piece.id: (name, piece) for name, pieces in lanes.items() for piece in pieces}
@@ -455,36 +432,16 @@ def _runs_along(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]
 
 
 def _mark_type(paint: Lane, is_oncoming: bool) -> str:
-    pair = paint.pair
-    if pair is not None and is_oncoming:
-        pair = "dashed_solid" if pair == "solid_dashed" else "solid_dashed"
+    pair = MIRRORED[paint.pair] if paint.pair is not None and is_oncoming else paint.pair
     return mark_type(paint.marking, paint.color, paint.double, pair)
-
-
-def _crossing_problems(found: LogMap, truth: SourceSample) -> Iterator[str]:
-    """Findings where crossings are not the crosswalks of the labels."""
-    pose = truth.labels.camera.world_from_cam
-    ours = [transform(pose, symbol.xyz_cam) for symbol in truth.labels.symbols if symbol.kind == "crosswalk"]
-    if len(ours) != len(found.crossings):
-        yield f"expected {len(ours)} pedestrian crossings, got {len(found.crossings)}"
-    for corners in found.crossings:
-        apart = [float(distances(corners, np.concatenate([line, line[:1]])).max()) for line in ours]
-        if len(corners) != 4 or not min(apart, default=np.inf) <= RULE.limit:
-            yield f"expected a pedestrian crossing on a crosswalk, got it {min(apart, default=np.inf):.3g} m away"
 
 
 def _ground_problems(found: LogMap, truth: SourceSample) -> Iterator[str]:
     """Findings where lanes are not in a drivable area or not on the ground's heights."""
     outlines = [shapely.make_valid(shapely.Polygon(outline[:, :2])) for outline in found.areas if len(outline) > 2]
-    area = shapely.buffer(shapely.union_all(outlines), SEAM_M)
-    shapely.prepare(area)
-    for lane in truth.labels.lanes:
-        if lane.kind != "centerline":
-            continue
+    yield from area_problems(shapely.buffer(shapely.union_all(outlines), SEAM_M), truth)
+    for lane in (lane for lane in truth.labels.lanes if lane.kind == "centerline"):
         points = transform(truth.labels.camera.world_from_cam, lane.xyz_cam)
-        inside = shapely.contains_xy(area, points[:, 0], points[:, 1])
-        if not inside.all():
-            yield f"lane {lane.id}: expected it in the drivable areas, got {int((~inside).sum())} points outside"
         over_m = np.abs(found.height(points[:, :2]) - points[:, 2])
         # Where a ramp leaves a road, the higher one is the ground.
         if not np.median(over_m) <= GROUND_M:

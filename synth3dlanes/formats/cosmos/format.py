@@ -34,11 +34,11 @@ from synth3dlanes.formats.comparing import (
     Gap,
     Rule,
     SourceSample,
+    back_along,
     compare_camera,
-    compare_map,
     distances,
-    stations,
 )
+from synth3dlanes.formats.comparing_maps import compare_map, symbol_problems
 from synth3dlanes.formats.cosmos.clip import (
     FOLDERS,
     FRONT_VIEW,
@@ -73,7 +73,7 @@ from synth3dlanes.formats.writing import (
 )
 from synth3dlanes.geometry.frames import invert, quaternion, transform
 from synth3dlanes.imaging.video import mp4
-from synth3dlanes.labels.labels import CameraLabel, Marking, Pair, SymbolLabel
+from synth3dlanes.labels.labels import CameraLabel, Marking, Pair
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import SignKind
 from synth3dlanes.system.arrays import Matrix4, Points3
@@ -112,7 +112,8 @@ BACK_M = 0.01
 CAM_OF_FLU = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 # Pixels, as shares of the image, at which a camera is compared.
 SHARES = (0.05, 0.3, 0.5, 0.7, 0.95)
-TABLE_OF = {"stop_line": "wait_line", "give_way_line": "wait_line", "crosswalk": "crosswalk", "gore": None}
+SYMBOLS = {"crosswalk": ["crosswalk"], "wait_line": [*WAIT_CATEGORIES], "road_marking": [*ARROW_CATEGORIES]}
+"""The symbols of each table."""
 
 README = """Cosmos: control videos of clips, and their world scenarios as ClipGT tables. A scene is a clip.
 
@@ -439,8 +440,7 @@ def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
             continue
         ours = transform(cam_from_clip, points)
         gaps.append(Gap.of(lane.id, "m", distances(lane.xyz_cam, ours)))
-        at = stations(lane.xyz_cam, ours)
-        back = float(np.max(np.maximum.accumulate(at) - at, initial=0.0))
+        back = back_along(lane.xyz_cam, ours)
         if not back <= BACK_M:
             problems.append(f"line {lane.id}: expected points as in the labels, got them {back:.3g} m back")
         expected = (line_style(lane.marking, lane.double, lane.pair), (lane.color or "white").upper())
@@ -498,23 +498,10 @@ def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
 
 def _symbol_problems(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Iterator[str]:
     """Findings where crosswalks, arrows and lines across the road are not those of the labels."""
-    for table in ("crosswalk", "wait_line", "road_marking"):
-        ours = [symbol for symbol in picture.labels.symbols if TABLE_OF.get(symbol.kind, "road_marking") == table]
-        found = [transform(cam_from_clip, points) for _, points in clip.lines(table, "location")]
-        if len(ours) != len(found):
-            yield f"{table}: expected {len(ours)} as in the labels, got {len(found)}"
-        for symbol in ours:
-            apart_m = min((_symbol_gap(symbol, points) for points in found if len(points) > 1), default=np.inf)
-            if not apart_m <= RULE.limit:
-                yield f"{table}: expected {symbol.kind} as in the labels, got none nearer than {apart_m:.3g} m"
-
-
-def _symbol_gap(symbol: SymbolLabel, points: np.ndarray) -> float:
-    """How far a polygon is from the outline of a symbol, and the outline from it; of a line, how far its ends are."""
-    outline = np.concatenate([symbol.xyz_cam, symbol.xyz_cam[:1]])
-    there = float(distances(points, outline).max())
-    closed = np.concatenate([points, points[:1]])
-    return there if len(points) == 2 else max(there, float(distances(symbol.xyz_cam, closed).max()))
+    world_from_clip = picture.labels.camera.world_from_cam @ cam_from_clip
+    for table, kinds in SYMBOLS.items():
+        outlines = [transform(world_from_clip, points) for _, points in clip.lines(table, "location")]
+        yield from symbol_problems(table, outlines, picture, kinds, RULE.limit)
 
 
 def _shown(times: list[int]) -> str:

@@ -391,9 +391,12 @@ def _hdmap(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) ->
         if share < LEAST_LIT:
             return f"expected {LEAST_LIT:.0%} of the points of painted lines drawn, got {share:.0%}"
         light = frame.max(axis=2).astype(float)
-        for name, aside in (("left", -MOVED_PX), ("right", MOVED_PX)):
-            there = light[row, (column + aside).clip(0, light.shape[1] - 1)].mean()
-            if there > MORE_LIGHT * light[row, column].mean():
+        here = light[row, column]
+        # In a small picture brighter things are beside lines: it is moved only if the lines are not where they should.
+        asides = (("left", -MOVED_PX), ("right", MOVED_PX)) if (here > DARK).mean() < LEAST_LIT else ()
+        for name, aside in asides:
+            there = light[row, (column + aside).clip(0, light.shape[1] - 1)]
+            if there.mean() > MORE_LIGHT * here.mean():
                 return f"expected painted lines in their place, got them nearer {MOVED_PX} px to the {name}"
     for item in objects_of(picture.labels, CATEGORIES):
         inside = picture.labels.camera.shows(item.center_cam[None])[0]

@@ -1,6 +1,16 @@
-"""The map expansion of nuScenes: the layers of a scene's map from above, in its level frame."""
+"""The map expansion of nuScenes: the layers of a scene's map from above, in its level frame.
 
-from collections.abc import Iterator, Mapping, Sequence
+| theirs | ours |
+|---|---|
+| `lane`, `lane_connector` | segments of the lane graph: their strips, and the paint along the sides of lanes |
+| `arcline_path_3`, `connectivity` | middles of segments as arcs and straight pieces; which follows which |
+| `lane_divider`, `road_divider` | sides that lanes share; sides towards oncoming lanes |
+| `drivable_area`, `road_segment` | the pavement of traffic; the same, cut where junctions begin |
+| `walkway`, `ped_crossing`, `stop_line` | walkways, crosswalks, stop and give-way lines with what they are for |
+| `traffic_light` | signals |
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,16 +19,15 @@ from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
-from synth3dlanes.formats.nuscenes.convention import (
+from synth3dlanes.formats.nuscenes.tables import (
     ELEMENTS,
     LAYERS,
     LINKS,
     PATHS,
-    level_from_world,
     segment_type,
     token,
 )
-from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.frames import invert, transform, turned
 from synth3dlanes.geometry.polylines import stretches, thinned
 from synth3dlanes.labels.labels import LaneGraph
 from synth3dlanes.scene.roadside import Rail
@@ -72,6 +81,12 @@ def map_layers(world: World, graph: LaneGraph, log: str, world_from_ego: Matrix4
     return made.layers
 
 
+def level_from_world(world_from_ego: Matrix4) -> Matrix4:
+    """The level frame of a scene, given the vehicle frame of its first sample."""
+    yaw_rad = float(np.arctan2(world_from_ego[1, 0], world_from_ego[0, 0]))
+    return np.asarray(turned(yaw_rad) @ invert(world_from_ego))
+
+
 class _Layers:
     """Layers that are being made; places that are equal to the millimetre are one node."""
 
@@ -116,6 +131,15 @@ class _Layers:
         name = self.token("line", len(self.layers["line"]))
         self.add("line", name, node_tokens=self.nodes(xy))
         return name
+
+    def areas(self, layer: str, parts: Iterable[shapely.Polygon], word: str = "", **fields: Any) -> list[str]:
+        """Records of a layer that are polygons; their names."""
+        names = list[str]()
+        for part in parts:
+            of = self.polygon(part)
+            names.append(self.token(word or layer, of))
+            self.add(layer, names[-1], polygon_token=of, **fields)
+        return names
 
     def polygon(self, polygon: shapely.Polygon) -> str:
         """A polygon, whose rings do not name their first node again."""
@@ -197,27 +221,13 @@ class _Layers:
         drivable = self.token("drivable_area")
         self.add("drivable_area", drivable, polygon_tokens=[self.polygon(part) for part in _parts(paved)])
         for area, is_junction in ((difference(paved, junctions), False), (inner, True)):
-            for part in _parts(area):
-                of = self.polygon(part)
-                self.add(
-                    "road_segment",
-                    self.token("road_segment", of),
-                    polygon_token=of,
-                    is_intersection=is_junction,
-                    drivable_area_token=drivable,
-                )
+            self.areas("road_segment", _parts(area), is_intersection=is_junction, drivable_area_token=drivable)
         paths = [walkway(ground, rail) for rail in rails if rail.kind == "walkway"]
-        for part in _parts(self.area(union([ground.paved.walkways(at, reach_m), *paths]))):
-            of = self.polygon(part)
-            self.add("walkway", self.token("walkway", of), polygon_token=of)
+        self.areas("walkway", _parts(self.area(union([ground.paved.walkways(at, reach_m), *paths]))))
 
     def crossings(self) -> dict[str, BaseGeometry]:
-        found = dict[str, BaseGeometry]()
-        for area in self._symbols("crosswalk"):
-            of = self.polygon(area)
-            found[self.token("crossing", of)] = area
-            self.add("ped_crossing", self.token("crossing", of), polygon_token=of, road_segment_token="")
-        return found
+        found = list(self._symbols("crosswalk"))
+        return dict(zip(self.areas("ped_crossing", found, "crossing", road_segment_token=""), found, strict=True))
 
     def _symbols(self, kind: str) -> Iterator[shapely.Polygon]:
         for form in self.world.symbol_shapes:
@@ -271,16 +281,9 @@ class _Layers:
                     why = "STOP_SIGN"
                 else:
                     why = "PED_CROSSING"
-                of = self.polygon(area)
-                self.add(
-                    "stop_line",
-                    self.token("stop_line", of),
-                    polygon_token=of,
-                    stop_line_type=why,
-                    ped_crossing_tokens=beyond if why == "PED_CROSSING" else [],
-                    traffic_light_tokens=lights,
-                    road_block_token="",
-                )
+                more: Record = {"ped_crossing_tokens": beyond if why == "PED_CROSSING" else []}
+                more |= {"traffic_light_tokens": lights, "road_block_token": ""}
+                self.areas("stop_line", [area], stop_line_type=why, **more)
 
 
 def _parts(area: BaseGeometry) -> list[shapely.Polygon]:

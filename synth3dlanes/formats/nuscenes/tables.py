@@ -1,452 +1,337 @@
-"""The tables, maps and masks of nuScenes from the lines of pictures."""
+"""nuScenes' folders, names, codes and frames; the fields of its tables and maps, and a reader of both.
 
-import json
-import struct
-import zlib
+Vehicle frame (`_ego`): x forward, y left, z up, its origin on the road below the rear axle. Cameras have OpenCV's axes,
+the lidar ours; pixels count from the middle of the first one. The level frame of a scene is the vehicle frame of its
+first sample, turned so that it has its heading in the world: its plane is the road plane there. In the global frame the
+scenes of a place lie beside each other, their level frames in the middles of cells.
+"""
+
+import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import groupby, pairwise
-from pathlib import Path, PurePath
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import UInt8
-from PIL import Image, ImageDraw
-
-from synth3dlanes.formats.nuscenes.convention import (
-    ATTRIBUTES,
-    CLASSES,
-    DATE,
-    LAYERS,
-    LIDAR,
-    LINKS,
-    LOCATIONS,
-    MASK_M,
-    MASK_PX_PER_M,
-    MASKS,
-    PATHS,
-    VERSIONS,
-    VISIBLE,
-    level_from_world,
-    mask_file,
-    matrix,
-    pose_record,
-    scene_name,
-    token,
-)
-from synth3dlanes.formats.writing import PARTS, Part
-from synth3dlanes.roads.network import SEARCH_RATIO
-from synth3dlanes.system.arrays import Matrix4
-
-
-@dataclass(frozen=True, eq=False)
-class _Scene:
-    """A scene in a file of lines: the number of its first picture, how far its map reaches, and where its lines are."""
-
-    first: int
-    part: Part
-    reach_m: float
-    offsets: list[int]
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where a scene is: a place of the original, and a point there. `number` counts the scenes of its part."""
-
-    location: str
-    x_m: float
-    y_m: float
-    number: int
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """The cells of a place, as large as its largest map, with scenes from the south west, row by row."""
-
-    size_m: float
-    columns: int
-    rows: int
-
-    @classmethod
-    def of(cls, scenes: Sequence[_Scene]) -> "_Grid":
-        """A square or nearly one."""
-        reach_m = max((scene.reach_m for scene in scenes), default=0.0)
-        columns = max(1, int(np.ceil(np.sqrt(len(scenes)))))
-        return cls(10 * np.ceil(2 * SEARCH_RATIO * reach_m / 10 + 1), columns, max(1, -(-len(scenes) // columns)))
-
-
-def _scenes(lines: Path) -> list[_Scene]:
-    """The scenes of a file of lines, in their order."""
-    found, offset = dict[int, _Scene](), 0
-    with lines.open("rb") as stream:
-        for line in stream:
-            first, part, reach_m = line[:100].decode(errors="replace").split(" ")[:3]
-            assert part in PARTS, "written by `annotate`"
-            scene = found.setdefault(int(first), _Scene(int(first), part, float(reach_m), []))
-            scene.offsets.append(offset)
-            offset += len(line)
-    return [found[first] for first in sorted(found)]
-
-
-def _documents(lines: Path, scene: _Scene) -> Iterator[dict[str, Any]]:
-    with lines.open("rb") as stream:
-        for offset in scene.offsets:
-            stream.seek(offset)
-            yield json.loads(stream.readline().split(b" ", 3)[3])
-
-
-def _at(scenes: Sequence[_Scene], location: str) -> list[_Scene]:
-    """The scenes of a place, which has those of one part, or every second of them."""
-    for part, places in LOCATIONS.items():
-        if location in places:
-            return [scene for scene in scenes if scene.part == part][places.index(location) :: len(places)]
-    raise ValueError(location)
-
-
-def _places(scenes: Sequence[_Scene]) -> dict[int, _Place]:
-    """The places of scenes by the numbers of their first pictures."""
-    found = dict[int, _Place]()
-    for part, locations in LOCATIONS.items():
-        number_of = {scene.first: i for i, scene in enumerate(scene for scene in scenes if scene.part == part)}
-        for location in locations:
-            here = _at(scenes, location)
-            grid = _Grid.of(here)
-            for cell, scene in enumerate(here):
-                row, column = divmod(cell, grid.columns)
-                x_m, y_m = (column + 0.5) * grid.size_m, (row + 0.5) * grid.size_m
-                found[scene.first] = _Place(location, x_m, y_m, number_of[scene.first])
-    return found
-
-
-def document(path: str, lines: Path) -> Iterator[str] | Iterator[bytes]:
-    """A table, a map or a mask from the lines of its pictures."""
-    folder, name = PurePath(path).parent.name, PurePath(path).stem
-    if folder == "expansion":
-        return _map_document(name, lines)
-    if folder == "maps":
-        return _mask_document(next(location for location in MASKS if MASKS[location] == name), lines)
-    if name == "splits":
-        return _splits(folder, lines)
-    return _table(folder, name, lines)
-
-
-def _table(version: str, name: str, lines: Path) -> Iterator[str]:
-    """A table, with a row a line; no row twice."""
-    scenes, seen, mark = _scenes(lines), set[str](), "[\n"
-    places = _places(scenes)
-    made: Iterator[JsonRow] = (
-        row for scene in scenes for row in TABLES[name](_clip(version, lines, scene, places[scene.first]))
-    )
-    rows = _mask_rows(lines, scenes, places) if name == "map" else made
-    for row in rows:
-        if row["token"] not in seen:
-            seen.add(row["token"])
-            yield f"{mark}{json.dumps(row)}"
-            mark = ",\n"
-    yield "\n]\n" if seen else "[]\n"
-
-
-def _splits(version: str, lines: Path) -> Iterator[str]:
-    """The names of the scenes of each part, under names that the devkit does not have."""
-    scenes, found = _scenes(lines), defaultdict[str, list[str]](list)
-    places = _places(scenes)
-    for scene in scenes:
-        part = _serves_as(version, scene.part)
-        found[f"synth3dlanes_{part}"].append(scene_name(part, places[scene.first].number))
-    yield json.dumps(found, indent=1) + "\n"
-
-
-def _serves_as(version: str, part: Part) -> Part:
-    """What the scenes of a part are in a version: val and test serve as each other."""
-    return part if VERSIONS[part] == version else "val" if part == "test" else "test"
-
-
-@dataclass(frozen=True, eq=False)
-class _Clip:
-    """A scene as rows are made of it: its pictures, frame by frame, and the global frame from the world."""
-
-    name: str
-    place: _Place
-    pictures: list[dict[str, Any]]
-    global_from_world: Matrix4
-
-    def token(self, *names: object) -> str:
-        """The name of a record of this scene."""
-        return token(self.pictures[0]["log"], *names)
-
-    @property
-    def frames(self) -> list[tuple[str, str, str, dict[str, Any]]]:
-        """The tokens before, of and after each sample, and its first picture."""
-        firsts = [next(group) for _, group in groupby(self.pictures, lambda picture: picture["frame"])]
-        return self.linked("sample", firsts)
-
-    def linked(self, kind: str, pictures: Sequence[dict[str, Any]]) -> list[tuple[str, str, str, dict[str, Any]]]:
-        """The tokens before, of and after a thing of a kind in pictures of each frame."""
-        names = ["", *(self.token(kind, picture["frame"]) for picture in pictures), ""]
-        return list(zip(names, names[1:], names[2:], pictures, strict=False))
-
-    @property
-    def channels(self) -> dict[str, list[tuple[str, str, str, dict[str, Any]]]]:
-        """What each sensor measured: tokens before, of and after it, and the picture, with `of` of this sensor."""
-        found = defaultdict[str, list[dict[str, Any]]](list)
-        for picture in self.pictures:
-            for data in picture["data"]:
-                found[data["channel"]].append(picture | {"of": data})
-        return {channel: self.linked(channel, pictures) for channel, pictures in found.items()}
-
-    @property
-    def objects(self) -> dict[int, list[dict[str, Any]]]:
-        """The boxes of each car, frame by frame, with the greatest share of it that a camera sees."""
-        found, seen = defaultdict[int, list[dict[str, Any]]](list), dict[tuple[int, int], float]()
-        for picture in self.pictures:
-            for box in picture["boxes"]:
-                at = picture["frame"], box["id"]
-                if box["visible"] is not None:
-                    seen[at] = max(box["visible"], seen.get(at, 0.0))
-                if "pose" in box:
-                    found[box["id"]].append(box | {"frame": picture["frame"], "from": picture})
-        return {key: [box | {"visible": seen.get((box["frame"], key))} for box in of] for key, of in found.items()}
-
-    def placed(self, picture: Mapping[str, Any], ego_from_thing: Matrix4) -> dict[str, list[float]]:
-        """The pose of a thing in the global frame."""
-        return pose_record(self.global_from_world @ np.array(picture["world_from_ego"]) @ ego_from_thing)
-
-
-def _clip(version: str, lines: Path, scene: _Scene, place: _Place) -> _Clip:
-    # The first of an instant has the lidar too.
-    pictures = sorted(_documents(lines, scene), key=lambda picture: (picture["frame"], -len(picture["data"])))
-    global_from_world = level_from_world(np.array(pictures[0]["world_from_ego"]))
-    global_from_world[:2, 3] += place.x_m, place.y_m
-    return _Clip(scene_name(_serves_as(version, scene.part), place.number), place, pictures, global_from_world)
-
-
-JsonRow = dict[str, Any]
-
-
-def _scene_rows(clip: _Clip) -> Iterator[JsonRow]:
-    samples = clip.frames
-    yield {
-        "token": clip.token("scene"),
-        "log_token": clip.token("log"),
-        "nbr_samples": len(samples),
-        "first_sample_token": samples[0][1],
-        "last_sample_token": samples[-1][1],
-        "name": clip.name,
-        "description": f"synthetic, {clip.pictures[0]['log']}",
-    }
-
-
-def _sample_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for before, own, after, picture in clip.frames:
-        links = {"prev": before, "next": after, "scene_token": clip.token("scene")}
-        yield {"token": own, "timestamp": picture["time_us"], **links}
-
-
-def _data_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for channel, pictures in clip.channels.items():
-        for before, own, after, picture in pictures:
-            of = picture["of"]
-            yield {
-                "token": own,
-                "sample_token": clip.token("sample", picture["frame"]),
-                "ego_pose_token": own,
-                "calibrated_sensor_token": clip.token("calibrated", channel),
-                "timestamp": picture["time_us"],
-                "fileformat": "pcd" if channel == LIDAR else of["file"].rpartition(".")[2],
-                "is_key_frame": True,
-                "height": of.get("height", 0),
-                "width": of.get("width", 0),
-                "filename": of["file"],
-                "prev": before,
-                "next": after,
-            }
-
-
-def _pose_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for pictures in clip.channels.values():
-        for _, own, _, picture in pictures:
-            yield {"token": own, "timestamp": picture["time_us"], **clip.placed(picture, np.eye(4))}
-
-
-def _calibrated_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for channel, ((_, _, _, picture), *_) in clip.channels.items():
-        lens = {"camera_intrinsic": picture["of"].get("camera_intrinsic", [])}
-        sensor = {"token": clip.token("calibrated", channel), "sensor_token": token("sensor", channel)}
-        yield {**sensor, **picture["of"]["pose"], **lens}
-
-
-def _sensor_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for channel in clip.channels:
-        modality = "lidar" if channel == LIDAR else "camera"
-        yield {"token": token("sensor", channel), "channel": channel, "modality": modality}
-
-
-def _instance_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for key, boxes in clip.objects.items():
-        links = clip.linked(f"box {key}", boxes)
-        yield {
-            "token": clip.token("instance", key),
-            "category_token": token("category", boxes[0]["category"]),
-            "nbr_annotations": len(boxes),
-            "first_annotation_token": links[0][1],
-            "last_annotation_token": links[-1][1],
-        }
-
-
-def _annotation_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for key, boxes in clip.objects.items():
-        for before, own, after, box in clip.linked(f"box {key}", boxes):
-            visible, points, attribute = box["visible"], box["points"], box["attribute"]
-            yield {
-                "token": own,
-                "sample_token": clip.token("sample", box["frame"]),
-                "instance_token": clip.token("instance", key),
-                "visibility_token": "" if visible is None else str(1 + int(np.searchsorted(VISIBLE, visible, "right"))),
-                "attribute_tokens": [] if attribute is None else [token("attribute", attribute)],
-                **clip.placed(box["from"], matrix(box["pose"])),
-                "size": box["size"],
-                "prev": before,
-                "next": after,
-                "num_lidar_pts": int(bool(visible)) if points is None else points,
-                "num_radar_pts": 0,
-            }
-
-
-def _category_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for number, name in enumerate(CLASSES, start=1):
-        yield {"token": token("category", name), "name": name, "description": "", "index": number}
-
-
-def _attribute_rows(clip: _Clip) -> Iterator[JsonRow]:
-    for name in ATTRIBUTES:
-        yield {"token": token("attribute", name), "name": name, "description": ""}
-
-
-def _visibility_rows(clip: _Clip) -> Iterator[JsonRow]:
-    shares = (0, *(int(100 * share) for share in VISIBLE), 100)
-    for level, (low, high) in enumerate(pairwise(shares), start=1):
-        words = {"level": f"v{low}-{high}", "description": f"a camera sees between {low} and {high} % of it"}
-        yield {"token": str(level), **words}
-
-
-def _log_rows(clip: _Clip) -> Iterator[JsonRow]:
-    of = {"logfile": clip.pictures[0]["log"], "vehicle": "synth3dlanes", "date_captured": DATE}
-    yield {"token": clip.token("log"), **of, "location": clip.place.location}
-
-
-def _mask_rows(lines: Path, scenes: Sequence[_Scene], places: Mapping[int, _Place]) -> Iterator[JsonRow]:
-    logs = defaultdict[str, list[str]](list)
-    for scene in scenes:
-        logs[places[scene.first].location].append(token(next(_documents(lines, scene))["log"], "log"))
-    for location, name in MASKS.items():
-        of = {"category": "semantic_prior", "filename": mask_file(location), "log_tokens": logs[location]}
-        yield {"token": name, **of}
-
-
-TABLES: dict[str, Callable[[_Clip], Iterator[JsonRow]]] = {
-    "scene": _scene_rows,
-    "sample": _sample_rows,
-    "sample_data": _data_rows,
-    "ego_pose": _pose_rows,
-    "calibrated_sensor": _calibrated_rows,
-    "sensor": _sensor_rows,
-    "instance": _instance_rows,
-    "sample_annotation": _annotation_rows,
-    "category": _category_rows,
-    "attribute": _attribute_rows,
-    "visibility": _visibility_rows,
-    "log": _log_rows,
-    "map": lambda clip: iter(()),
+import shapely
+from pydantic import Field, TypeAdapter, ValidationError, create_model
+
+from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.writing import Part
+from synth3dlanes.geometry.frames import from_axes, rotation
+from synth3dlanes.labels.labels import Marking, PaintColor, Pair
+from synth3dlanes.labels.object_labels import ObjectLabel
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.scene.things import classes_in
+from synth3dlanes.system.arrays import Matrix4, Points2
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import Row3, Row4
+from synth3dlanes.system.schema import Excerpt, Number, PathBelow, Positive, validation_problems
+
+FRONT_CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
+REAR_M = 1.4
+"""Distance of the rear axle behind our host's middle, as in the rig nuscenes."""
+CATEGORIES, ELEMENTS = classes_in("nuscenes"), classes_in("nuscenes", of_elements=True)
+MOVING_M_S = 0.2
+VISIBLE = (0.4, 0.6, 0.8)
+"""Shares from which the levels of visibility 2, 3 and 4 begin."""
+VERSIONS: dict[Part, str] = {"train": "v1.0-trainval", "val": "v1.0-trainval", "test": "v1.0-test"}
+LOCATIONS: dict[Part, tuple[str, ...]] = {
+    "train": ("boston-seaport", "singapore-onenorth"),
+    "val": ("singapore-queenstown",),
+    "test": ("singapore-hollandvillage",),
 }
+MASKS = {
+    "boston-seaport": "36092f0b03a857c6a3403e25b4b7aab3",
+    "singapore-onenorth": "53992ee3023e5494b90c316c183be829",
+    "singapore-queenstown": "93406b464a165eaba6d9de76ca09f5da",
+    "singapore-hollandvillage": "37819e65e09e5547b8a3ceaefba56bb2",
+}
+"""The files of masks that the devkit looks for by the name of a place."""
+MASK_PX_PER_M, MASK_M = 10, 3000.0
+"""The devkit's resolution, and the reach of masks, which is the original's."""
+BOXES = "instance", "sample_annotation"
+"""Tables of boxes; all others are made of the pictures."""
+_TOKENS, _POSE = list[str], {"translation": Row3, "rotation": Row4}
+TABLES: dict[str, dict[str, Any]] = {
+    "scene": {"log_token": str, "first_sample_token": str},
+    "sample": {"scene_token": str, "timestamp": int},
+    "sample_data": {
+        "sample_token": str, "ego_pose_token": str, "calibrated_sensor_token": str, "filename": PathBelow,
+        "width": int, "height": int, "timestamp": int,
+    },
+    "ego_pose": _POSE,
+    "calibrated_sensor": {**_POSE, "sensor_token": str, "camera_intrinsic": list[Row3]},
+    "sensor": {"channel": str, "modality": str},
+    "instance": {"category_token": str},
+    "sample_annotation": {
+        **_POSE, "sample_token": str, "instance_token": str, "visibility_token": str, "attribute_tokens": _TOKENS,
+        "size": Row3, "num_lidar_pts": int,
+    },
+    "category": {"name": str},
+    "attribute": {"name": str},
+    "visibility": {},
+    "log": {"logfile": str, "location": str},
+    "map": {"filename": PathBelow},
+}  # fmt: skip
+"""What is read of the rows of each table, beside their tokens."""
 
 
-def _map_document(location: str, lines: Path) -> Iterator[str]:
-    """The layers of all scenes of a place, one layer after the other, each scene in its cell."""
-    every = _scenes(lines)
-    scenes, places = _at(every, location), _places(every)
-    grid = _Grid.of(scenes)
-    canvas = [grid.columns * grid.size_m, grid.rows * grid.size_m]
-    yield f'{{"version": "1.3",\n"canvas_edge": {json.dumps(canvas)}'
-    for layer in (*LAYERS, PATHS, LINKS):
-        first, last = "[]" if layer in LAYERS else "{}"
-        yield f',\n"{layer}": {first}'
-        mark = "\n"
-        for scene in scenes:
-            for row in _moved(layer, _layer(lines, scene, layer), places[scene.first]):
-                yield f"{mark}{row}"
-                mark = ",\n"
-        yield f"\n{last}"
-    yield "}\n"
+class _Hole(Excerpt):
+    node_tokens: list[str]
 
 
-def _layer(lines: Path, scene: _Scene, layer: str) -> Any:
-    (layers,) = _documents(lines, scene)
-    return layers[layer]
+class _Paint(Excerpt):
+    node_token: str
+    segment_type: str
 
 
-def _moved(layer: str, records: Any, at: _Place) -> Iterator[str]:
-    """The records of a layer in the cell of their scene, as JSON."""
-    if layer == PATHS:
-        for name, paths in records.items():
-            for path in paths:
-                for end in ("start_pose", "end_pose"):
-                    x, y, yaw_rad = path[end]
-                    path[end] = [x + at.x_m, y + at.y_m, yaw_rad]
-            yield f'"{name}": {json.dumps(paths)}'
-    elif layer == LINKS:
-        yield from (f'"{name}": {json.dumps(links)}' for name, links in records.items())
-    else:
-        for record in records:
-            for of, x, y in ((record, "x", "y"), (record.get("pose", {}), "tx", "ty")):
-                if x in of:
-                    of |= {x: of[x] + at.x_m, y: of[y] + at.y_m}
-            yield json.dumps(record)
+class _Place(Excerpt):
+    tx: Number
+    ty: Number
+    tz: Number
 
 
-def _mask_document(location: str, lines: Path) -> Iterator[bytes]:
-    """A PNG with drivable areas and walkways in white: the cells of a place up to MASK_M from its south west."""
-    scenes = _at(_scenes(lines), location)
-    grid = _Grid.of(scenes)
-    n_cells = max(1, int(MASK_M // grid.size_m))
-    columns, rows = min(grid.columns, n_cells), min(grid.rows, n_cells)
-    cell_px = int(grid.size_m * MASK_PX_PER_M)
-    packer = zlib.compressobj(1)
-    yield b"\x89PNG\r\n\x1a\n"
-    yield _chunk(b"IHDR", struct.pack(">IIBBBBB", columns * cell_px, rows * cell_px, 8, 0, 0, 0, 0))
-    for row in reversed(range(rows)):
-        cells = [scenes[row * grid.columns + i : row * grid.columns + i + 1] for i in range(columns)]
-        strip = np.concatenate([_drawn(lines, cell, cell_px) for cell in cells], axis=1)
-        # Each row of pixels begins with the number of its filter.
-        yield _chunk(b"IDAT", packer.compress(np.pad(strip, ((0, 0), (1, 0))).tobytes()))
-    yield _chunk(b"IDAT", packer.flush()) + _chunk(b"IEND", b"")
+_AREA, _LINE, _SIDE = {"polygon_token": str}, {"line_token": str}, list[_Paint]
+LAYERS: dict[str, dict[str, Any]] = {
+    "node": {"x": Number, "y": Number},
+    "line": {"node_tokens": _TOKENS},
+    "polygon": {"exterior_node_tokens": _TOKENS, "holes": list[_Hole]},
+    "drivable_area": {"polygon_tokens": _TOKENS},
+    "road_segment": _AREA,
+    "road_block": {},
+    "lane": {**_AREA, "left_lane_divider_segments": _SIDE, "right_lane_divider_segments": _SIDE},
+    "lane_connector": _AREA,
+    "ped_crossing": _AREA,
+    "walkway": _AREA,
+    "stop_line": _AREA,
+    "carpark_area": {},
+    "road_divider": _LINE,
+    "lane_divider": {**_LINE, "lane_divider_segments": _SIDE},
+    "traffic_light": {"pose": _Place},
+}
+"""The lists of a map, and what is read of their records; `road_block` and `carpark_area` stay empty."""
+PATHS, LINKS = "arcline_path_3", "connectivity"
+_Length = Annotated[float, Field(ge=0, le=1e4)]
 
 
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+class Arc(Excerpt):
+    """A piece of a path: up to three arcs and straight pieces, by the letters of its shape."""
+
+    start_pose: Row3
+    shape: str
+    radius: Positive
+    segment_length: tuple[_Length, _Length, _Length]
 
 
-def _drawn(lines: Path, scenes: Sequence[_Scene], cell_px: int) -> UInt8[np.ndarray, "h w"]:
-    """A cell with a scene or none, from above, its first row in the north."""
-    image = Image.new("L", (cell_px, cell_px))
-    draw = ImageDraw.Draw(image)
-    for scene in scenes:
-        (layers,) = _documents(lines, scene)
-        nodes = {node["token"]: (node["x"], node["y"]) for node in layers["node"]}
-        polygons = {polygon["token"]: polygon for polygon in layers["polygon"]}
-        names = [name for area in layers["drivable_area"] for name in area["polygon_tokens"]]
-        names += (path["polygon_token"] for path in layers["walkway"])
-        # What lies in a hole is smaller than what has it.
-        for polygon in sorted((polygons[name] for name in names), key=lambda polygon: -_area(polygon, nodes)):
-            for ring, color in (
-                (polygon["exterior_node_tokens"], 255),
-                *((of["node_tokens"], 0) for of in polygon["holes"]),
-            ):
-                places = np.array([nodes[node] for node in ring]) * [1, -1] * MASK_PX_PER_M + cell_px / 2
-                draw.polygon([*map(tuple, places.tolist())], fill=color)
-    return np.asarray(image)
+class _Links(Excerpt):
+    incoming: list[str]
+    outgoing: list[str]
 
 
-def _area(polygon: Mapping[str, Any], nodes: Mapping[str, tuple[float, float]]) -> float:
-    x, y = np.array([nodes[node] for node in polygon["exterior_node_tokens"]]).T
-    return float(abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1)))) / 2
+def table_file(version: str, name: str) -> str:
+    """The path of a table, or of the list `splits` beside the tables."""
+    return f"{version}/{name}.json"
+
+
+def map_file(location: str) -> str:
+    """The path of the map of a place."""
+    return f"maps/expansion/{location}.json"
+
+
+def mask_file(location: str) -> str:
+    """The path of the mask of a place."""
+    return f"maps/{MASKS[location]}.png"
+
+
+def token(*names: object) -> str:
+    """The 32 hex digits that name a record, by what it is."""
+    return hashlib.md5("/".join(map(str, names)).encode(), usedforsecurity=False).hexdigest()
+
+
+def segment_type(marking: Marking, color: PaintColor | None, double: bool | None, pair: Pair | None = None) -> str:
+    """The name of paint; the stripes of a pair from the left, as the lane's traffic drives."""
+    if marking == "none":
+        return "NIL"
+    stripes = pair or f"{'double' if double else 'single'}_{marking}"
+    return f"{stripes}_{color or 'white'}".upper()
+
+
+def matrix(translation: Sequence[float], wxyz: Sequence[float]) -> Matrix4:
+    """The pose of a record; NaN where its rotation is none."""
+    x, y, z = rotation(np.array(wxyz, float)).T if any(wxyz) else np.full((3, 3), np.nan)
+    return from_axes(x, y, z, np.array(translation))
+
+
+def parked_of(scene: Scene, objects: Sequence[ObjectLabel]) -> set[int]:
+    """The ids of parked cars, which stand beside their lanes. Cars come first among the objects."""
+    return {item.id for item, car in zip(objects, scene.cars, strict=False) if car.offset_m and not car.track}
+
+
+def attribute_of(item: ObjectLabel, is_parked: bool) -> str | None:
+    """The attribute of an object by its speed; None where that is not known."""
+    if item.velocity_cam is None:
+        return None
+    is_moving, class_ = np.linalg.norm(item.velocity_cam) > MOVING_M_S, CATEGORIES[item.category]
+    if class_ in ("vehicle.bicycle", "vehicle.motorcycle"):
+        return "cycle.with_rider"
+    match class_.split(".")[0]:
+        case "human":
+            return "pedestrian.moving" if is_moving else "pedestrian.standing"
+        case "vehicle":
+            return "vehicle.moving" if is_moving else "vehicle.parked" if is_parked else "vehicle.stopped"
+    return None
+
+
+def visibility_of(share: float | None) -> str:
+    """The level of visibility of what is seen to a share; none where nothing is known of it."""
+    return "" if share is None else str(1 + sum(share >= least for least in VISIBLE))
+
+
+def points_of(points: int | None, share: float | None) -> int:
+    """The points of the lidar on an object; without a lidar, one that keeps it in tools' lists if a camera sees it."""
+    return int(bool(share)) if points is None else points
+
+
+Row = Any
+"""A row of a table, or a record of a layer of a map: an excerpt with what TABLES and LAYERS have of it."""
+
+
+def _excerpt(**fields: Any) -> Any:
+    made: Any = {name: (of, ...) for name, of in fields.items()}
+    return create_model("row", __base__=Excerpt, **made)
+
+
+def _records(fields: Mapping[str, Any]) -> Any:
+    return list[_excerpt(token=str, **fields)]  # type: ignore[misc]
+
+
+_READ = {name: TypeAdapter[Any](_records(fields)) for name, fields in TABLES.items()}
+_READ["splits"] = TypeAdapter(dict[str, list[str]])
+_MAP = TypeAdapter[Any](
+    _excerpt(
+        canvas_edge=tuple[Positive, Positive],
+        arcline_path_3=dict[str, list[Arc]],
+        connectivity=dict[str, _Links],
+        **{name: _records(fields) for name, fields in LAYERS.items()},
+    )
+)
+
+
+def matrix_of(row: Row) -> Matrix4:
+    """The pose of a row."""
+    return matrix(row.translation, row.rotation)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceMap:
+    """A place's map as its file says."""
+
+    layers: Row
+
+    def places(self, tokens: list[str]) -> Points2:
+        return np.array([self._nodes[name] for name in tokens]).reshape(-1, 2)
+
+    @cached_property
+    def _nodes(self) -> dict[str, tuple[float, float]]:
+        return {node.token: (node.x, node.y) for node in self.layers.node}
+
+    @cached_property
+    def lines(self) -> dict[str, Points2]:
+        return {line.token: self.places(line.node_tokens) for line in self.layers.line}
+
+    @cached_property
+    def polygons(self) -> dict[str, shapely.Polygon]:
+        """Polygons by their tokens; empty ones of rings that are none."""
+        found = dict[str, shapely.Polygon]()
+        for of in self.layers.polygon:
+            shell, *holes = map(self.places, (of.exterior_node_tokens, *(at.node_tokens for at in of.holes)))
+            rings = [ring for ring in holes if len(ring) > 2]
+            found[of.token] = shapely.Polygon(shell, rings) if len(shell) > 2 else shapely.Polygon()
+        return found
+
+
+@dataclass(eq=False)
+class Version:
+    """The tables of a version below the folder of an export; a file is read when it is asked for. `anchors` are the
+    global frames from the world by the first picture of each scene that was compared."""
+
+    out: Path
+    name: str
+    anchors: dict[str, Matrix4] = field(default_factory=dict)
+    _read: dict[str, Any] = field(default_factory=dict)
+
+    def table(self, name: str) -> Any:
+        """The rows of a table by their tokens; what is in `splits`."""
+        if name not in self._read:
+            found = _validated(_READ[name], self.out / table_file(self.name, name))
+            self._read[name] = {row.token: row for row in found} if name in TABLES else found
+        return self._read[name]
+
+    def row(self, table: str, name: str) -> Row:
+        """The row of a token. Raises FormatError where there is none."""
+        if name not in self.table(table):
+            path = self.out / table_file(self.name, table)
+            raise FormatError(f"{path}: expected a row with the token {name[:40]}, got none")
+        return self.table(table)[name]
+
+    def map(self, location: str) -> PlaceMap:
+        if location not in self._read:
+            self._read[location] = PlaceMap(_validated(_MAP, self.out / map_file(location)))
+        found: PlaceMap = self._read[location]
+        return found
+
+    @cached_property
+    def boxes(self) -> dict[str, list[Row]]:
+        """The boxes of each sample."""
+        found = defaultdict[str, list[Row]](list)
+        for row in self.table("sample_annotation").values():
+            found[row.sample_token].append(row)
+        return found
+
+    @cached_property
+    def sensors(self) -> dict[str, dict[str, Row]]:
+        """What each sample's sensors measured, by their channels."""
+        found = defaultdict[str, dict[str, Row]](dict)
+        for row in self.table("sample_data").values():
+            calibrated = self.row("calibrated_sensor", row.calibrated_sensor_token)
+            found[row.sample_token][self.row("sensor", calibrated.sensor_token).channel] = row
+        return found
+
+    def cameras(self, sample: str) -> list[tuple[str, Row]]:
+        """The channels and pictures of a sample's cameras."""
+        return [(channel, data) for channel, data in self.sensors.get(sample, {}).items() if channel != LIDAR]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPicture:
+    """A camera's picture: the version, its row, its channel, and whether it is the first of its sample."""
+
+    version: Version
+    data: Row
+    channel: str
+    is_first: bool
+
+    @property
+    def scene(self) -> Row:
+        return self.version.row("scene", self.version.row("sample", self.data.sample_token).scene_token)
+
+    @property
+    def log(self) -> Row:
+        return self.version.row("log", self.scene.log_token)
+
+    def calibrated(self, data: Row) -> Row:
+        return self.version.row("calibrated_sensor", data.calibrated_sensor_token)
+
+    def pose(self, data: Row) -> Matrix4:
+        """The global frame from the vehicle as a sensor measured."""
+        return matrix_of(self.version.row("ego_pose", data.ego_pose_token))
+
+
+def _validated(adapter: Any, path: Path) -> Any:
+    try:
+        return adapter.validate_json(read_file(path), strict=True)
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, str(path)))) from None

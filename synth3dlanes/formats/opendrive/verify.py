@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_map
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample
+from synth3dlanes.formats.comparing_maps import compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame, maps_of
 from synth3dlanes.formats.opendrive.described import USER_DATA, Element
 from synth3dlanes.formats.reading import read_text

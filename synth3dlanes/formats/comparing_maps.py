@@ -1,0 +1,237 @@
+"""How far the map of an export is from the lane graph and the labels of a sample: lanes beside centre lines, their
+boundaries, links, crossings and areas. Nothing here is shared with the writers."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from synth3dlanes.formats.comparing import (
+    SURE_POINTS,
+    Comparison,
+    Flags,
+    Gap,
+    Points,
+    Rule,
+    SourceSample,
+    distances,
+    feet_of,
+    too_far,
+)
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.polylines import resampled
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.world.world import scene_network
+
+# How far a boundary may be from half a lane's width, and the step between places where it is looked at.
+SIDE_M, SIDE_STEP_M = 0.05, 1.0
+# Length over which an endless road of the paper is measured.
+ENDLESS_M = 300.0
+
+
+class FoundLane(NamedTuple):
+    """A lane of a map, or a piece of one: its id, the segment of the lane graph that it is, its middle, and the ids of
+    what follows and precedes it."""
+
+    id: str
+    segment: str
+    middle: Points
+    after: Iterable[str]
+    before: Iterable[str]
+
+
+def middle_of(left: Points3, right: Points3) -> Points3:
+    """The middle between boundaries with a point on each side; otherwise each is cut anew at equal shares."""
+    if len(left) != len(right):
+        left, right = (resampled(line, 100) for line in (left, right))
+    return (left + right) / 2
+
+
+def half_widths(
+    scene: Scene, names: Iterable[str], b_from_world: Matrix4 | None = None
+) -> dict[str, tuple[float, float]]:
+    """Half the least and the greatest width of each lane from above; of another frame, that of its edges in space."""
+    found, network = dict[str, tuple[float, float]](), scene_network(scene)
+    for name in names:
+        lane = network.lanes[name]
+        first_m, last_m = np.nan_to_num([lane.start_m, lane.end_m], posinf=ENDLESS_M, neginf=-ENDLESS_M)
+        s = np.linspace(first_m, last_m, 50)
+        low, high = (edge(s) for edge in lane.edges)
+        widths_m = high - low
+        if b_from_world is not None:
+            road = network.road(lane.road)
+            left, right = (transform(b_from_world, road.points(s, t))[:, :2] for t in (low, high))
+            # On a slope what is beside a place is not square to the road from above.
+            widths_m = np.abs(_to_left(right - left, np.gradient((left + right) / 2, axis=0)))
+        found[name] = float(widths_m.min()) / 2, float(widths_m.max()) / 2
+    return found
+
+
+def side_problems(
+    name: str, middle: Points, sides: Mapping[str, Points], halves_m: tuple[float, float]
+) -> Iterator[str]:
+    """Findings where the left or right boundary of a lane is on the other side, or not half its least to half its
+    greatest width from its middle, seen from above."""
+    least_m, most_m = halves_m
+    path = middle[:, :2]
+    for side, line in sides.items():
+        if len(line) < 2:
+            yield f"lane {name}: expected a {side} boundary, got none"
+            continue
+        fine = shapely.get_coordinates(shapely.segmentize(shapely.LineString(line[:, :2]), SIDE_STEP_M))
+        at = np.linalg.norm(fine[:, None] - path, axis=2).argmin(axis=1)
+        to_left_m = float(np.median(_to_left(fine - path[at], np.gradient(path, axis=0)[at])))
+        got_m = to_left_m if side == "left" else -to_left_m
+        if not least_m - SIDE_M <= got_m <= most_m + SIDE_M:
+            yield f"lane {name}: expected its {side} boundary {most_m:.3f} m on that side, got {got_m:.3f} m"
+
+
+def _to_left(steps: Points, along: Points) -> np.ndarray:
+    """How far steps go to the left of directions, seen from above."""
+    (x, y), (dx, dy) = steps.T, along.T
+    return np.asarray((dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9))
+
+
+def link_problems(lanes: Sequence[FoundLane], truth: SourceSample, limit_m: float) -> Iterator[str]:
+    """Findings where links are not those of the lane graph and between the pieces of a lane, which are in its order, or
+    where lanes do not meet: our own may not quite do so either."""
+    pieces = dict[str, list[FoundLane]]()
+    for lane in lanes:
+        pieces.setdefault(lane.segment, []).append(lane)
+    graph = truth.labels.graph
+    pairs = [(a, b) for a in pieces for b in graph.successors.get(a, ()) if b in pieces]
+    gaps_m = link_gaps(truth.scene, pairs)
+    links = [(a, b, limit_m) for own in pieces.values() for a, b in pairwise(own)]
+    links += [(pieces[a][-1], pieces[b][0], limit_m + gaps_m[a, b]) for a, b in pairs]
+    for lane in lanes:
+        after = {b.id for a, b, _ in links if a is lane}
+        before = {a.id for a, b, _ in links if b is lane}
+        for word, got, expected in (("follow", lane.after, after), ("precede", lane.before, before)):
+            if sorted(got) != sorted(expected):
+                told = [", ".join(sorted(ids)) or "none" for ids in (expected, got)]
+                yield f"lane {lane.segment}: expected {told[0]} to {word} it, got {told[1]}"
+    for one, other, most_m in links:
+        gap_m = float(np.linalg.norm(one.middle[-1] - other.middle[0]))
+        if not gap_m <= most_m:
+            yield f"lane {one.segment}: expected {other.id} to begin where it ends, got it {gap_m:.3f} m away"
+
+
+def link_gaps(scene: Scene, links: Iterable[tuple[str, str]]) -> dict[tuple[str, str], float]:
+    """How far the end of a lane is from the beginning of the next: maps may have lanes that do not quite meet."""
+    network, found = scene_network(scene), {}
+    for one, other in links:
+        (_, end_m), (start_m, _) = (network.lanes[name].driven for name in (one, other))
+        ends = []
+        for name, s_m in ((one, end_m), (other, start_m)):
+            lane, s = network.lanes[name], np.array([s_m])
+            ends.append(network.road(lane.road).points(s, lane.middle(s))[0])
+        found[one, other] = float(np.linalg.norm(ends[0] - ends[1]))
+    return found
+
+
+def compare_map(
+    found: Sequence[tuple[str, Points]],
+    truth: SourceSample,
+    rule: Rule,
+    is_in_area: Callable[[Points], Flags] = lambda points: np.ones(len(points), dtype=bool),
+) -> Comparison:
+    """Lanes of a map by the segments of the lane graph that they are, in the world frame, beside the centre lines that
+    follow these segments, seen from above, and in height. Only what the labels reach is compared: ahead of the camera,
+    in the area."""
+    labels = truth.labels
+    ours = {
+        lane.id: (transform(labels.camera.world_from_cam, lane.xyz_cam), lane.direction)
+        for lane in labels.lanes
+        if lane.kind == "centerline"
+    }
+    segments = labels.graph.segments
+    paths = {segment.id: [name for name in segment.centerlines if name in ours] for segment in segments}
+    gaps, problems, strange, outside = list[Gap](), list[str](), Counter[str](), Counter[str]()
+    covered = {name: np.zeros(len(ours[name][0]), dtype=bool) for name in ours}
+    for name, points in found:
+        if name not in paths:
+            problems.append(f"{rule.name} {name}: expected a segment of the lane graph, got none of this name")
+            strange[rule.name] += 1
+            continue
+        gap, wrong = _nearest_path(points, [(path, *ours[path]) for path in paths[name]], rule)
+        for path in paths[name]:
+            covered[path] |= distances(ours[path][0], points) < COVERED_M
+        if gap is None:
+            outside[rule.name] += 1
+            continue
+        gaps.append(replace(gap, name=name))
+        if not gap.worst <= rule.limit:
+            problems.append(f"{rule.name} {name}: {too_far(gap, rule)}")
+        problems += (f"{rule.name} {name}: {problem}" for problem in wrong)
+    for name, (points, _) in ours.items():
+        bare = is_in_area(points) & ~covered[name]
+        if bare.sum() >= SURE_POINTS:
+            apart = min((float(distances(points[bare], line).max()) for _, line in found), default=np.inf)
+            problems.append(f"{rule.name} along {name}: expected one, got none nearer than {apart:.3g} m")
+    return Comparison(tuple(gaps), tuple(problems), strange=strange, outside=outside)
+
+
+ASIDE_M = 8.0
+"""A place of a lane that is farther aside of its path is beyond the path's end."""
+COVERED_M = 0.5
+"""A centre line of ours has a lane of the map where one is this near."""
+
+
+def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule: Rule) -> tuple[Gap | None, list[str]]:
+    """How far points are aside of the nearest path, where it reaches, and what is wrong with height and direction. A
+    lane goes on beyond the end of its path, in a serpentine to the side of a part of it: that is another place."""
+    found = list[tuple[Gap, list[str]]]()
+    for name, line, direction in paths:
+        apart, at, share = feet_of(points[:, :2], line[:, :2])
+        inner = (at + share > 0) & (at + share < len(line) - 1) & (apart < ASIDE_M)
+        if inner.sum() < 2:
+            continue
+        problems, feet = [], line[at] + share[:, None] * np.diff(line, axis=0, append=line[-1:])[at]
+        above = float(np.abs(points - feet)[inner, 2].max())
+        if not above <= rule.slack:
+            problems.append(f"expected {name} within {rule.slack:g} m of the labels' height, got it {above:.3g} m away")
+        along = (at + share)[inner] * (-1 if direction == "oncoming" else 1)
+        back = float(np.max(np.maximum.accumulate(along) - along))
+        if back > COVERED_M:
+            problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
+        found.append((Gap.of(name, "m", apart[inner], rule.name), problems))
+    return min(found, key=lambda pair: pair[0].worst, default=(None, []))
+
+
+def symbol_problems(
+    word: str, found: Sequence[Points], truth: SourceSample, kinds: Sequence[str], limit_m: float, is_whole: bool = True
+) -> Iterator[str]:
+    """Findings where outlines are not those of the labels' symbols of these kinds; if the map `is_whole`, it has no
+    others."""
+    ours = [symbol for symbol in truth.labels.symbols if symbol.kind in kinds]
+    if is_whole and len(found) != len(ours):
+        yield f"{word}: expected {len(ours)} as in the labels, got {len(found)}"
+    for symbol in ours:
+        outline = transform(truth.labels.camera.world_from_cam, symbol.xyz_cam)
+        off_m = min((_outlines_apart(outline, other) for other in found), default=np.inf)
+        if not off_m <= limit_m:
+            yield f"{word}: expected one on a {symbol.kind}, got none nearer than {off_m:.3g} m"
+
+
+def _outlines_apart(ours: Points, found: Points) -> float:
+    """The farthest that the corners of two outlines are from the other one, ours from above: on a bent road those of
+    rectangles are fewer. Of a line, how far its ends are."""
+    there = float(distances(found, np.concatenate([ours, ours[:1]])).max())
+    back = distances(ours[:, :2], np.concatenate([found, found[:1]])[:, :2]) if len(found) > 2 else np.zeros(1)
+    return max(there, float(back.max()))
+
+
+def area_problems(area: BaseGeometry, truth: SourceSample) -> Iterator[str]:
+    """Findings where centre lines are not in an area, from above."""
+    shapely.prepare(area)
+    for lane in truth.labels.lanes:
+        x, y, _ = transform(truth.labels.camera.world_from_cam, lane.xyz_cam).T
+        inside = shapely.contains_xy(area, x, y)
+        if lane.kind == "centerline" and not inside.all():
+            yield f"lane {lane.id}: expected it in the drivable area, got {int((~inside).sum())} points outside"
