@@ -2,14 +2,11 @@
 
 import io
 import json
-import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pytest
-import yaml
 from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
@@ -18,10 +15,8 @@ from synth3dlanes.formats.argoverse2.format import RING_CAMERAS
 from synth3dlanes.formats.argoverse2.format import write as annotate
 from synth3dlanes.formats.argoverse2.maps import _runs_along, mark_type
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.geometry.polylines import thinned
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import LidarLabel
@@ -29,38 +24,19 @@ from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests import fake_samples
-from tests.formats.problems import problems
+from tests.formats.drives import frame_of, make_clips, problems_after
 from tests.scenes import FLAT
 
 TWO = ("ring_front_center", "ring_rear_left")
-CHANGES = (
-    "road.topology=2", "road.n_lanes=3", "road.n_oncoming=2", "road.median_m=0", "symbols.crosswalks=1",
-    "camera.roll_deg=2", "cars.n=4",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="session")
-def small_rig(tmp_path_factory):
-    """Two cameras of the ready rig, their images an eighth as wide and high."""
-    cameras = yaml.safe_load(Path("params/rigs/argoverse2.yaml").read_text())
-    for spec in cameras.values():
-        spec.update({key: spec[key] / 8 for key in ("fx", "cx", "cy")})
-        spec.update({key: spec[key] // 16 * 2 for key in ("width_px", "height_px")})
-    path = tmp_path_factory.mktemp("rig") / "ring.yaml"
-    path.write_text(yaml.safe_dump({name: cameras[name] for name in TWO}, sort_keys=False))
-    return load_rig(str(path))
-
-
-@pytest.fixture(scope="session")
-def clips(small_rig, tmp_path_factory):
-    """Two clips of two frames by two cameras, whose images are black."""
-    root = tmp_path_factory.mktemp("clips")
-    shots = Shots(frames=2, fps=2, cameras=small_rig)
-    recipe = fake_samples.recipe(split="test", image_format="jpg", overrides=CHANGES, shots=shots)
-    assert not generate(Plan(str(root), 8, recipe, workers=1, maker=fake_samples.make_labelled), print).problem
+def clips(tmp_path_factory):
+    root = tmp_path_factory.mktemp("clips") / "data"
+    make_clips(root, "argoverse2", TWO)
     return root
 
 
@@ -278,23 +254,10 @@ QUICK = ("cameras whose w is last", "boxes turned by 2 degrees", "crossings")
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.thorough) for name in FAULTS]
 )
-def test_faults_are_found(exported, clips, tmp_path, name):
+def test_faults_are_found(exported, tmp_path, name):
     plant, words = FAULTS[name]
-    out = tmp_path / "out"
-    shutil.copytree(exported.out, out, symlinks=True)
-    plant(out)
-    try:
-        found = problems(clips, out, "argoverse2", most_frames=4)
-    except FormatError as error:
-        found = [str(error)]
+    found = problems_after(plant, exported, tmp_path)
     assert any(words in problem for problem in found), found
-
-
-def frame_of(labels, **changes):
-    return SampleFrame(
-        labels=labels, split="test", key="00000001", number=1, part="test", parts=frozenset({"test"}), scene=FLAT,
-        passes={}, image_format="jpg", cameras={"00000001": labels.camera}, is_first=False, **changes,
-    )  # fmt: skip
 
 
 def test_points_of_a_sweep_are_in_the_vehicle_frame():
@@ -314,23 +277,6 @@ def test_points_of_a_sweep_are_in_the_vehicle_frame():
     np.testing.assert_allclose(found["x"], [1.3 + ahead] * 2, atol=1e-5)
     np.testing.assert_allclose(found["y"], [aside, -aside], atol=1e-5)
     np.testing.assert_allclose(found["z"], [1.7] * 2, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda labels: replace(labels, objects=None), "expected labels with objects, got older ones"),
-        (
-            lambda labels: replace(
-                labels, camera=replace(labels.camera, lens=Lens(model="fisheye", coefficients=(0.02, 0, 0, 0)))
-            ),
-            "expected a camera without distortion",
-        ),
-    ],
-)
-def test_older_labels_and_lenses_are_refused(change, words):
-    with pytest.raises(InputError, match=words):
-        annotate(frame_of(change(ground_truth(FLAT))))
 
 
 def test_rigs_of_other_data_sets_are_refused(tmp_path):

@@ -28,7 +28,7 @@ from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.scene.scene import Car
 from synth3dlanes.scene.settings import RenderSettings
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.formats.test_damaged_exports import check_damaged_files
 from tests.scenes import FLAT, changed
@@ -242,26 +242,3 @@ def test_points_that_are_missing_are_found(exported):
     file = exported.out / "training/velodyne/000001.bin"
     file.write_bytes(file.read_bytes()[:-16])
     assert "points of the lidar, got" in problems(exported)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda labels: replace(labels, objects=None), "expected labels with objects, got older ones"),
-        (lambda labels: replace(labels, camera=replace(labels.camera, lens=FISHEYE)), "a camera without distortion"),
-    ],
-)
-def test_older_labels_and_lenses_are_refused(change, words):
-    frame = SampleFrame(
-        labels=change(ground_truth(FLAT)),
-        split="train",
-        key="00000001",
-        number=1,
-        part="train",
-        parts=frozenset({"train"}),
-        scene=FLAT,
-        passes={},
-        image_format="jpg",
-    )
-    with pytest.raises(InputError, match=words):
-        annotate(frame)

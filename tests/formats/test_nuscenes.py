@@ -4,62 +4,40 @@ The reader below is written from the format's definition and shares nothing with
 """
 
 import json
-import shutil
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
-import yaml
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats import export
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.format import SampleFrame
 from synth3dlanes.formats.nuscenes.format import scene_name
 from synth3dlanes.formats.nuscenes.format import write as annotate
 from synth3dlanes.formats.nuscenes.maps import arcline_paths
 from synth3dlanes.formats.nuscenes.tables import segment_type
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import LidarLabel
-from synth3dlanes.params.rig_files import load_rig
-from synth3dlanes.params.shots import Shots
-from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.run import generate
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Car
 from synth3dlanes.truth.ground_truth import ground_truth
-from tests import fake_samples
-from tests.formats.problems import problems
+from tests.formats.drives import frame_of, make_clips, problems_after
 from tests.scenes import FLAT
 
 TWO = ("CAM_FRONT", "CAM_BACK_LEFT")
 PLACE = "singapore-hollandvillage"
-CHANGES = (
-    "road.topology=2", "road.n_lanes=3", "road.n_oncoming=2", "road.median_m=0", "symbols.crosswalks=1",
-    "camera.roll_deg=2", "cars.n=4",
-)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    """Two clips of two frames by two cameras, whose images are black."""
-    cameras = yaml.safe_load(Path("params/rigs/nuscenes.yaml").read_text())
-    for spec in cameras.values():
-        spec.update({key: spec[key] / 10 for key in ("fx", "cx", "cy", "width_px", "height_px")})
-        spec.update({key: int(spec[key]) for key in ("width_px", "height_px")})
-    path = tmp_path_factory.mktemp("rig") / "rig.yaml"
-    path.write_text(yaml.safe_dump({name: cameras[name] for name in TWO}, sort_keys=False))
-    shots = Shots(frames=2, fps=2, cameras=load_rig(str(path)))
-    recipe = fake_samples.recipe(split="test", image_format="jpg", overrides=CHANGES, shots=shots)
-    root = tmp_path_factory.mktemp("clips")
-    assert not generate(Plan(str(root), 8, recipe, workers=1, maker=fake_samples.make_labelled), print).problem
+    root = tmp_path_factory.mktemp("clips") / "data"
+    make_clips(root, "nuscenes", TWO)
     return root
 
 
@@ -363,13 +341,6 @@ def test_names_of_paint():
     assert segment_type("solid", "white", True, "solid_dashed") == "SOLID_DASHED_WHITE"
 
 
-def frame_of(labels, **changes):
-    return SampleFrame(
-        labels=labels, split="test", key="00000000", number=0, part="test", parts=frozenset({"test"}), scene=FLAT,
-        passes={}, image_format="png", cameras={"00000000": labels.camera}, is_first=False, **changes,
-    )  # fmt: skip
-
-
 def test_points_ahead_of_the_lidar_have_a_positive_y_and_those_to_the_right_a_positive_x():
     labels = ground_truth(FLAT)
     cam_from_lidar = np.linalg.inv(labels.camera.road_from_cam)
@@ -394,21 +365,13 @@ def test_points_ahead_of_the_lidar_have_a_positive_y_and_those_to_the_right_a_po
     assert written.image.endswith(".png"), "images stay as they are"
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda labels: replace(labels, objects=None), "expected labels with objects, got older ones"),
-        (
-            lambda labels: replace(
-                labels, camera=replace(labels.camera, lens=Lens(model="fisheye", coefficients=(0.02, 0, 0, 0)))
-            ),
-            "expected a camera without distortion",
-        ),
-    ],
-)
-def test_older_labels_and_lenses_are_refused(change, words):
-    with pytest.raises(InputError, match=words):
-        annotate(frame_of(change(ground_truth(FLAT))))
+def test_a_car_that_stands_is_stopped_in_its_lane_and_parked_beside_it():
+    standing = Car(model=1, scale=1, color=(1, 0, 0), gloss=0.5, lane="main_1", s_m=-20.0)
+    cars = (standing, standing.model_copy(update={"s_m": -10.0, "offset_m": 3.0}))
+    scene = FLAT.model_copy(update={"cars": cars, "shot": Shot(n_frames=2, fps=2)})
+    labels = ground_truth(scene)
+    document = json.loads(annotate(frame_of(labels, scene=scene)).shared[1][0].split(" ", 3)[3])
+    assert [box["attribute"] for box in document["boxes"]] == ["vehicle.stopped", "vehicle.parked"]
 
 
 def table(name, change):
@@ -573,13 +536,7 @@ QUICK = ("w is last", "sides")
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.thorough) for name in FAULTS]
 )
-def test_faults_are_found(exported, clips, tmp_path, name):
+def test_faults_are_found(exported, tmp_path, name):
     plant, words = FAULTS[name]
-    out = tmp_path / "out"
-    shutil.copytree(exported.out, out)
-    plant(out)
-    try:
-        found = problems(clips, out, "nuscenes", most_frames=4)
-    except FormatError as error:
-        found = [str(error)]
+    found = problems_after(plant, exported, tmp_path)
     assert any(words in problem for problem in found), found

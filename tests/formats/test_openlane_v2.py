@@ -16,11 +16,9 @@ from synth3dlanes.formats.openlane_v2 import verify as verify_frame
 from synth3dlanes.formats.openlane_v2 import write as annotate
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import MapStation
-from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.formats import openlane_v2_score as scoring
 from tests.formats.openlane_v2_score import LaneTopology, score
@@ -202,14 +200,6 @@ def test_the_pictures_of_a_rig_are_one_frame_with_lanes_all_around():
     assert alone.image == "OpenLane-V2/train/00000100/image/CAM_BACK/200000000.jpg"
     assert (alone.files, alone.shared) == ({}, ())
     assert alone.image.removeprefix("OpenLane-V2/") == centers["sensor"]["CAM_BACK"]["image_path"]
-
-
-def test_a_lens_is_refused_because_loaders_know_none():
-    frame = frame_of(5)
-    lens = Lens(model="fisheye", coefficients=(0.1, 0.0, 0.0, 0.0))
-    bent = replace(frame.labels, camera=replace(frame.labels.camera, lens=lens))
-    with pytest.raises(InputError, match=r"^train:00000007: expected a camera without distortion"):
-        annotate(replace(frame, labels=bent))
 
 
 def line(y_m, x_m=(0.0, 40.0), n=11):

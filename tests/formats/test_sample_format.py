@@ -1,20 +1,25 @@
 """Formats that take samples as they are: what reaches their writers, what happens to images, what is refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.format import SampleFormat
+from synth3dlanes.formats.format import SampleFormat, open_format
 from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.writing import FrameAnnotation
+from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.system.errors import InputError
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests import fake_samples
+from tests.formats.drives import frame_of
+from tests.scenes import FLAT
 
 
 def unused(*arguments):
@@ -101,3 +106,16 @@ def test_a_size_is_refused(monkeypatch, dataset, tmp_path):
     monkeypatch.setattr("synth3dlanes.formats.export.open_format", lambda name: empty)
     with pytest.raises(InputError, match=r"images \(`list formats` names those of any size"):
         Export(str(dataset), tmp_path / "out", "as_it_is", (96, 64)).write()
+
+
+BENT = Lens(model="fisheye", coefficients=(0.02, 0, 0, 0))
+
+
+@pytest.mark.parametrize("name", ["argoverse2", "kitti", "nuscenes", "openlane_v2"])
+def test_lenses_are_refused_where_loaders_know_none_and_older_labels_where_boxes_are_written(name):
+    labels, write = ground_truth(FLAT), open_format(name).write
+    with pytest.raises(InputError, match=r"^test:00000007: expected a camera without distortion"):
+        write(frame_of(replace(labels, camera=replace(labels.camera, lens=BENT)), number=7))
+    if name != "openlane_v2":
+        with pytest.raises(InputError, match=r"^test:00000007: expected labels with objects, got older ones"):
+            write(frame_of(replace(labels, objects=None), number=7))

@@ -5,11 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.sample import Scenes
+from synth3dlanes.formats.comparing import back_along
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.verify import Verification, verify
@@ -147,3 +149,11 @@ def test_an_export_is_as_in_the_labels_or_refused(
     assert [problem for result in results for problem in result.problems] == []
     assert all(of.n_matched == of.n for result in results for of in result.compared.values())
     assert sum(result.n for result in results) > 0
+
+
+def test_a_line_that_passes_a_place_of_the_image_twice_goes_back_only_where_its_points_do() -> None:
+    x = np.arange(0.0, 80.0)
+    up, there, back = ([x[:40] - 40, x[:40] - 40], [x, 0 * x], [x[::-1], 0 * x + 0.01])
+    line = np.concatenate([np.column_stack(part) for part in (up, there, back)])
+    assert back_along(line[::8], line, 0.05) == 0
+    assert back_along(line[::-8], line, 0.05) > 40
