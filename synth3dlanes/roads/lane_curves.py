@@ -1,7 +1,7 @@
 """The curves of lanes along roads: centre lines of paths, and painted lines. World frame, metres."""
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -138,26 +138,13 @@ class LaneCurve:
         return self.points_beside(s, np.zeros(s.shape))
 
     def points_beside(self, s: AnyScalars, t: AnyScalars) -> Float[np.ndarray, "n 3"]:
-        """Points on the road surface at stations and offsets from the curve, which are as in `shifted`."""
+        """Points on the road surface at stations and offsets from the curve: to where t of its roads grows or, if
+        stations are lengths along it, to the right of growing ones."""
         found = np.zeros((*s.shape, 3))
         for at, piece in self._parts(s):
             on = piece.on(np.minimum(s[at], piece.end_m))
             found[at] = piece.road.points(on, piece.offset(on) + t[at] * piece.along)
         return found
-
-    def raised(self, s: AnyScalars) -> AnyScalars:
-        """Height of the road surface above the terrain at stations."""
-        height_m = np.zeros(s.shape)
-        for at, piece in self._parts(s):
-            on = piece.on(s[at])
-            height_m[at] = piece.road.raised(on, piece.offset(on))
-        return height_m
-
-    def shifted(self, t_m: float) -> "LaneCurve":
-        """The curve `t_m` beside it, at the same stations: to where t of its roads grows or, if stations are lengths
-        along it, to the right of growing ones."""
-        aside = (replace(piece, offset=piece.offset.shifted(t_m * piece.along)) for piece in self.pieces)
-        return replace(self, pieces=tuple(aside))
 
     def has(self, s: AnyScalars) -> Bool[np.ndarray, "*n"]:
         """At which stations it is: within its ends, and not between two of its pieces."""

@@ -168,18 +168,21 @@ def _pavement(paved: Verges, road: Road, s: Scalars) -> Mesh:
         inner = _inner_edge(road, s)[:, None]
         offsets = np.concatenate([inner - SEAM_M, np.maximum(offsets, inner)], axis=1)
         column_material = np.concatenate([column_material[:1], column_material])
-    stations = np.broadcast_to(s[:, None], offsets.shape)
-    xy = road.xy(stations, offsets)
+    vertices = paved.with_far_hills(road.rows(s, offsets) + far_dam(s)[:, None, None] * [0, 0, 1], s[:, None])
+    xy = vertices[..., :2]
     material = np.tile(column_material, (len(s) - 1, 1))
     for branch in network.branches(road):
         # The shoulder is road where the lanes of another cross it.
         middle = (xy[:-1, -k - 1 : -1] + xy[:-1, -k:] + xy[1:, -k - 1 : -1] + xy[1:, -k:]) / 4
         guess = np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape[:2])
         material[:, -k:][branch.in_lanes(*branch.line.project(middle, guess))] = ROAD
-    vertices = paved.lift_far(xy, road.raised(stations) + far_dam(stations), stations)
     if road.parting is not None:
         vertices[:, 0, 2] -= SEAM_FALL_M
-    return grid(vertices, np.stack([offsets, stations], -1) * [network.rightward, network.onwards], material)
+    return grid(
+        vertices,
+        np.stack(np.broadcast_arrays(offsets, s[:, None]), -1) * [network.rightward, network.onwards],
+        material,
+    )
 
 
 def _inner_edge(road: Road, s: Scalars) -> Scalars:
@@ -230,7 +233,8 @@ def _verge(paved: Verges, road: Road, side: Side, s: Scalars, room_m: Scalars) -
     distance = np.stack(columns, axis=1)
     squeeze = np.minimum(1.0, room_m / embankment_width(raised, scale))
     xy = np.stack([road.xy(s, road.edge(side, s, column * squeeze)) for column in columns], axis=1)
-    vertices = paved.lift_far(xy, profile(distance, raised[:, None], scale[:, None]), s[:, None])
+    vertices = paved.network.lift(xy, profile(distance, raised[:, None], scale[:, None]))
+    vertices = paved.with_far_hills(vertices, s[:, None])
     mesh = grid(vertices, _unrolled(vertices), np.zeros(distance.shape[1] - 1, dtype=int))
     is_open = np.repeat((room_m[:-1] > 0) | (room_m[1:] > 0), distance.shape[1] - 1)
     return replace(mesh, faces=mesh.faces[is_open], material=mesh.material[is_open])

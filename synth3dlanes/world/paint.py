@@ -170,7 +170,7 @@ def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     if not ground.network.has_partings:
         return np.zeros(len(s))
     road, xy, terrain = curve.pieces[0].road, curve.xy_world(s), ground.network.terrain
-    aside = curve.shifted(road.lane_width_m / LANE_COLUMNS / 2).xy_world(s) - xy
+    aside = curve.points_beside(s, np.full(len(s), road.lane_width_m / LANE_COLUMNS / 2))[:, :2] - xy
     over_m = (height_at(terrain, xy + aside) + height_at(terrain, xy - aside)) / 2 - height_at(terrain, xy)
     hidden = over_m > HOLLOW_M
     hidden[hidden] = ground.network.is_on_other(road, xy[hidden], s[hidden])

@@ -117,19 +117,18 @@ class Verges:
         offsets from it."""
         found = []
         for curve, s, t in zip(curves, stations, offsets, strict=True):
-            lines = [curve.shifted(at) for at in t.tolist()]
-            points = [self.lift_far(line.xy_world(s), line.raised(s) + far_dam(s), s) for line in lines]
-            found.append(np.stack(points, axis=1))
+            points = curve.points_beside(np.repeat(s, len(t)), np.tile(t, len(s))).reshape(len(s), len(t), 3)
+            found.append(self.with_far_hills(points + far_dam(s)[:, None, None] * [0, 0, 1], s[:, None]))
         return found
 
-    def lift_far(self, xy_world: AnyPoints2, above_m: Spread, s: Spread) -> AnyPoints3:
-        """3D points at stations, `above_m` over the terrain with its far hills; far away over the faces of its mesh."""
-        points = self.network.lift(xy_world, above_m + self.hills.height(xy_world))
-        share = np.broadcast_to(on_faces(s), points.shape[:-1])
+    def with_far_hills(self, points_world: AnyPoints3, s: Spread) -> AnyPoints3:
+        """Points over the terrain at stations, raised by its far hills; far away by how its faces lie over it."""
+        xy_world, by_m = points_world[..., :2], self.hills.height(points_world[..., :2])
+        share = np.broadcast_to(on_faces(s), by_m.shape)
         far = share > 0
-        over_m = np.broadcast_to(above_m, share.shape)[far] + self._face_height(xy_world[far]) - points[far, 2]
-        points[far, 2] += share[far] * over_m
-        return points
+        terrain_m = terrain.height_at(self.network.terrain, xy_world[far])
+        by_m[far] += share[far] * (self._face_height(xy_world[far]) - terrain_m - by_m[far])
+        return points_world + by_m[..., None] * [0, 0, 1]
 
     def _face_height(self, xy_world: Points2) -> Scalars:
         """Height of the terrain mesh's faces, not pressed under pavements: of either way to split a quad into triangles
