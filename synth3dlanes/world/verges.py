@@ -251,25 +251,26 @@ class Verges:
         one that begins beside another, those that are near that one."""
         masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.network.roads}
         near = np.logical_or.reduce(list(masks.values()))
-        xy, found, stations = xy_world[near], dict[str, Beside](), dict[str, Scalars]()
+        xy, found, places = xy_world[near], dict[str, Beside](), dict[str, tuple[Scalars, Scalars]]()
         for road in self.network.roads:
             which = np.logical_or.reduce([masks[at.id][near] for at in (road, *self.network.branches(road))])
-            begun = None if road.parting is None else road.parting.road.id
-            if begun is not None:
-                # Before it begins, and deep in the pavement of the road there, nothing is its own.
-                which &= stations[begun] > road.start_m - BEFORE_M
-                which &= found[begun].outside > -road.lane_width_m - OVERLAP_M
-            s, outside, raised, room = np.zeros(len(xy)), np.full(len(xy), np.inf), np.zeros(len(xy)), None
-            s[which], t = road.line.project(xy[which], None if begun is None else stations[begun][which])
-            outside[which] = road.outside(s[which], t)
+            guess, room = None, None
+            if road.parting is not None:
+                begun, (s, t) = road.parting.road, places[road.parting.road.id]
+                # Before it begins, and farther in than the outermost lane of the road there, nothing is its own.
+                which &= (s > road.start_m - BEFORE_M) & (t > begun.right(s) - road.lane_width_m - OVERLAP_M)
+                guess = s[which]
+            s, t, outside, raised = np.array([[0.0], [0.0], [np.inf], [0.0]]).repeat(len(xy), axis=1)
+            s[which], t[which] = road.line.project(xy[which], guess)
+            outside[which] = road.outside(s[which], t[which])
             if road.ramp is not None:
                 raised[which] = road.raised(s[which])
-            if begun is not None:
+            if road.parting is not None:
                 # On its left the embankment ends at the pavement of the road where it begins.
-                inner, room = which.copy(), np.full(len(xy), np.inf)
-                inner[which] = t < 0
-                room[inner] = np.clip(found[begun].outside[inner] + outside[inner], 0, None)
-            found[road.id], stations[road.id] = Beside(outside, raised, room), s
+                inner = which & (t < 0)
+                room = np.full(len(xy), np.inf)
+                room[inner] = np.clip(found[begun.id].outside[inner] + outside[inner], 0, None)
+            found[road.id], places[road.id] = Beside(outside, raised, room), (s, t)
         return near, [*found.values()]
 
     def above(self, xy_world: Points2) -> Scalars:
