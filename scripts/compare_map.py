@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.read import read_map

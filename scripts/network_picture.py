@@ -10,8 +10,8 @@ from matplotlib.patches import Polygon
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures import colors
 from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.from_paper import paper_network
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.paper_roads import paper_network
 from synth3dlanes.scene.scene import Road
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/network.png"

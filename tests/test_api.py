@@ -20,7 +20,7 @@ import pytest
 import synth3dlanes
 import synth3dlanes as s3d
 from synth3dlanes import renderer as of_renderer
-from synth3dlanes.draw.on_map import place_on_map
+from synth3dlanes.draw.given_map import place_on_map
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, draw_world, world_in_shot
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import Shots

@@ -9,8 +9,8 @@ from synth3dlanes.draw.symbols import draw_symbols
 from synth3dlanes.draw.traffic_elements import draw_elements
 from synth3dlanes.draw.works import with_works
 from synth3dlanes.params.shots import Shots
+from synth3dlanes.roads.from_paper import is_wide_enough, paper_network
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.paper_roads import is_wide_enough, paper_network
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import HostCamera, Shot
 from synth3dlanes.scene.roadside import Roadside

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from synth3dlanes.params.distributions import Choice, Distribution, Integers, Uniform, at_least, at_most, extent
 from synth3dlanes.params.groups import DAYTIMES, KINDS
 from synth3dlanes.params.params import Params
-from synth3dlanes.roads.paper_roads import is_wide_enough
+from synth3dlanes.roads.from_paper import is_wide_enough
 from synth3dlanes.scene.scene import MIN_MEDIAN_M, PaperRoad, Scene
 from synth3dlanes.scene.town import ROUNDABOUTS, Town
 

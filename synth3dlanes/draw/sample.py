@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from synth3dlanes.draw.draws import Draw, DrawsOf, draws_of
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.like import Neighbourhood
 from synth3dlanes.draw.makers import Maker
 from synth3dlanes.draw.mountain import mountain_roads
-from synth3dlanes.draw.on_map import MapPlace
 from synth3dlanes.draw.paper import paper_roads
 from synth3dlanes.draw.things import draw_things
 from synth3dlanes.draw.town.draw import town_roads

@@ -27,8 +27,8 @@ from pydantic_core import ErrorDetails
 
 from synth3dlanes.dataset.description import DATASET_FORMAT, DESCRIPTION, SplitName, parse_description
 from synth3dlanes.dataset.scenes import Provenance, read_provenance
+from synth3dlanes.draw.given_map import MapPlace, place_on_map
 from synth3dlanes.draw.like import DrawKey, Neighbourhood, read_like
-from synth3dlanes.draw.on_map import MapPlace, place_on_map
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.params.camera_files import load_camera
 from synth3dlanes.params.cameras import CameraSpec

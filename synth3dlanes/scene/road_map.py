@@ -2,7 +2,7 @@
 
 World frame, metres and radians. Pure data in the terms of OpenDRIVE: a road is a plan of pieces, a place on it is
 (s, t) with t to the left of growing s, lanes are numbered from the reference line outwards, positive on its left.
-`roads/map_roads.py` makes the network of it.
+`roads/from_map.py` makes the network of it.
 """
 
 import math

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import road_from_cam, turned
+from synth3dlanes.roads.from_map import bare_roads, map_network
+from synth3dlanes.roads.from_paper import paper_network
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.map_roads import bare_roads, map_network
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.paper_roads import paper_network
 from synth3dlanes.scene.host import HostCamera, Lidar
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.road_map import RoadMap
@@ -23,6 +23,7 @@ from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, PaperRoad, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world import roadside
+from synth3dlanes.world.area_meshes import AreaSurfaces
 from synth3dlanes.world.bonnet import cam_from_bonnet
 from synth3dlanes.world.camera import Sector, img_from_cam, project, sector, world_from_host
 from synth3dlanes.world.elements import TrafficElement, traffic_elements
@@ -30,7 +31,6 @@ from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
 from synth3dlanes.world.host_way import HostWay
-from synth3dlanes.world.map_meshes import AreaSurfaces
 from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_world
 from synth3dlanes.formats.opendrive.described import numbered
 from synth3dlanes.formats.opendrive.format import opendrive

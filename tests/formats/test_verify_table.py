@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.comparing import back_along
 from synth3dlanes.formats.export import Export

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from synth3dlanes.labels import labels as label_file
+from synth3dlanes.roads.from_paper import paths_through
 from synth3dlanes.roads.lane_curves import LaneCurve, Piece
 from synth3dlanes.roads.line_forms import Chain, Cubic, Spiral
 from synth3dlanes.roads.line_table import RoadLines
 from synth3dlanes.roads.network import LanePattern, Network
-from synth3dlanes.roads.paper_roads import paths_through
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Road
 from synth3dlanes.scene import scene as scene_file

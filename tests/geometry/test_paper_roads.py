@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from synth3dlanes.geometry.frames import project
-from synth3dlanes.roads.paper_roads import smooth_min
+from synth3dlanes.roads.from_paper import smooth_min
 from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.scene import Car, Gaussian, Terrain

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params

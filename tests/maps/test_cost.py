@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.line_forms import plan_points

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps import document

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.opendrive.format import opendrive as opendrive_of
 from synth3dlanes.geometry.frames import transform

@@ -11,15 +11,15 @@ import pytest
 from click.testing import CliRunner
 from synth3dlanes_cli.main import main
 
-from synth3dlanes.draw.map_terrain import road_points, terrain_of
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.fitted_terrain import road_points, terrain_of
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.labels.labels import to_json as labels_text
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
 from synth3dlanes.production.recipe import Recipe
+from synth3dlanes.roads.from_map import bare_roads
 from synth3dlanes.roads.line_forms import plan_points
-from synth3dlanes.roads.map_roads import bare_roads
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.roads.terrain import gradient_at, height_at

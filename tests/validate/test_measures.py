@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synth3dlanes.draw.on_map import MapPlace
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.geometry.frames import invert, project, transform
 from synth3dlanes.geometry.lens import Lens

@@ -13,15 +13,15 @@ import numpy as np
 from synth3dlanes.draw.bodies import way_places
 from synth3dlanes.draw.cars import SPEED_TRIES, BodySize, CarPlace, Traffic, draw_cars
 from synth3dlanes.draw.draws import SCENE_DECIMALS, DrawsOf
+from synth3dlanes.draw.fitted_terrain import GROUND_GRID_STEP_M, terrain_of
+from synth3dlanes.draw.given_standing import map_trees, stand
 from synth3dlanes.draw.makers import Roads, Stand, draw_camera, draw_hills, first_shot
-from synth3dlanes.draw.map_standing import map_trees, stand
-from synth3dlanes.draw.map_terrain import GROUND_GRID_STEP_M, terrain_of
 from synth3dlanes.draw.riders import places_on_map
 from synth3dlanes.geometry.polylines import spaced
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.shots import Shots
+from synth3dlanes.roads.from_map import bare_roads, map_network, route_way
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.map_roads import bare_roads, map_network, route_way
 from synth3dlanes.roads.maps.given_map import GivenMap
 from synth3dlanes.roads.maps.part import MapPart, part_around
 from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place

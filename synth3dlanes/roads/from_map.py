@@ -13,8 +13,8 @@ from synth3dlanes.roads.cross_section import CrossSection, greatest_and_mean
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, TableLine, along, ways_through
 from synth3dlanes.roads.line_forms import plan_line
 from synth3dlanes.roads.line_table import LineTable
-from synth3dlanes.roads.map_paint import beside_lanes, bounded, edges_of, lines
 from synth3dlanes.roads.network import HostLine, Junction, LanePattern, Network
+from synth3dlanes.roads.painted_edges import beside_lanes, bounded, edges_of, lines
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
