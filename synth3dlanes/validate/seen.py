@@ -20,13 +20,14 @@ from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.validate.bodies import BODIES, grown, inside
 from synth3dlanes.validate.evidence import Evidence, Seen
-from synth3dlanes.validate.faces import REACH_M, ground_of
+from synth3dlanes.validate.faces import ground_of
 from synth3dlanes.validate.findings import PROOF_M, Result, counted, judged
 from synth3dlanes.validate.paint import END_M
 from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
 from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import is_single
 from synth3dlanes.world.camera import project
+from synth3dlanes.world.grass import BESIDE_M, LEAN, RADIUS_M
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
 from synth3dlanes.world.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M
 from synth3dlanes.world.solids import SURFACES
@@ -41,7 +42,9 @@ THROUGH_RANGE_M, INSIDE_M = 80.0, 0.3
 # In 60 random scenes of each preset no pixel of paint is this far outside its line.
 MAX_BEYOND_M = 0.01
 # Labels' points are a metre apart, and so near to paint between them.
-BESIDE_M = 0.9
+BETWEEN_M = 0.9
+# The steepest ground on which blades of grass lean.
+STEEP = 0.5
 # Pixels this close to an edge of a symbol may show either side of it; lines may lie this far over a gore's edges.
 MARGIN_M, LINE_M = 0.04, 0.15
 # Error of a beam's range; depth is interpolated where its error by the surface's bend is below a limit; surfaces whose
@@ -202,10 +205,16 @@ def _turn(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 
 
 def _hills(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    """Blades of grass stand on the terrain, and on what is grass in the pavement."""
-    grass_m = evidence.scene.vegetation.grass_m
-    above_m = ground_of(evidence.world).nearest(seen.points_world, REACH_M + grass_m).above_m
-    yield PartSeen("terrain", np.where((above_m > 0) & (above_m < grass_m), 0, above_m)[seen.is_near])
+    """Beside the pavement blades of grass stand on it, which lean."""
+    ground, grass_m = ground_of(evidence.world), evidence.scene.vegetation.grass_m
+    off_m = ground.nearest(seen.points_world).above_m
+    if grass_m:
+        rest = np.flatnonzero(~(np.abs(off_m) <= MAX_OFF_M))
+        points, reach_m = seen.points_world[rest], LEAN * grass_m + RADIUS_M
+        over_m = points[:, 2] - ground.height(points[:, :2], points[:, 2])
+        is_grass = evidence.world.ground.clearance(points[:, :2]) < BESIDE_M[1] + reach_m
+        off_m[rest[is_grass & (over_m > 0) & (over_m < grass_m + STEEP * reach_m)]] = 0
+    yield PartSeen("terrain", off_m[seen.is_near])
 
 
 def _through(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
@@ -250,7 +259,8 @@ def _paint(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 
 
 def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    """Ground inside a line's paint that shows none, of any line. Below another road paint may be hidden."""
+    """Ground inside a line's paint that shows none, of any line, where it is seen. Below another road, or a kerb, paint
+    may be hidden."""
     on = seen.on_road
     single = is_single(evidence.world.ground, on.points_world[:, :2])
     near, is_bare = (
@@ -259,10 +269,10 @@ def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     )
     for lane in evidence.labels.lanes:
         if lane.id in evidence.paint.ids and len(on):
-            line_world = transform(evidence.camera.world_from_cam, lane.xyz_cam)
-            beside = near.query_ball_point(line_world, BESIDE_M)
+            line_world = transform(evidence.camera.world_from_cam, lane.xyz_cam[lane.visible])
+            beside = near.query_ball_point(line_world, BETWEEN_M)
             at = np.zeros(len(on), dtype=bool)
-            at[np.concatenate(beside).astype(int)] = True
+            at[np.concatenate([[], *beside]).astype(int)] = True
             at &= single
             beyond_m = evidence.paint.beyond_m(lane.id, on.places.at(at), -END_M)
             yield PartSeen("the line", np.where(is_bare[at], np.inf, 0)[beyond_m < -MAX_BEYOND_M], lane.id)
