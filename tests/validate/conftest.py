@@ -33,6 +33,19 @@ def rendered(made_once: Callable[[str, Callable[[Path], object]], Path]) -> Path
 
 
 @pytest.fixture
+def only(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Have `validate` in this process look at samples by these checks alone, and at files as always."""
+    from synth3dlanes.validate.checks import CHECKS
+
+    def limit(*names: str) -> None:
+        asked = tuple(check for check in CHECKS if check.name in names)
+        assert len(asked) == len(names)
+        monkeypatch.setattr("synth3dlanes.validate.run.CHECKS", asked)
+
+    return limit
+
+
+@pytest.fixture
 def dataset(rendered: Path, tmp_path: Path) -> Path:
     """A copy of the dataset, free to be spoilt."""
     return Path(shutil.copytree(rendered, tmp_path / "data"))

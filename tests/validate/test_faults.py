@@ -70,7 +70,8 @@ def shifted(labels: Labels) -> Labels:
     return with_lane(labels, replace(lane, xyz_cam=lane.xyz_cam + np.array([0.5, 0, 0])))
 
 
-def test_a_lane_shifted_by_half_a_metre_is_found_by_scene_and_paint_and_image(dataset):
+def test_a_lane_shifted_by_half_a_metre_is_found_by_scene_and_paint_and_image(dataset, only):
+    only("form", "labels", "points", "ridges")
     lane = spoilt_lane(dataset)
     seal(dataset, relabel(SAMPLE, shifted))
     report = check(dataset)
@@ -84,7 +85,8 @@ def test_a_lane_shifted_by_half_a_metre_is_found_by_scene_and_paint_and_image(da
 
 
 @pytest.mark.thorough
-def test_a_lane_lifted_by_ten_centimetres_is_off_the_rendered_surface(dataset):
+def test_a_lane_lifted_by_ten_centimetres_is_off_the_ground(dataset, only):
+    only("points")
     lane = spoilt_lane(dataset)
     seal(
         dataset,
@@ -110,7 +112,8 @@ def test_a_lane_lifted_by_ten_centimetres_is_off_the_rendered_surface(dataset):
         ],
     ),
 )
-def test_a_flipped_mask_is_found(dataset, mask, words):
+def test_a_flipped_mask_is_found(dataset, only, mask, words):
+    only("form", "labels", "points", "objects")
     lane = spoilt_lane(dataset)
 
     def flipped(labels: Labels) -> Labels:
@@ -123,7 +126,8 @@ def test_a_flipped_mask_is_found(dataset, mask, words):
     assert all(word in reasons(report, NAME, lane) for word in words)
 
 
-def test_a_truncated_tar_is_found_with_the_samples_that_it_has_lost(dataset):
+def test_a_truncated_tar_is_found_with_the_samples_that_it_has_lost(dataset, only):
+    only()
     tar = dataset / "train/00000.tar"
     last = max(offset + size for name, offset, size in walk(str(tar))[0] if name.startswith("00000002"))
     with tar.open("r+b") as stream:
@@ -135,7 +139,9 @@ def test_a_truncated_tar_is_found_with_the_samples_that_it_has_lost(dataset):
 
 
 @pytest.mark.parametrize("has_passes", first(1, [True, False]))
-def test_swapped_images_are_found(dataset, has_passes):
+def test_swapped_images_are_found(dataset, only, has_passes):
+    only("form", "labels", "alignment", "ridges")
+
     def swap(samples: dict[int, dict[str, bytes]]) -> None:
         samples[1]["jpg"], samples[2]["jpg"] = samples[2]["jpg"], samples[1]["jpg"]
 
@@ -147,7 +153,8 @@ def test_swapped_images_are_found(dataset, has_passes):
     assert all(problem.reason.startswith("image:") for problem in report.problems)
 
 
-def test_a_duplicated_key_is_found_in_the_index_and_in_the_tar(dataset):
+def test_a_duplicated_key_is_found_in_the_index_and_in_the_tar(dataset, only):
+    only()
     parquet = dataset / "train/00000.parquet"
     rows = pq.read_table(parquet)
     pq.write_table(pa.concat_tables([rows, rows.slice(SAMPLE, 1)]), parquet)
@@ -161,7 +168,8 @@ def test_a_duplicated_key_is_found_in_the_index_and_in_the_tar(dataset):
     assert "once in" in reasons(check(dataset), NAME, "")
 
 
-def test_one_changed_byte_of_a_sample_is_found(dataset):
+def test_one_changed_byte_of_a_sample_is_found(dataset, only):
+    only()
     tar = dataset / "train/00000.tar"
     offset = next(offset for name, offset, _ in walk(str(tar))[0] if name == "00000001.jpg")
     data = bytearray(tar.read_bytes())
@@ -172,12 +180,14 @@ def test_one_changed_byte_of_a_sample_is_found(dataset):
     assert "SHA-256" in reasons(report, NAME, "")
 
 
-def test_a_missing_sample_is_named(dataset):
+def test_a_missing_sample_is_named(dataset, only):
+    only()
     seal(dataset, lambda samples: samples.pop(SAMPLE) and None)
     assert check(dataset).problems == [Problem("train", "", "expected 4 samples, 1 missing: 00000001")]
 
 
-def test_a_scene_in_two_splits_is_found_whatever_its_index(dataset):
+def test_a_scene_in_two_splits_is_found_whatever_its_index(dataset, only):
+    only()
     shutil.copytree(dataset / "train", dataset / "test")
     describe(dataset, lambda document: document["splits"].update(test={"n": 1}))
 
@@ -248,7 +258,8 @@ OF_EACH: list[dict[str, Change]] = [
 
 
 @pytest.mark.parametrize("changes", OF_EACH, ids=["of form", "of labels"])
-def test_what_does_not_fit_its_scene_or_schema_is_found(dataset, changes: dict[str, Change]):
+def test_what_does_not_fit_its_scene_or_schema_is_found(dataset, only, changes: dict[str, Change]):
+    only("index", "form", "labels")
     seal(dataset, lambda samples: [change(samples) for change in changes.values()] and None)
     report = check(dataset)
     names = [f"train:{index:08d}" for index in range(N)]
@@ -279,13 +290,14 @@ def test_labels_out_of_shape_are_found(dataset):
         assert any(problem.where == where and words in problem.reason for problem in report.problems)
 
 
-def test_the_command_exits_with_1_names_faults_in_lines_and_leaves_a_picture(dataset):
+def test_the_command_exits_with_1_names_faults_in_lines_and_leaves_a_picture(dataset, only):
     from synth3dlanes_cli.main import main
 
-    clean = CliRunner().invoke(main, ["validate", str(dataset), "--workers", "2", "--json"])
+    clean = CliRunner().invoke(main, ["validate", str(dataset), "--workers", "2", "--limit", "2", "--json"])
     assert clean.exit_code == 0
     assert json.loads(clean.stdout)["problems"] == []
     assert not (dataset / "validation").exists()
+    only("labels")
     lane = spoilt_lane(dataset)
     seal(dataset, relabel(SAMPLE, shifted))
     result = CliRunner().invoke(main, ["validate", str(dataset), "--workers", "1"])
