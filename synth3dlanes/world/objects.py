@@ -16,7 +16,7 @@ from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.schema import Color
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.motion import thing_at
-from synth3dlanes.world.placement import world_from_car
+from synth3dlanes.world.placement import worlds_from_cars
 
 # Over this time a slope of the ground tells how fast a thing goes up.
 CLIMB_S = 0.01
@@ -49,9 +49,9 @@ def body_color(car: Car) -> Color:
 
 def placed_cars(scene: Scene, network: Network, cars: tuple[Car, ...]) -> Iterator[PlacedObject]:
     """The cars of a scene at an instant, in its order."""
-    for number, car in enumerate(cars):
-        model = scene.assets.car_models[car.model - 1]
-        pose = world_from_car(network, car, model)
+    models = [scene.assets.car_models[car.model - 1] for car in cars]
+    poses = worlds_from_cars(network, cars, models)
+    for number, (car, model, pose) in enumerate(zip(cars, models, poses, strict=True)):
         yield PlacedObject(
             id=instance_id("car", number),
             kind=None,

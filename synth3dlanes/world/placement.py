@@ -1,5 +1,7 @@
 """Poses and footprints of cars and trees. World frame; models have x right, y forward, z up and stand on z = 0."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -8,13 +10,16 @@ from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import CarModel
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car, Tree
-from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.world.ground import Ground
 
 # Length and width of the host's own body, which is centred on the camera.
 HOST_SIZE_M = (5.0, 2.0)
 # Depth of trunks in the ground, so that none floats on a slope.
 TREE_SINK_M = 0.1
+UP = np.array([0.0, 0.0, 1.0])
+# Where the wheels of a car are (model frame), as shares of half its track and half its wheelbase.
+WHEELS = np.array([[-1, 1, 0], [1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 
 
 def car_place(
@@ -30,26 +35,43 @@ def car_place(
     return middle + offset_m * np.array([heading[1], -heading[0]]), heading
 
 
-def world_from_car(network: Network, car: Car, model: CarModel) -> Matrix4:
-    """The car's pose (without scale): a least-squares fit of its four tyres to the road surface."""
-    middle, (hx, hy) = car_place(network, car.lane, car.s_m, car.offset_m)
-    x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
-    wheels_car = np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])
-    pose = from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), np.array([0, 0, 1.0]), np.array([*middle, 0.0]))
-    road, guess = network.road(network.lanes[car.lane].road), np.full(4, car.s_m * network.onwards)
+def worlds_from_cars(network: Network, cars: Sequence[Car], models: Sequence[CarModel]) -> list[Matrix4]:
+    """The cars' poses (without scale): least-squares fits of their four tyres to the road surface."""
+    if not cars:
+        return []
+    places = [car_place(network, car.lane, car.s_m, car.offset_m) for car in cars]
+    sizes = [
+        (model.track_m * car.scale, model.wheelbase_m * car.scale, 0.0) for car, model in zip(cars, models, strict=True)
+    ]
+    wheels_car = np.array(sizes)[:, None] / 2 * WHEELS
+    poses = [
+        from_axes(np.array([hy, -hx, 0]), np.array([hx, hy, 0]), UP, np.array([*xy, 0.0])) for xy, (hx, hy) in places
+    ]
+    on: dict[str, list[int]] = {}
+    for number, car in enumerate(cars):
+        on.setdefault(network.lanes[car.lane].road, []).append(number)
+    raised = [(network.road(name), numbers) for name, numbers in on.items() if network.road(name).is_raised]
+    guesses = np.repeat([[car.s_m * network.onwards] for car in cars], 4, axis=1)
     for _ in range(3):
-        wheels = transform(pose, wheels_car)[:, :2]
-        above = road.raised(*road.line.project(wheels, guess)) if road.is_raised else 0.0
+        wheels = np.stack([transform(pose, four)[:, :2] for pose, four in zip(poses, wheels_car, strict=True)])
+        above = np.zeros(wheels.shape[:2])
+        for road, numbers in raised:
+            above[numbers] = road.raised(*road.line.project(wheels[numbers], guesses[numbers]))
         contacts = network.lift(wheels, above)
-        slope_x, slope_y, z = np.linalg.lstsq(
-            np.column_stack([contacts[:, :2] - middle, np.ones(4)]), contacts[:, 2], rcond=None
-        )[0]
-        up = np.array([-slope_x, -slope_y, 1.0])
-        up /= np.linalg.norm(up)
-        forward = np.array([hx, hy, slope_x * hx + slope_y * hy])
-        forward /= np.linalg.norm(forward)
-        pose = from_axes(cross(forward, up), forward, up, np.array([*middle, z]))
-    return pose
+        poses = [_pose_on(four, *place) for four, place in zip(contacts, places, strict=True)]
+    return poses
+
+
+def _pose_on(contacts: Points3, middle: Float[np.ndarray, "2"], heading: Float[np.ndarray, "2"]) -> Matrix4:
+    """The pose of a car with this middle and heading, by the points where its tyres meet the road."""
+    hx, hy = heading
+    flat = np.column_stack([contacts[:, :2] - middle, np.ones(4)])
+    slope_x, slope_y, z = np.linalg.lstsq(flat, contacts[:, 2], rcond=None)[0]
+    up = np.array([-slope_x, -slope_y, 1.0])
+    up /= np.linalg.norm(up)
+    forward = np.array([hx, hy, slope_x * hx + slope_y * hy])
+    forward /= np.linalg.norm(forward)
+    return from_axes(cross(forward, up), forward, up, np.array([*middle, z]))
 
 
 def tree_positions(ground: Ground, trees: tuple[Tree, ...]) -> Float[np.ndarray, "n 3"]:
