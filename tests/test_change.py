@@ -33,13 +33,7 @@ def test_lists_take_indices_and_can_be_emptied(hilly_scene: Scene) -> None:
 
 
 # A value that differs, by what a scene was drawn by: alone it would say what is not so.
-DRAWN_BY = {
-    "split": "any",
-    "index": "7",
-    "weather.kind": "rain",
-    "weather.daytime": "night",
-    "weather": "{kind: fog}",
-}
+DRAWN_BY = {"split": "any", "index": "7", "weather.kind": "rain", "weather.daytime": "night", "weather": "{kind: fog}"}
 
 
 @pytest.mark.parametrize("path", DRAWN_BY)

@@ -13,7 +13,7 @@ from synth3dlanes.labels import labels as labels_format
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import Params, load_params
 from synth3dlanes.params.rig_files import load_rig
-from synth3dlanes.params.shots import ShotNumbers, Shots, clips
+from synth3dlanes.params.shots import Shots, clips
 from synth3dlanes.scene import scene as scene_format
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import ground_truth, label
@@ -34,21 +34,6 @@ def params(*overrides: str) -> Params:
 def frames(scene: int, shots: Shots, drawn_from: Params) -> list[World]:
     indices = range(scene * shots.frames, (scene + 1) * shots.frames)
     return [sample_world(Scenes(drawn_from, shots=shots), index) for index in indices]
-
-
-def test_sample_numbers_and_places_are_one_to_one():
-    shots = Shots(frames=4, cameras=tuple([camera()] * 3))
-    places = [shots.place(index) for index in range(48)]
-    assert [shots.index(place) for place in places] == list(range(48))
-    assert places[17] == ShotNumbers(1, 1, 2)
-    assert len(set(places)) == 48
-
-
-def camera():
-    from synth3dlanes.params.cameras import CameraSpec
-
-    sizes = {"width_px": 64, "height_px": 48, "fx_px": 60, "fy_px": 60, "cx_px": 32, "cy_px": 24, "height_m": 1.5}
-    return CameraSpec.model_validate(sizes)
 
 
 def test_the_first_frame_is_the_single_picture():
@@ -248,10 +233,7 @@ def assert_apart(drawn_from: Params, scenes: range, every_s: float) -> None:
                 update={"frame": 1 if time_s else 0, "fps": 1 / time_s if time_s else 1.0}
             )
             view = resolve(world.scene.model_copy(update={"shot": shot})).view
-            bodies = [
-                *zip(view.world_from_cars, sizes, strict=True),
-                (view.world_from_host, (2.0, 5.0)),
-            ]
+            bodies = [*zip(view.world_from_cars, sizes, strict=True), (view.world_from_host, (2.0, 5.0))]
             for i, (pose, size) in enumerate(bodies):
                 across, along = (np.linspace(-half / 2, half / 2, max(3, int(half / 0.4))) for half in size)
                 points = np.stack(np.meshgrid(across, along), axis=-1).reshape(-1, 2)

@@ -125,10 +125,7 @@ def test_the_host_is_on_a_road_of_the_map(in_tmp_path: Path) -> None:
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOK = ROOT / "examples/first_steps.ipynb"
-SMALLEST = {
-    "install": f'RENDERER = "{sys.executable} -m synth3dlanes"',
-    "sizes": "N_TRAIN, N_VAL, EPOCHS = 4, 2, 1",
-}
+SMALLEST = {"install": f'RENDERER = "{sys.executable} -m synth3dlanes"', "sizes": "N_TRAIN, N_VAL, EPOCHS = 4, 2, 1"}
 
 
 def replaced(cells: dict[str, str]) -> Any:

@@ -46,10 +46,7 @@ def test_rays_of_opencvs_pixels_lead_to_its_points(
 
 
 @given(
-    st.sampled_from([case[1] for case in cases()]),
-    st.floats(0, 0.999),
-    st.floats(-np.pi, np.pi),
-    st.floats(0.5, 500),
+    st.sampled_from([case[1] for case in cases()]), st.floats(0, 0.999), st.floats(-np.pi, np.pi), st.floats(0.5, 500)
 )
 def test_rays_undo_the_projection_over_the_whole_field(lens: Lens, share: float, around: float, away_m: float) -> None:
     angle = share * min(lens.field_rad, np.radians(85) if lens.model == "opencv" else np.pi)

@@ -50,11 +50,12 @@ def middle(labels: Labels, item: ObjectLabel) -> np.ndarray:
     return np.asarray(transform(labels.camera.world_from_cam, item.cam_from_object[:3, 3][None]))
 
 
-def test_sample_numbers_and_places_are_one_to_one() -> None:
-    shots = Shots(views=4, cameras=load_rig("nuscenes")[:3])
+@pytest.mark.parametrize("of", ["view", "frame"])
+def test_sample_numbers_and_places_are_one_to_one(of: str) -> None:
+    shots = Shots(**{f"{of}s": 4}, cameras=load_rig("nuscenes")[:3])
     places = [shots.place(index) for index in range(48)]
     assert [shots.index(place) for place in places] == list(range(48))
-    assert places[17] == ShotNumbers(scene=1, frame=0, camera=2, view=1)
+    assert places[17] == ShotNumbers(**{"scene": 1, "frame": 0, "camera": 2, of: 1})
     assert len(set(places)) == 48
     assert shots.per_scene == 12
 

@@ -209,10 +209,7 @@ def test_statistics_know_own_values():
 @pytest.mark.parametrize(
     ("own", "told"),
     [
-        (
-            "light.sun_zenith_deg=40",
-            "own 40 is kept; left open, it would be [86, 95] with weather.daytime dusk",
-        ),
+        ("light.sun_zenith_deg=40", "own 40 is kept; left open, it would be [86, 95] with weather.daytime dusk"),
         ("surface.wetness=0", "own 0 is kept; left open, it would be [0.6, 1] with weather.kind rain"),
         ("weather.rain=[0.8, 1]", None),
         ("cars.n=3", None),

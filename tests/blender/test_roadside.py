@@ -23,14 +23,7 @@ pytestmark = pytest.mark.render
 GRAY = (0.3, 0.3, 0.3)
 SMALL = {"width_px": 240, "height_px": 180, "fx_px": 207.0, "fy_px": 207.0, "cx_px": 120, "cy_px": 90}
 WALL = Rail(
-    kind="noise_wall",
-    road="main",
-    side="right",
-    from_m=15.0,
-    to_m=100.0,
-    aside_m=0.3,
-    height_m=4.0,
-    color=GRAY,
+    kind="noise_wall", road="main", side="right", from_m=15.0, to_m=100.0, aside_m=0.3, height_m=4.0, color=GRAY
 )
 EVERYTHING = Roadside(
     rails=(

@@ -134,13 +134,7 @@ def test_a_gallery_says_which_of_several_splits_it_shows(run: Run, folder: Path)
 
 
 @pytest.mark.parametrize(
-    ("options", "samples"),
-    [
-        ((), 4),
-        (("--quality", "draft"), 2),
-        (("--quality", "high"), 8),
-        (("--samples", "7"), 7),
-    ],
+    ("options", "samples"), [((), 4), (("--quality", "draft"), 2), (("--quality", "high"), 8), (("--samples", "7"), 7)]
 )
 def test_quality_is_a_name_for_a_number_of_samples(options, samples):
     with generate.make_context("generate", ["--n", "1", *options], **main.context_settings) as context:

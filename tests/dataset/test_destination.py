@@ -61,31 +61,33 @@ def test_another_recipe_is_refused_in_both(tmp_path):
             pass
 
 
-def test_a_driver_needs_shards_that_nobody_makes_and_leaves_them_to_others(tmp_path):
+def test_shards_are_locked_one_by_one_and_a_driver_leaves_its_own_to_others(tmp_path):
     """Locks are those of a process, so the other run is another process."""
     code = (
         "import sys\nfrom synth3dlanes.system.errors import ClaimedError\n"
         "from tests.dataset.test_destination import *\n"
         "for line in sys.stdin:\n"
+        "    who, number = line.split()\n"
         "    try:\n"
-        "        with Destination(sys.argv[1]).claim(DESCRIPTION, 'train', 3, [0], line.strip() == 'driver'):\n"
+        "        with Destination(sys.argv[1]).claim(DESCRIPTION, 'train', 3, [int(number)], who == 'driver'):\n"
         "            print('free', flush=True)\n"
         "    except ClaimedError as error: print(error, flush=True)"
     )
-    destination, locked = Destination(tmp_path), f"out {tmp_path}: shard 0 is locked by another run"
+    destination = Destination(tmp_path)
+    locked = [f"out {tmp_path}: shard {number} is locked by another run" for number in range(3)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], **pipes) as other:
 
         def told() -> list[str]:
-            """What the other process is told as a driver, and otherwise."""
-            other.stdin.write("driver\nother\n")
+            """What the other process is told of shard 0 as a driver, and of each otherwise."""
+            other.stdin.write("driver 0\nother 0\nother 1\nother 2\n")
             other.stdin.flush()
-            return [other.stdout.readline().strip() for _ in range(2)]
+            return [other.stdout.readline().strip() for _ in range(4)]
 
-        with destination.claim(DESCRIPTION, "train", 3, [0]):
-            assert told() == [locked, locked]
+        with destination.claim(DESCRIPTION, "train", 3, [0, 2]):
+            assert told() == [locked[0], locked[0], "free", locked[2]]
         with destination.claim(DESCRIPTION, "train", 3, [0], is_driver=True):
-            assert told() == [locked, "free"]
+            assert told() == [locked[0], "free", "free", "free"]
 
 
 def test_an_address_whose_package_is_missing_says_so(monkeypatch):

@@ -9,14 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from synth3dlanes.dataset.description import parse_description
-from synth3dlanes.dataset.format import (
-    decode_image,
-    encode_image,
-    read_passes,
-    tar_bytes,
-    tar_end,
-    write_passes,
-)
+from synth3dlanes.dataset.format import decode_image, encode_image, read_passes, tar_bytes, tar_end, write_passes
 from synth3dlanes.system.errors import FormatError
 
 

@@ -5,8 +5,6 @@ import json
 import os
 import pickle
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import permutations
 
@@ -381,25 +379,3 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):
     (tmp_path / "dataset.json").write_text("{")
     with pytest.raises(FormatError, match=r"dataset\.json: expected JSON"), enter(tmp_path):
         pass
-
-
-def test_shards_are_locked_against_other_processes_one_by_one(tmp_path):
-    code = (
-        "import sys; from pathlib import Path; from tests.dataset.test_shards import enter\n"
-        "for line in sys.stdin:\n"
-        "    try:\n"
-        "        with enter(Path(sys.argv[1]), [int(line)]): print('free', flush=True)\n"
-        "    except Exception as error: print(error, flush=True)"
-    )
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    locked = [f"out {tmp_path}: shard {number} is locked by another run" for number in range(3)]
-    with subprocess.Popen([sys.executable, "-c", code, tmp_path], **pipes) as other:
-
-        def told_elsewhere() -> list[str]:
-            other.stdin.write("0\n1\n2\n")
-            other.stdin.flush()
-            return [other.stdout.readline().strip() for _ in range(3)]
-
-        with enter(tmp_path, shards=[0, 2]):
-            assert told_elsewhere() == [locked[0], "free", locked[2]]
-        assert told_elsewhere() == ["free"] * 3

@@ -55,7 +55,7 @@ def test_another_declaration_is_found_out(scenes, declared):
 
 
 FEW = {
-    "streets": ["trees.n=0", "roadside.n_signs=0", "roadside.n_houses=0", "roadside.n_halls=0", "roadside.n_blocks=0"],
+    "streets": ["trees.n=0", "roadside.n_signs=0", "roadside.n_houses=0", "roadside.n_halls=0", "roadside.n_blocks=0"]
 }
 
 

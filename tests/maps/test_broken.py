@@ -186,8 +186,7 @@ def test_broken_objects_and_signals_are_left_out_alone() -> None:
 def test_ids_that_are_written_in_another_way_here_are_linked() -> None:
     found = read(
         opendrive(
-            straight("a b", 0, 60, through(), after="c/d:start"),
-            straight("c/d", 60, 60, through(), before="a b:end"),
+            straight("a b", 0, 60, through(), after="c/d:start"), straight("c/d", 60, 60, through(), before="a b:end")
         )
     )
     assert found.links == (("a_b.0.-1", "c_d.0.-1"),)

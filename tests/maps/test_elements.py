@@ -23,10 +23,7 @@ BEFORE = '<predecessor elementType="road" elementId="1" contactPoint="end"/>'
 
 def read(signals: str, more: str = "", objects: str = "") -> GivenMap:
     """Two roads to the east, one after the other; the first one has these signals."""
-    lanes = section(
-        lane(1, link='<successor id="1"/>'),
-        lane(-1, link='<successor id="-1"/>'),
-    )
+    lanes = section(lane(1, link='<successor id="1"/>'), lane(-1, link='<successor id="-1"/>'))
     after = f"<objects>{objects}</objects><signals>{signals}</signals>"
     first = road(EAST, lanes, "1", link=NEXT, after=after)
     reference = (

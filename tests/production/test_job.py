@@ -75,10 +75,7 @@ def test_every_field_is_an_option_and_every_option_says_what_its_field_does() ->
         ("part: 3/2", "part: expected i/n with 1 <= i <= n, such as 2/8, got '3/2'"),
         ("part: [0, 2]", "part: expected i/n with 1 <= i <= n, such as 2/8, got [0, 2]"),
         ("workers: some", "workers: expected auto or a number of processes, got 'some'"),
-        (
-            "passes: [depth, deth]",
-            "passes: expected one of depth, normal, semantic, instance, height, or all, got ",
-        ),
+        ("passes: [depth, deth]", "passes: expected one of depth, normal, semantic, instance, height, or all, got "),
         ("device: gpu", "device: expected 'auto', 'cpu', 'cuda', 'optix', 'hip', 'oneapi' or 'metal', got 'gpu'"),
         ("camera: 3", "camera: expected a name, a file, or keys of a camera, got 3"),
         ("camera: {width_px: 640}", "camera.height_px: missing"),
