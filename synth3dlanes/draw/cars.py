@@ -1,6 +1,7 @@
 """The cars of a scene: their looks, and places in lanes clear of each other and of the host, all through a clip."""
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,10 +11,15 @@ from jaxtyping import Float
 from synth3dlanes.draw.bodies import way_places
 from synth3dlanes.draw.car_colors import sold_color
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
+from synth3dlanes.geometry.polylines import spaced
+from synth3dlanes.params.distributions import extent
+from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.roads.works import closed_area
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.road_map import LaneName
 from synth3dlanes.scene.scene import Car, Scene
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.errors import InputError
@@ -28,6 +34,13 @@ PARKING_BEFORE_M = 20.0
 CHECK_EVERY_S = 0.05
 # The number of speeds drawn for a car before it takes another car's speed.
 SPEED_TRIES = 8
+
+# On maps: draws of a place for each car, and how many times as likely lanes of the host's roads are as others.
+TRIES_ON_MAPS, LIKELIER = 60, 3.0
+# The most acceleration to the side (m/s^2), and the length over which a bend is measured.
+SIDEWAYS, BEND_M = 3.0, 4.0
+# What is left of a way at the end of a clip, and the narrowest lane with cars.
+LEFT_M, NARROW_M = 6.0, 2.2
 
 NOTHING = np.zeros((0, 4, 2))
 
@@ -155,3 +168,104 @@ def _parking(network: Network, s_m: float, width_m: float, rng: np.random.Genera
         return None
     offset_m = network.rightward * (road.lane_width_m + road.shoulder_m) / 2
     return outermost[int(rng.random() * len(outermost))], round(offset_m, SCENE_DECIMALS)
+
+
+# -- on maps
+
+
+def red_lines(scene: Scene, network: Network) -> dict[LaneName, float]:
+    """Where traffic may not go on, by lanes, as stations of their roads: at the stop lines of signals that are neither
+    green nor off, or where the junction begins."""
+    lines = {at.lane: at.s_m for at in scene.roads.paint if at.kind == "stop_line" and at.lane is not None}
+    found: dict[LaneName, float] = {}
+    for signal in scene.roadside.signals:
+        if signal.state_at(0.0) not in ("green", "off"):
+            for name in signal.lanes:
+                if name in network.lanes:
+                    lane = network.lanes[name]
+                    found[name] = lines.get(name, lane.driven[int(lane.junction is None)])
+    return found
+
+
+def _line_ahead(way: LaneCurve, lines: Mapping[LaneName, float], front_m: float) -> float:
+    """The length along a way at which the first of some lines before a place of it is; infinite without one."""
+    at = (float(way.stations_on(lane.id, lines[lane.id])) for lane in way.lanes if lane.id in lines)
+    return min((m for m in at if m >= front_m), default=math.inf)
+
+
+def allowed_speed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: float, line_m: float = math.inf) -> float:
+    """The speed with which a car can drive along a way for this time, if its middle must not pass a place."""
+    if at_m + speed_m_s * duration_s > line_m:
+        speed_m_s = max(line_m - at_m, 0.0) / max(duration_s, 1e-9)
+    end_m = min(at_m + speed_m_s * duration_s, way.end_m)
+    s = np.arange(at_m, end_m + 2 * BEND_M, BEND_M / 2)
+    xy = way.xy_world(np.clip(s, 0, way.end_m))
+    heading = np.unwrap(np.arctan2(*np.diff(xy, axis=0).T[::-1]))
+    turn = np.abs(heading[2:] - heading[:-2]) / BEND_M
+    turn = turn[(s[1:-2] < end_m) & (s[3:] <= way.end_m)]
+    sharpest = max(float(turn.max()) if turn.size else 0.0, 1e-4)
+    fastest = min(speed_m_s, (SIDEWAYS / sharpest) ** 0.5, max(way.end_m - LEFT_M - at_m, 0.0) / max(duration_s, 1e-9))
+    return round(float(fastest), 3)
+
+
+def cars_on_map(
+    scene: Scene, network: Network, of: DrawsOf, links: Sequence[tuple[LaneName, LaneName]]
+) -> tuple[Car, ...]:
+    """Cars in the lanes as near to the host as stations of `cars.s_m` are to the paper's, which in a clip keep a speed
+    through lanes that follow each other and touch nobody; those without room are left out."""
+    shot, camera, is_clip = scene.shot, scene.camera, scene.shot.n_frames > 1
+    looks, speeds = of("cars", "map_cars"), of("motion", "car_speeds")
+    near, chances = _near(scene, network, max(map(abs, extent(of.params.cars.s_m))))
+    lines, rng = red_lines(scene, network), looks.rng
+
+    def places(size: BodySize) -> Iterator[CarPlace]:
+        for _ in range(TRIES_ON_MAPS):
+            lane = near[int(np.searchsorted(chances, rng.random() * chances[-1], side="right").clip(0, len(near) - 1))]
+            s_m = round(lane.start_m + rng.random() * (lane.end_m - lane.start_m), SCENE_DECIMALS)
+            route = _onward(network, lane, links, rng) if is_clip else ()
+            way = network.way_through([lane, *(network.lanes[name] for name in route)])
+            at_m = float(way.stations_on(lane.id, s_m))
+            line_m = _line_ahead(way, lines, at_m + size[0] / 2) - size[0] / 2
+            wishes = [speeds("car_speed_m_s") for _ in range(SPEED_TRIES // 4)] if is_clip else [0.0]
+            possible = [allowed_speed(way, at_m, wish, shot.duration_s, line_m) if wish else 0.0 for wish in wishes]
+            yield CarPlace(
+                {"lane": lane.id, "s_m": s_m, "route": route},
+                partial(way_places, way, at_m, offset_m=0.0, size=size),
+                possible,
+            )
+
+    host = partial(way_places, network.way, camera.y_m, offset_m=camera.offset_m, size=placement.HOST_SIZE_M)
+    traffic = Traffic(shot, host)
+    return tuple(filter(None, draw_cars(looks, scene.assets, traffic, places))) if near else ()
+
+
+def _near(scene: Scene, network: Network, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:
+    """Lanes of traffic near the host, and the sums of their chances."""
+    foot = network.host_points(scene.camera, np.zeros(1))[0, :2]
+    own = {lane.road for lane in network.way.lanes}
+    lanes = [lane for lane in network.lanes.values() if lane.width_m > NARROW_M and lane.end_m - lane.start_m > 1.0]
+    start_m, end_m = (np.array([getattr(lane, end) for lane in lanes]) for end in ("start_m", "end_m"))
+    counts = 2 + ((end_m - start_m) / 10).astype(int)
+    which, s = np.repeat(np.arange(len(lanes)), counts), spaced(start_m, end_m, counts)
+    is_near = np.hypot(*(network.xy_in_lanes(lanes, which, s) - foot).T) < reach_m
+    found, chances = [], []
+    for lane, n_near in zip(lanes, np.bincount(which[is_near], minlength=len(lanes)), strict=True):
+        if n_near:
+            found.append(lane)
+            chances.append((lane.end_m - lane.start_m) * (LIKELIER if lane.road in own else 1.0))
+    return found, np.cumsum(chances)
+
+
+def _onward(
+    network: Network, lane: NetworkLane, links: Sequence[tuple[str, str]], rng: np.random.Generator
+) -> tuple[LaneName, ...]:
+    """Lanes that follow a lane, each of those that follow one as likely."""
+    route, length_m, at = list[LaneName](), 0.0, lane
+    while length_m < 400.0 and len(route) < 60:
+        after = [after for before, after in links if before == at.id and after in network.lanes]
+        if not after:
+            break
+        at = network.lanes[after[int(rng.random() * len(after))]]
+        route.append(at.id)
+        length_m += at.end_m - at.start_m
+    return tuple(route)

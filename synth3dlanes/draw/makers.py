@@ -1,19 +1,24 @@
-"""What a maker of roads returns, and what all makers draw alike: hills, the host's camera and its first picture."""
+"""What a maker of roads returns, and what makers draw alike: hills, the host's camera and its first picture; of all
+roads that are a map, the host's speed, the terrain, and what drives."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from synth3dlanes.draw.cars import allowed_speed, cars_on_map
 from synth3dlanes.draw.crossing import Crosser
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
-from synth3dlanes.draw.riders import RiderPlaces, places_along_road
+from synth3dlanes.draw.fitted_terrain import GROUND_GRID_STEP_M, terrain_of
+from synth3dlanes.draw.riders import RiderPlaces, places_along_road, places_on_map
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.groups import MotionParams
 from synth3dlanes.params.shots import Shots
+from synth3dlanes.roads.from_map import bare_roads, map_network
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import HostCamera, Shot
+from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Gaussian, Scene, Symbol, Terrain, Tree
 from synth3dlanes.system.errors import InputError
@@ -46,6 +51,33 @@ class Roads:
 
 
 Maker = Callable[[DrawsOf, Shots, Assets], Roads]
+
+
+def map_roads(
+    of: DrawsOf,
+    roads: RoadMap,
+    camera: HostCamera,
+    shot: Shot,
+    stand: Stand,
+    ground_step_m: float = GROUND_GRID_STEP_M,
+) -> Roads:
+    """A map with the host on its route, on a terrain that meets the heights of the map's roads. In a clip the host
+    drives no faster than the bends and the end of its way allow; cars drive along the lanes."""
+    hills = draw_hills(of("terrain"))
+    bare = bare_roads(roads, hills)
+    terrain = terrain_of(bare, hills, ground_step_m)
+    network = map_network(roads, bare, terrain, camera.y_m)
+    if shot.speed_m_s and not shot.track:
+        speed_m_s = allowed_speed(network.way, camera.y_m, shot.speed_m_s, shot.duration_s)
+        shot = shot.model_copy(update={"speed_m_s": speed_m_s})
+    fields = {"terrain": terrain, "road": None, "map": roads, "camera": camera, "shot": shot}
+    return Roads(
+        network,
+        fields,
+        stand,
+        drive=lambda scene, ground: cars_on_map(scene, network, of, roads.links),
+        ride=places_on_map,
+    )
 
 
 def draw_hills(draw: Draw) -> Terrain:

@@ -8,8 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
-from synth3dlanes.draw.given_map import map_roads
-from synth3dlanes.draw.makers import Roads, draw_camera, first_shot
+from synth3dlanes.draw.makers import Roads, draw_camera, first_shot, map_roads
 from synth3dlanes.draw.town.plan import PlanPose, chain, poses
 from synth3dlanes.draw.town.streets import smooth
 from synth3dlanes.params.shots import Shots

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.draw.given_map import MapPlace, red_lines
+from synth3dlanes.draw.cars import red_lines
+from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.given_standing import _shown
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params

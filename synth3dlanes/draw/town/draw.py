@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from synth3dlanes.draw.cars import car_look
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
-from synth3dlanes.draw.given_map import map_roads
-from synth3dlanes.draw.makers import Roads, draw_camera, draw_hills, first_shot
+from synth3dlanes.draw.makers import Roads, draw_camera, draw_hills, first_shot, map_roads
 from synth3dlanes.draw.town.furniture import StreetDraws, furnish, street_trees
 from synth3dlanes.draw.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.draw.town.layout import TownMap, lay_out
