@@ -34,6 +34,9 @@ def develop(
     lamps (world)."""
     sensor, is_seen = scene.sensor, _is_seen(view.camera)
     linear = through_air(layers.radiance, layers.haze, scene.air.visibility_m, light.airlight, view)
+    if not is_seen.all():
+        # There are no rays, and what follows would spread NaN over the picture.
+        linear = np.where(is_seen[..., None], linear, np.float32(0))
     airlight = light.airlight.mean(axis=1)
     if scene.weather.rain > 0:
         linear = add_spray(linear, layers.depth_m, scene, view, airlight)
