@@ -98,8 +98,8 @@ class Format:
 
     `links` are links within an export, made where their target is and nothing is in their place; `lists` are files that
     tools open even where no frame belongs there; `replaced_words` what tools replace wherever a path has it; `counted`
-    is what `n_lines` counts. A shared file holds the lines of its frames. If it is to be one document, `document` makes
-    that, in pieces, of the file's path in the export and the file of its lines.
+    is what `n_lines` counts. A shared file holds the lines of its frames. If one is to be a document, `document` makes
+    each shared file, the sidecar too, in pieces, of its path in the export and the file of its lines.
     """
 
     title: str
