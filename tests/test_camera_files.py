@@ -67,6 +67,26 @@ camera_matrix: {rows: 3, cols: 3, data: [400, 0, 320, 0, 401, 240, 0, 0, 1]}
 distortion_model: rational_polynomial
 distortion_coefficients: {rows: 1, cols: 8, data: [1, 2, 3, 4, 5, 6, 7, 8]}
 """
+# As those of KITTI-360's fisheyes.
+MEI = """%YAML:1.0
+---
+model_type: MEI
+camera_name: image_02
+image_width: 1400
+image_height: 1400
+mirror_parameters:
+   xi: 2.2
+distortion_parameters:
+   k1: 0.017
+   k2: 1.65
+   p1: 0.0004
+   p2: 0.0005
+projection_parameters:
+   gamma1: 1336.3
+   gamma2: 1335.8
+   u0: 716.9
+   v0: 705.8
+"""
 
 
 def read(text: str, folder: Path) -> CameraSpec:
@@ -139,6 +159,21 @@ def test_opencvs_fisheye_and_kalibrs(tmp_path: Path) -> None:
     assert radtan["lens"].coefficients == (-0.01, 0.02, -0.003, 0.0004, 0, 0, 0, 0)
 
 
+def test_omnidirectional_cameras_of_kalibr_and_camodocal(tmp_path: Path) -> None:
+    found = middle(
+        read(
+            KALIBR.replace("pinhole", "omni").replace("[461.6", "[1.5, 461.6").replace("equidistant", "radtan"),
+            tmp_path,
+        )
+    )
+    assert (found["lens"].model, found["lens"].coefficients) == ("omni", (1.5, -0.01, 0.02, -0.003, 0.0004))
+    assert found["fx_px"] == 461.6
+    found = middle(read(MEI, tmp_path))
+    assert (found["lens"].model, found["lens"].coefficients) == ("omni", (2.2, 0.017, 1.65, 0.0004, 0.0005))
+    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [1336.3, 1335.8, 717.4, 706.3]
+    assert (found["width_px"], found["height_px"]) == (1400, 1400)
+
+
 def test_ros_has_the_order_of_opencv(tmp_path: Path) -> None:
     assert middle(read(ROS, tmp_path))["lens"].coefficients == (1, 2, 3, 4, 5, 6, 7, 8)
 
@@ -161,7 +196,11 @@ def test_a_calibration_gets_its_place_from_an_own_file(tmp_path: Path) -> None:
         (f"{OWN}fx: 500 +- ", "fx_px: expected numbers in [1, 100000]"),
         (f"{OWN}fx: 500\nk1: 0.1", "expected no coefficients for the model pinhole, got k1"),
         (f"{OWN}fx: 500\nmodel: fisheye\np1: 0.1", "expected k1 k2 k3 k4 for the model fisheye, got p1"),
-        (f"{OWN}fx: 500\nmodel: omni", "model: expected 'pinhole', 'opencv' or 'fisheye', got 'omni'"),
+        (f"{OWN}fx: 500\nmodel: ftheta", "model: expected 'pinhole', 'opencv', 'fisheye' or 'omni', got 'ftheta'"),
+        (f"{OWN}fx: 500\nmodel: omni\nk3: 1", "expected xi k1 k2 p1 p2 for the model omni, got k3"),
+        (f"{OWN}fx: 500\nmodel: fisheye\nxi: 1", "expected k1 k2 k3 k4 for the model fisheye, got xi"),
+        (f"{OWN}fx: 500\nmodel: omni\nxi: -1", "xi: expected numbers in [0, 10000]"),
+        (MEI.replace("xi: 2.2", "eta: 2"), "mirror_parameters: expected the numbers xi, got"),
         (f"{OWN}K: [[1, 0], [0, 1]]", "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got"),
         (f"{OWN}horizontal_fov_deg: 181", "horizontal_fov_deg: expected less than the lens's 180, got 181"),
         (f"{OWN}model: opencv\nk1: -0.3333333\nhorizontal_fov_deg: 120", "horizontal_fov_deg: expected less than the"),
@@ -172,7 +211,8 @@ def test_a_calibration_gets_its_place_from_an_own_file(tmp_path: Path) -> None:
         (OPENCV.replace("image_width", "breadth"), "image_width: missing key"),
         (OPENCV.replace("700., ", ""), "camera_matrix: expected 9 numbers, got"),
         (OPENCV.replace("-0.34999999999999998, ", "0, 0, "), "distortion: expected 4, 5, 8, 12 or 14 coefficients"),
-        (KALIBR.replace("pinhole", "omni"), "camera_model: expected pinhole, got 'omni'"),
+        (KALIBR.replace("pinhole", "ds"), "camera_model: expected pinhole or omni, got 'ds'"),
+        (KALIBR.replace("pinhole", "omni"), "expected intrinsics [xi, fx, fy, cx, cy] and resolution"),
         (KALIBR.replace("equidistant", "fov"), "distortion_model: expected one of none, radtan, equidistant, got"),
         ("calibration: none.yaml", "calibration none.yaml: cannot read: No such file"),
     ],

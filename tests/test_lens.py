@@ -12,14 +12,15 @@ from hypothesis import strategies as st
 from synth3dlanes.geometry.frames import invert, project, road_from_cam, transform
 from synth3dlanes.geometry.lens import PINHOLE, Lens, LensModel
 
-# By cv2.projectPoints and cv2.fisheye.projectPoints, whose axes are x right, y down, z forward, for this matrix.
+# By projectPoints of cv2, cv2.fisheye and cv2.omnidir (of opencv-contrib), whose axes are
+# x right, y down, z forward, for this matrix.
 REFERENCE: dict[str, Any] = json.loads((Path(__file__).parent / "opencv_lenses.json").read_text())
 FX, FY, CX, CY = 700.0, 690.0, 640.0, 350.0
 IMG_FROM_CAM = np.array([[FX, CX, 0], [0, CY, -FY], [0, 1, 0]])
 
 
 def lens(model: LensModel, k: list[float]) -> Lens:
-    wanted = 4 if model == "fisheye" else 8 if len(k) <= 8 else 14
+    wanted = {"fisheye": 4, "omni": 5}.get(model, 8 if len(k) <= 8 else 14)
     return Lens(model=model, coefficients=tuple(k + [0.0] * (wanted - len(k))))
 
 
@@ -57,7 +58,7 @@ def test_rays_undo_the_projection_over_the_whole_field(lens: Lens, share: float,
     if np.isnan(ray).any():
         # With p1 and p2 the field's border is no circle.
         assert share > 0.9
-        assert any(lens.coefficients[2:4])
+        assert any(lens.tangential)
     else:
         np.testing.assert_allclose(again, uv, rtol=0, atol=1e-9 * (FX + np.abs(uv).max()))
 
@@ -106,9 +107,23 @@ def test_barrel_draws_points_in_and_pincushion_out() -> None:
     assert CY < barrel[1] < straight[1] < pincushion[1]
 
 
+def test_an_omnidirectional_camera_is_opencvs_at_its_centre_and_stereographic_on_its_sphere() -> None:
+    k = [-0.2, 0.05, 0.003, -0.002]
+    points_cam = np.random.default_rng(0).normal(size=(50, 3)) * [3, 1, 2] + [0, 5, 0]
+    uv = lens("omni", [0.0, *k]).project(IMG_FROM_CAM, points_cam)
+    np.testing.assert_allclose(uv, lens("opencv", k).project(IMG_FROM_CAM, points_cam), atol=1e-9)
+    angles = np.radians([1, 60, 120, 178])
+    np.testing.assert_allclose([lens("omni", [1.0]).radius(angle) for angle in angles], np.tan(angles / 2))
+    # From outside its sphere, twice its radius from the middle, it sees as far as a tangent touches: 120 degrees.
+    assert np.degrees(lens("omni", [2.0]).field_rad) == pytest.approx(119)
+    with pytest.raises(ValueError, match="expected xi of at least 0, got -1"):
+        lens("omni", [-1.0])
+
+
 @given(st.lists(st.floats(-1e4, 1e4), min_size=12, max_size=12), st.sampled_from([4, 8, 12]))
 def test_any_coefficients_give_numbers_or_nan(k: list[float], count: int) -> None:
     any_lens = lens("fisheye" if count == 4 else "opencv", k[:count])
+    assert 0 < lens("omni", [abs(k[0]), *k[1:5]]).field_rad <= np.pi
     assert 0 < any_lens.field_rad <= np.pi
     uv = np.random.default_rng(1).uniform(0, 1280, (20, 2))
     rays = any_lens.rays(IMG_FROM_CAM, uv)
@@ -116,7 +131,7 @@ def test_any_coefficients_give_numbers_or_nan(k: list[float], count: int) -> Non
     np.testing.assert_allclose(np.linalg.norm(rays[known], axis=1), 1, atol=1e-9)
 
 
-@pytest.mark.parametrize(("model", "n"), [("pinhole", 1), ("opencv", 5), ("fisheye", 8)])
+@pytest.mark.parametrize(("model", "n"), [("pinhole", 1), ("opencv", 5), ("fisheye", 8), ("omni", 4)])
 def test_a_wrong_number_of_coefficients_is_refused(model: LensModel, n: int) -> None:
     with pytest.raises(ValueError, match="coefficients: expected"):
         Lens(model=model, coefficients=(0.0,) * n)

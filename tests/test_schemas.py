@@ -76,7 +76,13 @@ def test_labels_of_every_ready_camera(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("model", "coefficients"), [("pinhole", ()), ("opencv", (-0.1, 0.02, 1e-3, 0, 0, 0, 0, 0)), ("fisheye", (0.1,) * 4)]
+    ("model", "coefficients"),
+    [
+        ("pinhole", ()),
+        ("opencv", (-0.1, 0.02, 1e-3, 0, 0, 0, 0, 0)),
+        ("fisheye", (0.1,) * 4),
+        ("omni", (0.9, 0.1, 0, 0, 0)),
+    ],
 )
 def test_labels_of_every_lens(model: LensModel, coefficients: tuple[float, ...]) -> None:
     document = check(changed(camera={"lens": Lens(model=model, coefficients=coefficients)}))

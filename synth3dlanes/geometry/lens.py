@@ -15,19 +15,22 @@ from synth3dlanes.geometry.frames import project
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, Numbers
 from synth3dlanes.system.schema import DocumentPart
 
-LensModel = Literal["pinhole", "opencv", "fisheye"]
+LensModel = Literal["pinhole", "opencv", "fisheye", "omni"]
 # The names of the coefficients of each model, in order.
 COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
     "pinhole": (),
     "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "fisheye": ("k1", "k2", "k3", "k4"),
+    "omni": ("xi", "k1", "k2", "p1", "p2"),
 }
 # What OpenCV's model may have beside these: a thin prism, and a sensor tilted about its axes.
 PRISM_AND_TILT = ("s1", "s2", "s3", "s4", "tau_x", "tau_y")
 MAX_COEFFICIENT = 1e4
 MAX_TILT_RAD = 0.5
 # Widest angle from the viewing direction, less than 90 degrees for models that are defined in x/y and z/y.
-WIDEST_RAD: dict[LensModel, float] = {"pinhole": np.pi / 2, "opencv": np.radians(89.0), "fisheye": np.pi}
+WIDEST_RAD: dict[str, float] = {"pinhole": np.pi / 2, "opencv": np.radians(89.0), "fisheye": np.pi}
+# That of `omni` follows from xi, and is this much less than where its plane ends.
+EDGE_RAD = np.radians(1.0)
 # Newton's steps, the knots that they start from, and the largest error of an inverse, in units of x/y.
 STEPS, KNOTS, TOLERANCE = 20, 512, 1e-10
 # The last Newton step is smaller.
@@ -38,7 +41,8 @@ NEGLIGIBLE = 1e-15
 
 class Lens(DocumentPart):
     """A distortion model and its coefficients: none for a pinhole, k1 k2 p1 p2 k3 k4 k5 k6 for OpenCV's, after which
-    s1 s2 s3 s4 tau_x tau_y may follow, k1 to k4 for the Kannala-Brandt fisheye."""
+    s1 s2 s3 s4 tau_x tau_y may follow, k1 to k4 for the Kannala-Brandt fisheye, xi k1 k2 p1 p2 for Mei's
+    omnidirectional camera."""
 
     model: LensModel = "pinhole"
     coefficients: tuple[Annotated[float, Field(ge=-MAX_COEFFICIENT, le=MAX_COEFFICIENT)], ...] = ()
@@ -54,6 +58,8 @@ class Lens(DocumentPart):
             raise ValueError(f"coefficients: expected {told} for {self.model}, got {len(self.coefficients)} values")
         if any(abs(tilt_rad) > MAX_TILT_RAD for tilt_rad in self.prism_and_tilt[4:]):
             raise ValueError(f"coefficients: expected tau_x and tau_y of at most {MAX_TILT_RAD:g}, in radians")
+        if self.xi < 0:
+            raise ValueError(f"coefficients: expected xi of at least 0, got {self.xi:g}")
         return self
 
     @property
@@ -65,6 +71,17 @@ class Lens(DocumentPart):
     def prism_and_tilt(self) -> tuple[float, ...]:
         """s1 s2 s3 s4 tau_x tau_y."""
         return (self.coefficients[8:] if self.model == "opencv" else ()) or (0.0,) * len(PRISM_AND_TILT)
+
+    @property
+    def xi(self) -> float:
+        """How far behind the centre of its unit sphere an omnidirectional camera looks at what is projected onto the
+        sphere; 0 for other models."""
+        return self.coefficients[0] if self.model == "omni" else 0.0
+
+    @property
+    def tangential(self) -> tuple[float, ...]:
+        """p1 p2."""
+        return {"opencv": self.coefficients[2:4], "omni": self.coefficients[3:5]}.get(self.model, (0.0, 0.0))
 
     @property
     def is_pinhole(self) -> bool:
@@ -113,7 +130,8 @@ def _radial(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     if lens.model == "opencv":
         k1, k2, _, _, k3, k4, k5, k6 = lens.coefficients[:8]
         return np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
-    return np.array([*lens.coefficients[::-1], 1.0]), np.ones(1)
+    powers = lens.coefficients[1:3] if lens.model == "omni" else lens.coefficients
+    return np.array([*powers[::-1], 1.0]), np.ones(1)
 
 
 @lru_cache(maxsize=256)
@@ -129,15 +147,41 @@ def _field_rad(lens: Lens) -> float:
     roots = np.concatenate([np.roots(part) for part in parts])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))) & (roots.real > 0)]
     end = float(np.sqrt(real.min())) if real.size else np.inf
-    return min(end if lens.model == "fisheye" else float(np.arctan(end)), WIDEST_RAD[lens.model])
+    if lens.model == "fisheye":
+        return min(end, WIDEST_RAD[lens.model])
+    aside, ahead, _ = _lifted(lens, np.array([end, 0.0]))
+    return float(np.fmin(np.arctan2(aside, ahead), _widest_rad(lens)))
+
+
+def _widest_rad(lens: Lens) -> float:
+    """The widest angle that a model may have. The plane of an omnidirectional camera ends where it is infinitely far
+    away, or, from outside its sphere, where the sphere turns away."""
+    if lens.model == "omni":
+        return float(np.arccos(-min(lens.xi, 1 / max(lens.xi, 1.0)))) - EDGE_RAD
+    return WIDEST_RAD[lens.model]
 
 
 def _radius(lens: Lens, angle_rad: Numbers) -> tuple[Numbers, Numbers]:
     """The distorted radius at an angle, and its derivative by the angle."""
-    r = angle_rad if lens.model == "fisheye" else np.tan(angle_rad)
-    stretch = 1.0 if lens.model == "fisheye" else 1 + r * r
+    r, stretch = _flat(lens, angle_rad)
     factor, slope = _factor(lens, r * r)
     return r * factor, (factor + 2 * r * r * slope) * stretch
+
+
+def _flat(lens: Lens, angle_rad: Numbers) -> tuple[Numbers, Numbers]:
+    """The radius before distortion at an angle, and its derivative by the angle."""
+    if lens.model == "fisheye":
+        return angle_rad, np.ones_like(angle_rad)
+    depth = np.cos(angle_rad) + lens.xi
+    return np.sin(angle_rad) / depth, (1 + lens.xi * np.cos(angle_rad)) / depth**2
+
+
+def _lifted(lens: Lens, plane: AnyPoints2) -> AnyPoints3:
+    """Unit vectors to points of the plane of a model, before distortion; NaN where there is none."""
+    s = plane[..., :1] ** 2 + plane[..., 1:] ** 2
+    with np.errstate(invalid="ignore"):
+        scale = (lens.xi + np.sqrt(1 + (1 - lens.xi**2) * s)) / (1 + s)
+    return np.concatenate([plane[..., :1] * scale, scale - lens.xi, plane[..., 1:] * scale], axis=-1)
 
 
 def _factor(lens: Lens, s: Numbers) -> tuple[Numbers, Numbers]:
@@ -158,7 +202,7 @@ def _bent(lens: Lens, points_cam: AnyPoints3) -> AnyPoints2:
         if lens.model == "fisheye":
             scale = np.where(aside > 0, _radius(lens, angle)[0] / np.where(aside > 0, aside, 1), 0.0) + 0 * angle
             return np.stack([x * scale, z * scale], axis=-1)
-        y = np.where(np.isnan(angle), np.nan, y)
+        y = np.where(np.isnan(angle), np.nan, y) + lens.xi * np.hypot(aside, y)
         return _tilted(_tilt(lens), _tangential(lens, np.stack([x / y, z / y], axis=-1))[0])
 
 
@@ -185,8 +229,9 @@ def _tilted(tilt: Float[np.ndarray, "3 3"] | None, points: AnyPoints2) -> AnyPoi
 
 
 def _tangential(lens: Lens, straight: AnyPoints2) -> tuple[AnyPoints2, Float[np.ndarray, "*n 2 2"]]:
-    """OpenCV's model without tilt on (x/y, z/y), and its Jacobian. Its own second axis points down: -z/y."""
-    p1, p2 = lens.coefficients[2:4]
+    """OpenCV's model without tilt on (x/y, z/y), or on what an omnidirectional camera has there, and its Jacobian. Its
+    own second axis points down: -z/y."""
+    p1, p2 = lens.tangential
     s1, s2, s3, s4, _, _ = lens.prism_and_tilt
     a, b = straight[..., 0], -straight[..., 1]
     s = a * a + b * b
@@ -216,7 +261,7 @@ def _straight(lens: Lens, bent: AnyPoints2) -> AnyPoints3:
     angle = _angle(lens, radius)
     with np.errstate(invalid="ignore"):
         outward = bent / np.where(radius > 0, radius, 1)[..., None]
-    if lens.model == "fisheye" or not any(lens.coefficients[2:4] + lens.prism_and_tilt[:4]):
+    if not any(lens.tangential + lens.prism_and_tilt[:4]):
         return np.concatenate(
             [
                 outward[..., :1] * np.sin(angle)[..., None],
@@ -227,7 +272,7 @@ def _straight(lens: Lens, bent: AnyPoints2) -> AnyPoints3:
         )
     # p1, p2 and a prism may move a point into the field whose radius is just out of it.
     start = np.where(np.isnan(angle), 0.98 * lens.field_rad, angle)
-    straight = outward * np.tan(start)[..., None]
+    straight = outward * _flat(lens, start)[0][..., None]
     with np.errstate(all="ignore"):
         for _ in range(STEPS):
             found, jacobian = _tangential(lens, straight)
@@ -239,10 +284,9 @@ def _straight(lens: Lens, bent: AnyPoints2) -> AnyPoints3:
             if not (np.abs(step) > LAST_STEP).any():
                 break
         off = np.abs(_tangential(lens, straight)[0] - bent).max(axis=-1)
-        inside = (off < TOLERANCE) & (np.arctan(np.hypot(*np.moveaxis(straight, -1, 0))) < lens.field_rad)
-    straight = np.where(inside[..., None], straight, np.nan)
-    rays = np.stack([straight[..., 0], np.ones(straight.shape[:-1]), straight[..., 1]], axis=-1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+        rays = _lifted(lens, straight)
+        inside = (off < TOLERANCE) & (np.arccos(np.clip(rays[..., 1], -1, 1)) < lens.field_rad)
+    return np.where(inside[..., None], rays, np.nan)
 
 
 def _angle(lens: Lens, radius: Numbers) -> Numbers:

@@ -1,4 +1,5 @@
-"""Files of cameras: our own YAML, and the calibrations that OpenCV, ROS and Kalibr write (docs/camera.md).
+"""Files of cameras: our own YAML, and the calibrations that OpenCV, ROS, Kalibr and CamOdoCal write
+(docs/camera.md).
 
 Reading a file is the only side effect.
 """
@@ -20,10 +21,19 @@ Model = TypeVar("Model", bound=BaseModel)
 
 # Short names of keys in files.
 SHORT = {name: f"{name}_px" for name in ("fx", "fy", "cx", "cy")}
-# OpenCV, ROS and Kalibr put (0, 0) at the centre of the first pixel, we at its corner.
+# OpenCV, ROS, Kalibr and CamOdoCal put (0, 0) at the centre of the first pixel, we at its corner.
 CENTER_PX = 0.5
-OPENCV_COUNTS, FISHEYE_COUNT = (4, 5, 8, 12, 14), 4
-KALIBR_MODELS = {"none": "pinhole", "radtan": "opencv", "equidistant": "fisheye"}
+# The coefficients that a list has by the model, in order, and how many there may be.
+LISTED: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
+    "opencv": (NAMES, (4, 5, 8, 12, 14)),
+    "fisheye": (("k1", "k2", "k3", "k4"), (4,)),
+    "omni": (("k1", "k2", "p1", "p2"), (4,)),
+}
+# By Kalibr's camera and distortion models. Intrinsics of omni begin with xi.
+KALIBR_MODELS = {
+    "pinhole": {"none": "pinhole", "radtan": "opencv", "equidistant": "fisheye"},
+    "omni": {"none": "omni", "radtan": "omni"},
+}
 ROS_MODELS = {
     "plumb_bob": "opencv",
     "rational_polynomial": "opencv",
@@ -113,18 +123,21 @@ def _calibrated(source: Any, where: str, folder: Path) -> dict[str, Any]:
     path = folder / source
     document = read_document(path, f"{where}: calibration {source}")
     if not isinstance(document, dict) or not _is_foreign(document):
-        raise InputError(f"{where}: calibration {source}: expected a calibration of OpenCV, ROS or Kalibr")
+        raise InputError(f"{where}: calibration {source}: expected a calibration of OpenCV, ROS, Kalibr or CamOdoCal")
     return _foreign(document, f"{where}: calibration {source}")
 
 
 def _is_foreign(document: Mapping[Any, Any]) -> bool:
     keys = {key.lower() for key in document if isinstance(key, str)}
-    return "camera_matrix" in keys or "cam0" in keys or {"intrinsics", "resolution"} <= keys
+    one_of = "camera_matrix" in keys or "cam0" in keys or "mirror_parameters" in keys
+    return one_of or {"intrinsics", "resolution"} <= keys
 
 
 def _foreign(document: Mapping[Any, Any], where: str) -> dict[str, Any]:
     """The image and lens of a calibration, by the keys of `CameraSpec`."""
     keys = {key.lower(): value for key, value in document.items() if isinstance(key, str)}
+    if "mirror_parameters" in keys:
+        return _of_camodocal(keys, where)
     return _of_opencv(keys, where) if "camera_matrix" in keys else _of_kalibr(keys.get("cam0", keys), where)
 
 
@@ -147,14 +160,45 @@ def _of_kalibr(cam: Any, where: str) -> dict[str, Any]:
     """A camera of Kalibr's camchain."""
     if not isinstance(cam, dict):
         raise InputError(f"{where}: cam0: expected keys such as intrinsics, got {shown(cam)}")
-    if cam.get("camera_model", "pinhole") != "pinhole":
-        raise InputError(f"{where}: camera_model: expected pinhole, got {shown(cam['camera_model'])}")
+    kind = cam.get("camera_model", "pinhole")
+    if kind not in ("pinhole", "omni"):
+        raise InputError(f"{where}: camera_model: expected pinhole or omni, got {shown(kind)}")
     focals, size = (_numbers(_required(cam, key, where)) for key in ("intrinsics", "resolution"))
-    if len(focals) != 4 or len(size) != 2:
-        raise InputError(f"{where}: expected intrinsics [fx, fy, cx, cy] and resolution [width, height]")
-    model = _model(cam.get("distortion_model", "none"), KALIBR_MODELS, where, "distortion_model")
+    names = ["xi"] * (kind == "omni") + ["fx", "fy", "cx", "cy"]
+    if len(focals) != len(names) or len(size) != 2:
+        raise InputError(f"{where}: expected intrinsics [{', '.join(names)}] and resolution [width, height]")
+    model = _model(cam.get("distortion_model", "none"), KALIBR_MODELS[kind], where, "distortion_model")
     lens = _lens(model, _numbers(cam.get("distortion_coeffs", ())), where)
-    return {"width_px": size[0], "height_px": size[1], **_centered(*focals), **lens}
+    return {"width_px": size[0], "height_px": size[1], **_centered(*focals[-4:]), **lens, **_xi(focals[:-4])}
+
+
+def _of_camodocal(keys: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """CamOdoCal's omnidirectional camera, the model of KITTI-360's fisheyes."""
+    size = [_required(keys, name, where) for name in ("image_width", "image_height")]
+    groups = {
+        "projection_parameters": ("gamma1", "gamma2", "u0", "v0"),
+        "mirror_parameters": ("xi",),
+        "distortion_parameters": ("k1", "k2", "p1", "p2"),
+    }
+    found = []
+    for group, names in groups.items():
+        values = _required(keys, group, where)
+        if not isinstance(values, dict) or len(read := _numbers([values.get(name) for name in names])) != len(names):
+            raise InputError(f"{where}: {group}: expected the numbers {' '.join(names)}, got {shown(values)}")
+        found.append(read)
+    focals, xi, distortion = found
+    return {
+        "width_px": size[0],
+        "height_px": size[1],
+        **_centered(*focals),
+        **_lens("omni", distortion, where),
+        **_xi(xi),
+    }
+
+
+def _xi(values: list[float]) -> dict[str, float]:
+    """The key of an omnidirectional camera, where there is any."""
+    return {"xi": values[0]} if values else {}
 
 
 def _centered(fx: float, fy: float, cx: float, cy: float) -> dict[str, Any]:
@@ -164,10 +208,11 @@ def _centered(fx: float, fy: float, cx: float, cy: float) -> dict[str, Any]:
 def _lens(model: str, values: list[float], where: str) -> dict[str, Any]:
     """The coefficients by name."""
     if model == "pinhole" or not any(values):
-        return {"model": model if model == "fisheye" else "pinhole"}
-    names = NAMES if model == "opencv" else ("k1", "k2", "k3", "k4")
-    if len(values) not in (OPENCV_COUNTS if model == "opencv" else (FISHEYE_COUNT,)):
-        wanted = "4, 5, 8, 12 or 14" if model == "opencv" else "4"
+        return {"model": "pinhole" if model == "opencv" else model}
+    names, counts = LISTED[model]
+    if len(values) not in counts:
+        *others, last = map(str, counts)
+        wanted = f"{', '.join(others)} or {last}" if others else last
         told = f"expected {wanted} coefficients of the model {model}, got {len(values)}"
         raise InputError(f"{where}: distortion: {told}")
     return {"model": model, **dict(zip(names, values, strict=False))}

@@ -28,6 +28,7 @@ ZERO = Choice((0.0,), (1.0,))
 # Without a calibration of the place: in the middle of the host, level.
 HEIGHT_M = Choice((1.5,), (1.0,))
 NAMES = COEFFICIENTS["opencv"] + PRISM_AND_TILT
+EVERY_NAME = (*NAMES, "xi")
 # From this half field of view on, a picture shows what is beside the camera.
 ASIDE_DEG = 85.0
 VALUE_DECIMALS, COEFFICIENT_DECIMALS = 6, 9
@@ -81,6 +82,7 @@ class CameraSpec(Group):
     s4: Coefficient = coefficient()
     tau_x: Tilt = coefficient()
     tau_y: Tilt = coefficient()
+    xi: Annotated[Real, reals(0, MAX_COEFFICIENT)] = coefficient()
 
     @model_validator(mode="after")
     def _has_one_focal_length(self) -> "CameraSpec":
@@ -88,7 +90,7 @@ class CameraSpec(Group):
         if (self.fx_px is None) == (self.horizontal_fov_deg is None):
             raise ValueError("expected either fx (or K) or horizontal_fov_deg")
         names = NAMES if self.model == "opencv" else COEFFICIENTS[self.model]
-        foreign = [name for name in NAMES if getattr(self, name) != ZERO and name not in names]
+        foreign = [name for name in EVERY_NAME if getattr(self, name) != ZERO and name not in names]
         if foreign:
             wanted = " ".join(names) or "no coefficients"
             raise ValueError(f"expected {wanted} for the model {self.model}, got {' '.join(foreign)}")
@@ -123,7 +125,7 @@ class CameraSpec(Group):
         Raises InputError where the field of view is wider than the lens's.
         """
         values = {name: self._draw(name, u) for name in type(self).model_fields if name not in ("name", "model")}
-        by_name = {name: round(values.pop(name), COEFFICIENT_DECIMALS) for name in NAMES}
+        by_name = {name: round(values.pop(name), COEFFICIENT_DECIMALS) for name in EVERY_NAME}
         names = NAMES if any(by_name[name] for name in PRISM_AND_TILT) else COEFFICIENTS[self.model]
         lens = Lens(model=self.model, coefficients=tuple(by_name[name] for name in names))
         fov_deg = values.pop("horizontal_fov_deg")

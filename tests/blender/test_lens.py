@@ -27,6 +27,7 @@ LENSES = {
     "barrel": (300.0, Lens(model="opencv", coefficients=(-0.28, 0.08, 0.004, -0.003, -0.01, 0, 0, 0))),
     "rational": (350.0, Lens(model="opencv", coefficients=(0.6, -0.1, 0.003, -0.002, 0.004, 0.9, 0.03, -0.004))),
     "fisheye": (150.0, Lens(model="fisheye", coefficients=(0.03, -0.01, 0.002, -0.0003))),
+    "omni": (320.0, Lens(model="omni", coefficients=(0.4, -0.1, 0.03, 0.004, -0.003))),
 }
 BENDS = {"offset_m50_m": 6.0, "offset_p50_m": -5.0}
 
@@ -36,7 +37,7 @@ def scene_through(lens, f_px):
     return changed(road=BENDS, camera=camera)
 
 
-@pytest.fixture(scope="module", params=first(1, ["fisheye", "barrel", "rational"]))
+@pytest.fixture(scope="module", params=first(1, ["fisheye", "barrel", "rational", "omni"]))
 def shot(request):
     f_px, lens = LENSES[request.param]
     scene = scene_through(lens, f_px)
@@ -108,7 +109,8 @@ def test_a_fisheye_is_black_out_of_its_field_and_its_passes_are_empty():
     # Turns back at 1 rad.
     ending = Lens(model="fisheye", coefficients=(-1 / 3, 0, 0, 0))
     scene = scene_through(ending, 200.0)
-    scene = scene.model_copy(update={"sensor": scene.sensor.model_copy(update={"motion_blur_m": 0.5})})
+    sensor = {"motion_blur_m": 0.5, "flare": 0.5, "dirt": 0.5, "drops": 0.5}
+    scene = scene.model_copy(update={"sensor": scene.sensor.model_copy(update=sensor)})
     picture = take_picture(resolve(scene), SETTINGS)
     empty = np.isnan(rays_of_pixels(scene.camera)).any(axis=-1)
     assert 0.3 < empty.mean() < 0.9
