@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from .config import Augmentation
 from .data import Batch
-from .projection import road_from_cam, top_from_road
+from .projection import pixel_rays, road_from_cam, top_from_road
 
 
 class AugmentedBatch(NamedTuple):
@@ -112,9 +112,7 @@ def _warp(
     """The image of the rotated camera; pixels outside the original repeat its border."""
     height, width = image.shape[2], image.shape[3]
     fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
-    u = (torch.arange(width, device=image.device) + 0.5)[None, None, :]
-    v = (torch.arange(height, device=image.device) + 0.5)[None, :, None]
-    right, down = ((u - cx) / fx).expand(-1, height, -1), ((v - cy) / fy).expand(-1, -1, width)
+    right, down = pixel_rays(intrinsics, height, width)
     rays_new = torch.stack([right, torch.ones_like(right), -down], dim=-1)
     rays_old = torch.einsum("bij,bhwj->bhwi", old_from_new, rays_new)
     u_old = cx + fx * rays_old[..., 0] / rays_old[..., 1]

@@ -11,6 +11,10 @@ from torch import Tensor, nn
 
 from .config import ModelConfig
 
+# Mean and standard deviation of ImageNet, RGB in 0..1, as published VGG16 weights expect.
+IMAGE_MEAN = (0.485, 0.456, 0.406)
+IMAGE_STD = (0.229, 0.224, 0.225)
+
 
 class Lattice(NamedTuple):
     """Feature i is at `offset + stride * i` of the input, in continuous pixels (the first pixel spans 0 to 1)."""
@@ -79,12 +83,18 @@ def _single(value: int | tuple[int, ...]) -> int:
     return value if isinstance(value, int) else value[-1]
 
 
-# Mean and standard deviation of ImageNet, RGB in 0..1, as published VGG16 weights expect.
-IMAGE_MEAN = (0.485, 0.456, 0.406)
-IMAGE_STD = (0.229, 0.224, 0.225)
+class Normalised(nn.Module):
+    """A pathway that is given RGB in 0..1."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mean: Tensor
+        self.std: Tensor
+        self.register_buffer("mean", torch.tensor(IMAGE_MEAN)[:, None, None], persistent=False)
+        self.register_buffer("std", torch.tensor(IMAGE_STD)[:, None, None], persistent=False)
 
 
-class ImagePathway(nn.Module):
+class ImagePathway(Normalised):
     """Normalises RGB in 0..1 and returns the map of each stage; `lattices` has the positions of their features."""
 
     def __init__(self, config: ModelConfig, n_stages: int = 4) -> None:
@@ -93,11 +103,9 @@ class ImagePathway(nn.Module):
         stages = _vgg_stages(config) if config.backbone == "vgg16" else _residual_stages(config)
         self.stages = nn.ModuleList(stages[:n_stages])
         self.channels: tuple[int, ...] = config.image_channels[:n_stages]
-        self.lattices = self._follow()
-        self.mean: Tensor
-        self.std: Tensor
-        self.register_buffer("mean", torch.tensor(IMAGE_MEAN)[:, None, None], persistent=False)
-        self.register_buffer("std", torch.tensor(IMAGE_STD)[:, None, None], persistent=False)
+        self.lattices: list[Lattice] = []
+        for stage in self.stages:
+            self.lattices.append(lattice_after(_main_path(stage), self.lattices[-1] if self.lattices else PIXELS))
 
     def forward(
         self, image: Float[Tensor, "b 3 h w"], rays: Float[Tensor, "b 2 h w"] | None = None
@@ -117,13 +125,6 @@ class ImagePathway(nn.Module):
     def sizes(self, height_px: int, width_px: int) -> list[tuple[int, int]]:
         """Rows and columns of each map: every stage halves, rounding down."""
         return [(height_px // 2 ** (i + 1), width_px // 2 ** (i + 1)) for i in range(len(self.stages))]
-
-    def _follow(self) -> list[Lattice]:
-        lattices, lattice = [], PIXELS
-        for stage in self.stages:
-            lattice = lattice_after(_main_path(stage), lattice)
-            lattices.append(lattice)
-        return lattices
 
 
 def _main_path(module: nn.Module) -> list[nn.Module]:

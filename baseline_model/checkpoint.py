@@ -6,7 +6,6 @@
 import json
 import os
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from torch import Tensor, nn
 
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.files import Folder, encoded
-from synth3dlanes.system.schema import Excerpt, Positive, validation_problems
+from synth3dlanes.system.schema import Excerpt, Positive, did_you_mean, validation_problems
 
 from .config import CustomModel, ModelConfig, TrainConfig, changed, parse
 from .data import FocalLengths
@@ -142,8 +141,7 @@ def place(source: str | Path) -> Path:
     shipped = {file.stem: file for file in (SHIPPED, COMPACT, STREETS)}
     found = shipped.get(str(source), Path(source))
     if not os.path.lexists(found):
-        close = get_close_matches(str(source), shipped, n=1)
-        meant = f"; did you mean {close[0]}?" if close else ""
+        meant = did_you_mean(str(source), shipped)
         raise InputError(f"{source}: expected a checkpoint or one of {', '.join(shipped)}, got no such file{meant}")
     return found
 

@@ -353,34 +353,33 @@ satisfying results"); `improved` has our changes."""
 
 
 def train_config(model: str, overrides: dict[str, Any] | None = None, ablation: str = "full") -> TrainConfig:
-    """The named model's default configuration, with overrides by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
+    """The default configuration of the named model, or of a network of the user's own (`module:function`), with
+    overrides by dotted keys: {"model.grid.rows": 104, "batch": 8}."""
     if ":" in model:
-        return _custom_config(model, overrides or {}, ablation)
+        if ablation != "full":
+            raise InputError(f"ablation: expected full for a network of your own, got {ablation!r}")
+        return _overridden({"model": {"build": model}}, overrides or {})
     for what, name, known in (("model", model, MODELS), ("ablation", ablation, ABLATIONS)):
         if name not in known:
             raise InputError(f"{what}: expected one of {', '.join(known)}, got {name!r}")
     document = _defaults(model, is_improved="improved" in (model, ablation))
     if ablation == "improved" and model != "improved":
         document["model"] = improved(MODELS[model]).model_dump()
-    for key, value in (ABLATIONS[ablation] | (overrides or {})).items():
-        _set(document, key.split("."), value)
-    return parse(TrainConfig, document, "train")
-
-
-def _custom_config(build: str, overrides: dict[str, Any], ablation: str) -> TrainConfig:
-    if ablation != "full":
-        raise InputError(f"ablation: expected full for a network of your own, got {ablation!r}")
-    document: dict[str, Any] = {"model": {"build": build}}
-    for key, value in overrides.items():
-        _set(document, key.split("."), value)
-    return parse(TrainConfig, document, "train")
+    return _overridden(document, ABLATIONS[ablation] | (overrides or {}))
 
 
 def changed(config: TrainConfig, overrides: dict[str, Any]) -> TrainConfig:
     """The configuration with overrides by dotted keys."""
-    document = config.model_dump()
+    return _overridden(config.model_dump(), overrides)
+
+
+def _overridden(document: dict[str, Any], overrides: dict[str, Any]) -> TrainConfig:
     for key, value in overrides.items():
-        _set(document, key.split("."), value)
+        *above, name = key.split(".")
+        part = document
+        for step in above:
+            part = part.setdefault(step, {})
+        part[name] = value
     return parse(TrainConfig, document, "train")
 
 
@@ -442,9 +441,3 @@ def overrides_from(texts: Sequence[str]) -> dict[str, Any]:
     if problems:
         raise InputError(*problems)
     return overrides
-
-
-def _set(document: dict[str, Any], path: list[str], value: Any) -> None:
-    for step in path[:-1]:
-        document = document.setdefault(step, {})
-    document[path[-1]] = value

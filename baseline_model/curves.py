@@ -16,6 +16,14 @@ from synth3dlanes.labels.labels import Labels, LaneKind
 
 MEAN_PITCH_RAD = float(np.radians(2.5))
 MEAN_HEIGHT_M = 1.65
+Y_REF_M = 20.0
+HALF_WIDTH_M = 10.24
+"""A lane counts only if it crosses Y_ref inside the top view: 16 columns of 1.28 m."""
+NEAR_KNOTS_M = (5.0, 20.0, 40.0)
+"""A lane with fewer than two of these points visible cannot be located and is ignored."""
+SAME_CURVE_M = 0.3
+METRIC_STEP_M, MIN_VALID_POINTS = 0.8, 10
+METRIC_Y_M, SHORTEST_M = np.arange(101) * METRIC_STEP_M, MIN_VALID_POINTS * METRIC_STEP_M
 
 
 class Pose(NamedTuple):
@@ -45,16 +53,6 @@ def onto_plane(rays_cam: Float[np.ndarray, "n 3"], pose: Pose) -> Float[np.ndarr
     fall = rays_cam @ road_from_cam(pose)[2, :3]
     meets = (fall < -1e-6) & (rays_cam[:, 1] > 0.05)
     return rays_cam[meets] * (pose.height_m / -fall[meets])[:, None]
-
-
-Y_REF_M = 20.0
-HALF_WIDTH_M = 10.24
-"""A lane counts only if it crosses Y_ref inside the top view: 16 columns of 1.28 m."""
-NEAR_KNOTS_M = (5.0, 20.0, 40.0)
-"""A lane with fewer than two of these points visible cannot be located and is ignored."""
-SAME_CURVE_M = 0.3
-METRIC_STEP_M, MIN_VALID_POINTS = 0.8, 10
-METRIC_Y_M, SHORTEST_M = np.arange(101) * METRIC_STEP_M, MIN_VALID_POINTS * METRIC_STEP_M
 
 
 @dataclass(frozen=True, eq=False)

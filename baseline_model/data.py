@@ -18,7 +18,7 @@ from synth3dlanes.system.arrays import Polyline2, RgbImage
 from synth3dlanes.system.errors import FormatError, InputError
 
 from .anchors import CENTERLINE, DELIMITER, CurveBatch
-from .curves import Pose, road_curves, target_pose
+from .curves import Pose, plane_pose, road_curves, target_pose
 
 Intrinsics = tuple[float, float, float, float]
 MOST_ENLARGED = 20.0
@@ -124,14 +124,12 @@ def annotation_of(
     n_points = max([1, *(len(curve.visible) for curve in curves)])
     xyz_cam = np.zeros((len(curves), n_points, 3), dtype=np.float32)
     visible = np.zeros((len(curves), n_points), dtype=bool)
-    kind = np.zeros(len(curves), dtype=np.int64)
     for i, curve in enumerate(curves):
         n = len(curve.visible)
-        xyz_cam[i, :n], xyz_cam[i, n:] = curve.xyz_cam, curve.xyz_cam[-1]
-        visible[i, :n] = curve.visible
-        kind[i] = CENTERLINE if curve.kind == "centerline" else DELIMITER
-    plane, target = Pose(labels.camera.pitch_rad, labels.camera.height_m), target_pose(labels, pose_mode)
+        xyz_cam[i, :n], xyz_cam[i, n:], visible[i, :n] = curve.xyz_cam, curve.xyz_cam[-1], curve.visible
+    kind = np.array([CENTERLINE if curve.kind == "centerline" else DELIMITER for curve in curves], dtype=np.int64)
     intrinsics = scale(intrinsics_of(labels), (labels.camera.height_px, labels.camera.width_px), size_px)
+    plane, target = plane_pose(labels), target_pose(labels, pose_mode)
     return NetworkLabels(key, intrinsics, plane, target, xyz_cam, visible, kind)
 
 

@@ -64,10 +64,8 @@ def evaluate_predictions(
     """Score predictions in JSON lines (docs/baseline.md). Images without a line count as images without detections;
     unknown and repeated keys are errors."""
     samples = open_split(data_dir)
-    keys = [key_at(samples, i) for i in range(len(samples))]
-    given = read_by_key(Path(file), keys)
-    found = ((labels_at(samples, i), given.get(key, Prediction(key, (), None))) for i, key in enumerate(keys))
-    return score_on(samples, found, config)
+    given = read_by_key(Path(file), [key_at(samples, i) for i in range(len(samples))])
+    return score_on(samples, ((labels_at(samples, i), found) for i, found in enumerate(given)), config)
 
 
 def evaluate_flat_ground(

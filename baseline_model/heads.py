@@ -10,15 +10,29 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn import functional
 
 from .anchors import spread_m
-from .backbone import Lattice, convolution
+from .backbone import convolution
 from .config import ModelConfig
-from .projection import sampling_grid
+from .projection import ImageMaps, sample
 
 PRIOR_LOGIT = -2.9
 """Initial confidence of 0.05, about the share of anchors with a lane."""
+WIDTH, HIDDEN = 16, 64
+LEVELS = (0, 1, 2)
+"""Maps that a refinement samples: image strides 2, 4 and 8."""
+ASIDE_M = (-0.8, -0.4, 0.0, 0.4, 0.8)
+"""Where it samples them, right of each point."""
+CORRECTION_SCALE = 0.2
+"""Scale of its correction, in spreads of the targets."""
+CLOSE_LEVELS = (0, 1)
+ASIDE_PX = (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0)
+"""Where a close look samples its maps, right of each point, in pixels of the network's input."""
+PER_KNOT = 3
+"""Points from a knot to the next, without the next."""
+STEP_PX = 10.0
+"""Scale of its correction."""
+CLOSE_HIDDEN = 48
 
 
 class Lanes(NamedTuple):
@@ -73,67 +87,49 @@ def _kernel(layer: nn.Module) -> int:
     return int(first.kernel_size[0]) if isinstance(first, nn.Conv2d) else 0
 
 
-WIDTH, HIDDEN = 16, 64
-LEVELS = (0, 1, 2)
-"""Maps that a refinement samples: image strides 2, 4 and 8."""
-ASIDE_M = (-0.8, -0.4, 0.0, 0.4, 0.8)
-"""Where it samples them, right of each point."""
-CORRECTION_SCALE = 0.2
-"""Scale of its correction, in spreads of the targets."""
-CLOSE_LEVELS = (0, 1)
-ASIDE_PX = (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0)
-"""Where a close look samples its maps, right of each point, in pixels of the network's input."""
-PER_KNOT = 3
-"""Points from a knot to the next, without the next."""
-STEP_PX = 10.0
-"""Scale of its correction."""
-CLOSE_HIDDEN = 48
-
-
 class _Look(nn.Module):
-    """Samples a few channels of maps of the image."""
+    """Samples a few channels of maps of the image, at points and beside them."""
 
-    def __init__(self, channels: Sequence[int], levels: Sequence[int]) -> None:
+    def __init__(
+        self, channels: Sequence[int], levels: Sequence[int], aside: Sequence[float], config: ModelConfig
+    ) -> None:
         super().__init__()
-        self.levels = levels
+        self.levels, self.has_elevation = levels, config.has_elevation
         self.reduce = nn.ModuleList(nn.Conv2d(channels[level], WIDTH, 1) for level in levels)
+        self.knots_y_m: Tensor
+        self.register_buffer("knots_y_m", torch.tensor(config.knots_y_m), persistent=False)
+        self.aside: Tensor
+        self.register_buffer("aside", torch.tensor(aside), persistent=False)
 
     def seen_along(
         self,
-        points_top: Float[Tensor, "b p n 3"],
-        n_lanes: int,
-        maps: Sequence[Float[Tensor, "..."]],
-        lattices: Sequence[Lattice],
-        cam_from_top: Float[Tensor, "b 4 4"],
-        intrinsics: Float[Tensor, "b 4"],
-    ) -> Float[Tensor, "m d s"]:
-        """A sequence of points for each lane of each image, with what the maps have at the point and beside it as
-        channels. No gradient passes to where maps are sampled."""
-        seen = []
-        for reduce, level in zip(self.reduce, self.levels, strict=True):
-            features = reduce(maps[level].float())
-            size = (features.shape[2], features.shape[3])
-            grid = sampling_grid(points_top, cam_from_top.detach(), intrinsics, lattices[level], size)
-            seen.append(functional.grid_sample(features, grid, align_corners=False))
-        b, n_points, n_aside, _ = points_top.shape
-        points = torch.cat(seen, dim=1).reshape(b, -1, n_lanes, n_points // n_lanes, n_aside)
-        return points.permute(0, 2, 1, 4, 3).reshape(b * n_lanes, -1, n_points // n_lanes)
+        x_m: Float[Tensor, "b t a p s"],
+        y_m: Float[Tensor, " p"],
+        z_m: Float[Tensor, "b t a p"],
+        image: ImageMaps,
+    ) -> Float[Tensor, "m d p"]:
+        """What maps have at points of the top frame, as channels along each lane of each image; x is given for the
+        point and for places beside it. No gradient passes to where maps are sampled."""
+        b, t, a, p, s = x_m.shape
+        points_top = torch.stack([x_m, y_m[:, None].expand_as(x_m), z_m[..., None].expand_as(x_m)], dim=-1)
+        points_top, cam_from_top = points_top.reshape(b, t * a * p, s, 3), image.cam_from_top.detach()
+        seen = [
+            sample(reduce(image.maps[i].float()), points_top, cam_from_top, image.intrinsics, image.lattices[i])
+            for reduce, i in zip(self.reduce, self.levels, strict=True)
+        ]
+        points = torch.cat(seen, dim=1).reshape(b, -1, t * a, p, s)
+        return points.permute(0, 2, 1, 4, 3).reshape(b * t * a, -1, p)
 
 
 class Refinement(_Look):
     """Samples around the points of a lane, and convolutions along it, give a correction of its points and logits."""
 
     def __init__(self, channels: Sequence[int], config: ModelConfig) -> None:
-        super().__init__(channels, LEVELS)
-        for name, values in zip(("x_spread_m", "z_spread_m"), spread_m(config), strict=True):
-            self.register_buffer(name, values, persistent=False)
+        super().__init__(channels, LEVELS, ASIDE_M, config)
         self.x_spread_m: Tensor
         self.z_spread_m: Tensor
-        self.knots_y_m: Tensor
-        self.register_buffer("knots_y_m", torch.tensor(config.knots_y_m), persistent=False)
-        self.aside_m: Tensor
-        self.register_buffer("aside_m", torch.tensor(ASIDE_M), persistent=False)
-        self.has_elevation = config.has_elevation
+        for name, values in zip(("x_spread_m", "z_spread_m"), spread_m(config), strict=True):
+            self.register_buffer(name, values, persistent=False)
         self.mix = nn.Conv1d(len(LEVELS) * len(ASIDE_M) * WIDTH + 3, HIDDEN, 1)
         self.place = nn.Parameter(torch.zeros(len(config.types), HIDDEN, len(config.knots_y_m)))
         along = [nn.Conv1d(HIDDEN, HIDDEN, 3, padding=1) for _ in range(2)]
@@ -142,23 +138,13 @@ class Refinement(_Look):
         for value in (*self.points.parameters(), *self.lane.parameters()):
             nn.init.zeros_(value)
 
-    def forward(
-        self,
-        lanes: Lanes,
-        anchors_m: Float[Tensor, " a"],
-        maps: Sequence[Float[Tensor, "..."]],
-        lattices: Sequence[Lattice],
-        cam_from_top: Float[Tensor, "b 4 4"],
-        intrinsics: Float[Tensor, "b 4"],
-    ) -> Lanes:
+    def forward(self, lanes: Lanes, anchors_m: Float[Tensor, " a"], image: ImageMaps) -> Lanes:
         """The corrected lanes. No gradient passes to the lanes given, nor to where maps are sampled."""
         x_m, z_m, logit = lanes.x_m.detach(), lanes.z_m.detach(), lanes.logit.detach()
         b, t, a, k = x_m.shape
         with torch.autocast(x_m.device.type, enabled=False):
-            x_top_m = (x_m + anchors_m[:, None])[..., None] + self.aside_m
-            y_top_m, z_top_m = self.knots_y_m[:, None].expand_as(x_top_m), z_m[..., None].expand_as(x_top_m)
-            points_top = torch.stack([x_top_m, y_top_m, z_top_m], dim=-1).reshape(b, t * a * k, len(ASIDE_M), 3)
-            knots = self.seen_along(points_top, t * a, maps, lattices, cam_from_top, intrinsics)
+            around_m = (x_m + anchors_m[:, None])[..., None] + self.aside
+            knots = self.seen_along(around_m, self.knots_y_m, z_m, image)
             scaled = [x_m / self.x_spread_m, z_m / self.z_spread_m, 0.2 * logit[..., None].expand_as(x_m)]
             own = torch.stack(scaled, dim=3).reshape(b * t * a, 3, k)
             hidden = self.mix(torch.cat([knots, own], dim=1)).reshape(b, t, a, HIDDEN, k) + self.place[:, None]
@@ -177,18 +163,13 @@ class CloseLook(_Look):
     correction of its points in pixels."""
 
     def __init__(self, channels: Sequence[int], config: ModelConfig) -> None:
-        super().__init__(channels, CLOSE_LEVELS)
-        knots_y_m = torch.tensor(config.knots_y_m)
-        place = torch.arange(PER_KNOT * (len(knots_y_m) - 1) + 1) / PER_KNOT
+        super().__init__(channels, CLOSE_LEVELS, ASIDE_PX, config)
+        n_knots = len(config.knots_y_m)
+        place = torch.arange(PER_KNOT * (n_knots - 1) + 1) / PER_KNOT
         self.at_points: Tensor
         """Matrix from values at knots to linear interpolations at points."""
-        between = (1 - (place - torch.arange(len(knots_y_m))[:, None]).abs()).clamp_min(0)
+        between = (1 - (place - torch.arange(n_knots)[:, None]).abs()).clamp_min(0)
         self.register_buffer("at_points", between, persistent=False)
-        self.knots_y_m: Tensor
-        self.register_buffer("knots_y_m", knots_y_m, persistent=False)
-        self.aside_px: Tensor
-        self.register_buffer("aside_px", torch.tensor(ASIDE_PX), persistent=False)
-        self.has_elevation = config.has_elevation
         self.mix = nn.Conv1d(len(CLOSE_LEVELS) * len(ASIDE_PX) * WIDTH, CLOSE_HIDDEN, 1)
         self.place = nn.Parameter(torch.zeros(len(config.types), CLOSE_HIDDEN, len(place)))
         self.along = nn.Sequential(
@@ -204,27 +185,16 @@ class CloseLook(_Look):
         for value in self.points.parameters():
             nn.init.zeros_(value)
 
-    def forward(
-        self,
-        lanes: Lanes,
-        anchors_m: Float[Tensor, " a"],
-        maps: Sequence[Float[Tensor, "..."]],
-        lattices: Sequence[Lattice],
-        cam_from_top: Float[Tensor, "b 4 4"],
-        intrinsics: Float[Tensor, "b 4"],
-    ) -> Lanes:
+    def forward(self, lanes: Lanes, anchors_m: Float[Tensor, " a"], image: ImageMaps) -> Lanes:
         """The lanes with corrected points. No gradient passes to the lanes given, nor to where maps are sampled."""
         x_m, z_m = lanes.x_m.detach(), lanes.z_m.detach()
         b, t, a, k = x_m.shape
         with torch.autocast(x_m.device.type, enabled=False):
             # A pixel's width in metres, at a distance of one metre.
-            pixel = 1 / intrinsics[:, 0, None, None, None, None]
+            pixel = 1 / image.intrinsics[:, 0, None, None, None, None]
             y_m = self.knots_y_m @ self.at_points
-            aside_m = pixel * y_m[:, None] * self.aside_px
-            x_top_m = ((x_m + anchors_m[:, None]) @ self.at_points)[..., None] + aside_m
-            y_top_m, z_top_m = y_m[:, None].expand_as(x_top_m), (z_m @ self.at_points)[..., None].expand_as(x_top_m)
-            points_top = torch.stack([x_top_m, y_top_m, z_top_m], dim=-1).reshape(b, -1, len(ASIDE_PX), 3)
-            seen = self.seen_along(points_top, t * a, maps, lattices, cam_from_top, intrinsics)
+            across_m = ((x_m + anchors_m[:, None]) @ self.at_points)[..., None] + pixel * y_m[:, None] * self.aside
+            seen = self.seen_along(across_m, y_m, z_m @ self.at_points, image)
             hidden = self.mix(seen).reshape(b, t, a, CLOSE_HIDDEN, -1) + self.place[:, None]
             hidden = self.along(hidden.reshape(b * t * a, CLOSE_HIDDEN, -1))
             dx_px, dz_px = (STEP_PX * self.points(hidden)).reshape(b, t, a, 2, k).unbind(3)

@@ -11,10 +11,11 @@ from torch import Tensor, nn
 
 from synth3dlanes.labels.labels import Labels
 
+from .config import ModelConfig
 from .curves import Pose
 from .data import CameraImage, FocalLengths, Intrinsics, Samples, fit, pixels_on
 from .devices import mixed_precision, return_freed_memory
-from .lanes import AnchorLayout, Prediction, decode
+from .lanes import Prediction, decode
 from .loss import LaneDetector
 from .model import LaneNet, Output
 from .workers import ahead
@@ -25,14 +26,7 @@ MOST_BYTES = 1 << 26
 """Of the images of a batch, as read."""
 
 
-def layout_of(model: LaneNet) -> AnchorLayout:
-    """The layout of the network's output."""
-    config = model.config
-    anchors_m = model.anchors_m.cpu().numpy().astype(float)
-    return AnchorLayout(config.types, anchors_m, np.array(config.knots_y_m), config.spline)
-
-
-def predictions_of(keys: Sequence[str], output: Output, layout: AnchorLayout) -> Iterator[Prediction]:
+def predictions_of(keys: Sequence[str], output: Output, model: ModelConfig) -> Iterator[Prediction]:
     """Decode a batch."""
     x_m, z_m, poses = (value.double().cpu().numpy() for value in (output.x_m, output.z_m, output.pose))
     scores = output.logit.double().sigmoid().cpu().numpy()
@@ -40,7 +34,7 @@ def predictions_of(keys: Sequence[str], output: Output, layout: AnchorLayout) ->
     seen = [None] * len(keys) if logit is None else logit.double().sigmoid().cpu().numpy()
     for i, key in enumerate(keys):
         pose = Pose(float(poses[i, 0]), float(poses[i, 1]))
-        yield Prediction(key, decode(x_m[i], z_m[i], scores[i], pose, layout, seen[i]), pose)
+        yield Prediction(key, decode(x_m[i], z_m[i], scores[i], pose, model, seen[i]), pose)
 
 
 @torch.inference_mode()
@@ -72,7 +66,7 @@ class Detector:
         """The lanes of images of the network's size."""
         pixels, intrinsics = pixels_on(self.device, image), intrinsics.to(self.device)
         if isinstance(self.network, LaneNet):
-            return list(predictions_of(keys, run(self.network, pixels, intrinsics), layout_of(self.network)))
+            return list(predictions_of(keys, run(self.network, pixels, intrinsics), self.network.config))
         found = cast(LaneDetector, self.network).detect(pixels, intrinsics)
         return [Prediction(key, tuple(lanes), None) for key, lanes in zip(keys, found, strict=True)]
 

@@ -6,7 +6,7 @@ Frame: lanes are in camera coordinates, as in the files of `evaluate --predictio
 import itertools
 import json
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,6 +22,8 @@ from synth3dlanes.system.files import Folder, open_regular
 from synth3dlanes.system.json_arrays import JsonPoints
 from synth3dlanes.system.schema import MAX_BYTES, Excerpt, Metres, Number, Unit, parse
 
+from .anchors import anchor_positions_m
+from .config import ModelConfig
 from .curves import Pose, cam_from_road
 from .onnx_decode import distinct_lanes, natural_spline
 
@@ -69,33 +71,25 @@ def decode(
     z_m: Float[np.ndarray, "t a k"],
     scores: Float[np.ndarray, "t a"],
     pose: Pose,
-    layout: "AnchorLayout",
+    model: ModelConfig,
     visibility: Float[np.ndarray, "t a k"] | None = None,
 ) -> tuple[Detection, ...]:
     """Decode the anchors' output, in the road frame of `pose`, as lanes in camera coordinates. Between the knots,
     `visibility` is linear; no point is dropped because it is predicted to be hidden."""
-    x_m = x_m + layout.anchors_m[:, None]
-    types, anchors = distinct_lanes(scores, x_m, z_m, layout.knots_y_m).T
+    # In float32, as the network has them.
+    x_m = x_m + np.array(anchor_positions_m(model), dtype=np.float32)[:, None].astype(float)
+    knots_y_m = np.array(model.knots_y_m)
+    types, anchors = distinct_lanes(scores, x_m, z_m, knots_y_m).T
     knots_xz = np.stack([x_m[types, anchors], z_m[types, anchors]], axis=-1)
-    dense_xz = interpolate(layout.knots_y_m, np.moveaxis(knots_xz, 0, 1), DENSE_Y_M, layout.spline)
+    dense_xz = interpolate(knots_y_m, np.moveaxis(knots_xz, 0, 1), DENSE_Y_M, model.spline)
     lanes = []
     for i, (lane_type, anchor) in enumerate(zip(types, anchors, strict=True)):
         xyz_road = np.stack([dense_xz[:, i, 0], DENSE_Y_M, dense_xz[:, i, 1]], axis=-1)
-        kind: LaneKind = "delimiter" if layout.types[lane_type] == "d" else "centerline"
+        kind: LaneKind = "delimiter" if model.types[lane_type] == "d" else "centerline"
         xyz_cam = transform(cam_from_road(pose), xyz_road)
-        seen = None if visibility is None else np.interp(DENSE_Y_M, layout.knots_y_m, visibility[lane_type, anchor])
+        seen = None if visibility is None else np.interp(DENSE_Y_M, knots_y_m, visibility[lane_type, anchor])
         lanes.append(Detection(kind, float(scores[lane_type, anchor]), xyz_cam, seen))
     return tuple(lanes)
-
-
-@dataclass(frozen=True, eq=False)
-class AnchorLayout:
-    """The layout of the network's output: types, anchors' x, knots' y, and the spline through the knots."""
-
-    types: tuple[str, ...]
-    anchors_m: Float[np.ndarray, " a"]
-    knots_y_m: Float[np.ndarray, " k"]
-    spline: str
 
 
 def to_line(prediction: Prediction) -> str:
@@ -135,16 +129,19 @@ def read_predictions(path: Path) -> Iterator[Prediction]:
         raise FormatError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def read_by_key(path: Path, keys: Collection[str]) -> dict[str, Prediction]:
-    """Read predictions for images with these keys; unknown and repeated keys are errors."""
-    known, example, found = set(keys), next(iter(keys), ""), dict[str, Prediction]()
+def read_by_key(path: Path, keys: Sequence[str]) -> list[Prediction]:
+    """Read a prediction for each image with these keys; those without a line have no detections. Unknown and repeated
+    keys are errors."""
+    found = {key: Prediction(key, (), None) for key in keys}
+    given = set[str]()
     for prediction in read_predictions(path):
-        if prediction.key not in known:
-            raise FormatError(f"{path}: expected keys such as {example!r}, got {prediction.key!r}")
-        if prediction.key in found:
+        if prediction.key not in found:
+            raise FormatError(f"{path}: expected keys such as {next(iter(keys), '')!r}, got {prediction.key!r}")
+        if prediction.key in given:
             raise FormatError(f"{path}: expected each key once, got {prediction.key!r} again")
+        given.add(prediction.key)
         found[prediction.key] = prediction
-    return found
+    return [found[key] for key in keys]
 
 
 def _lane_document(lane: Detection) -> dict[str, Any]:

@@ -82,13 +82,9 @@ def annotation_file(path: Path, source: str) -> Slots:
         return Slots(os.dup(file.fileno()), SLOT_BYTES, SLOT_BYTES)
 
 
-def has_pixel_memory() -> bool:
-    """Whether the system has memory that forked processes share without each being charged for it, as Linux has."""
-    return hasattr(os, "memfd_create")
-
-
 def pixel_memory(size_px: tuple[int, int]) -> Slots:
-    """Slots in memory for decoded images of (height, width); only images that are stored take memory."""
+    """Slots for decoded images of (height, width) in memory that forked processes share without each being charged for
+    it; only images that are stored take some."""
     return Slots(os.memfd_create("pixels"), HEADER.size + slot_bytes_of(size_px))
 
 
@@ -125,12 +121,6 @@ def from_bytes(record: bytes) -> NetworkLabels:
     )
 
 
-def pixels_from_bytes(record: bytes, size_px: tuple[int, int]) -> RgbImage:
-    """The image in a record."""
-    image: UInt8[np.ndarray, ...] = np.frombuffer(record, np.uint8).reshape(*size_px, 3)
-    return image
-
-
 class Example(NamedTuple):
     """One image of the network's size and what is to be learned from it."""
 
@@ -152,9 +142,8 @@ class Examples:
         is_on_device: bool = False,
     ) -> None:
         self._samples, self._annotations, self._pixels = samples, annotations, pixels
-        self.is_on_device = is_on_device
+        self._config, self.is_on_device = config, is_on_device
         self._size_px = (config.model.image_height_px, config.model.image_width_px)
-        self._pose_mode, self._in_image_only = config.model.pose_target, config.fov_mask
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -164,11 +153,9 @@ class Examples:
         if annotation is None and image is None:
             sample = self._samples[index]  # both in one read
             return Example(self._keep_image(index, sample.image), self._annotate(index, sample.key, sample.labels))
-        if annotation is None:
-            annotation = self._annotate(index, key_at(self._samples, index), labels_at(self._samples, index))
         if image is None:
             image = self._keep_image(index, image_at(self._samples, index))
-        return Example(image, annotation)
+        return Example(image, annotation or self.annotation(index))
 
     def annotation(self, index: int) -> NetworkLabels:
         """What is to be learned from a sample, without its image."""
@@ -181,15 +168,16 @@ class Examples:
 
     def _kept_image(self, index: int) -> RgbImage | None:
         record = None if self._pixels is None else self._pixels.get(index)
-        return None if record is None else pixels_from_bytes(record, self._size_px)
+        return None if record is None else np.frombuffer(record, np.uint8).reshape(*self._size_px, 3)
 
     def _annotate(self, index: int, key: str, labels: Labels) -> NetworkLabels:
-        annotation = annotation_of(key, labels, self._size_px, self._pose_mode, in_image_only=self._in_image_only)
+        pose_mode, in_image_only = self._config.model.pose_target, self._config.fov_mask
+        annotation = annotation_of(key, labels, self._size_px, pose_mode, in_image_only=in_image_only)
         if self._annotations is not None:
             self._annotations.put(index, to_bytes(annotation))
         return annotation
 
-    def _keep_image(self, index: int, image: RgbImage) -> UInt8[np.ndarray, "h2 w2 3"]:
+    def _keep_image(self, index: int, image: RgbImage) -> RgbImage:
         small = resize(image, self._size_px)
         if self._pixels is not None:
             self._pixels.put(index, small.tobytes())
@@ -221,7 +209,7 @@ def decoding_of(n_images: int, config: TrainConfig, process: Process) -> Decodin
     free_bytes = free_memory_bytes()
     is_on_device = config.keep_decoded is not False and n_bytes < MEMORY_SHARE * free_gpu_bytes(process.device)
     fits = n_bytes * process.neighbours < MEMORY_SHARE * free_bytes
-    is_kept = has_pixel_memory() and (fits if config.keep_decoded is None else config.keep_decoded)
+    is_kept = hasattr(os, "memfd_create") and (fits if config.keep_decoded is None else config.keep_decoded)
     return Decoding(n_images, n_bytes, free_bytes, is_on_device or is_kept, is_on_device)
 
 
@@ -238,51 +226,39 @@ def open_examples(
 def training_batches(
     examples: Examples, config: TrainConfig, process: Process, first_step: int, n_steps: int
 ) -> Iterator[Batch]:
-    """The batches of the steps from `first_step` to the last one, with images in the memory of the CPU, or of the
+    """The batches of the steps from `first_step` to before `n_steps`, with images in the memory of the CPU, or of the
     device if they are kept there."""
-    order = Order(len(examples), config, process, first_step, n_steps)
+    n_batches, device = max(0, n_steps - first_step), process.device
     workers = spare_cores(process.neighbours) if config.workers is None else config.workers
-    kept = _images_on(process.device, examples, config.batch, workers) if examples.is_on_device else None
+    kept = _images_on(device, examples, config.batch, workers) if examples.is_on_device else None
     no_image = np.zeros((0, 0, 3), np.uint8)
 
-    def make(indices: list[int]) -> Batch:
-        if kept is None:
-            return collate([examples[index] for index in indices])
-        return collate([Example(no_image, examples.annotation(index)) for index in indices])
+    def indices(number: int) -> Int[Tensor, " b"]:
+        return batch_index(len(examples), first_step + number, config, process)
 
-    batches = made_ahead(make, order, min(workers, len(order)), process.device)
-    for indices, batch in zip(order, batches, strict=True):
-        yield batch if kept is None else batch._replace(image=kept[torch.tensor(indices)])
+    def make(number: int) -> Batch:
+        if kept is None:
+            return collate([examples[index] for index in indices(number).tolist()])
+        return collate([Example(no_image, examples.annotation(index)) for index in indices(number).tolist()])
+
+    for number, batch in enumerate(made_ahead(make, n_batches, min(workers, n_batches), device)):
+        yield batch if kept is None else batch._replace(image=kept[indices(number)])
 
 
 def _images_on(device: torch.device, examples: Examples, batch: int, workers: int) -> UInt8[Tensor, "n 3 h w"]:
     """The images of all examples, in the memory of the device."""
-    n = len(examples)
-    order = [list(range(start, min(start + batch, n))) for start in range(0, n, batch)]
-    parts = made_ahead(lambda indices: _stacked([examples[i].image for i in indices]), order, min(workers, n), device)
-    first = next(parts)
-    images = torch.empty((n, *first.shape[1:]), dtype=torch.uint8, device=device, memory_format=torch.channels_last)
-    for indices, part in zip(order, chain([first], parts), strict=True):
-        images[indices[0] : indices[-1] + 1] = part
+    parts = _ranges(len(examples), batch)
+
+    def make(number: int) -> UInt8[Tensor, "b 3 h w"]:
+        return _stacked([examples[index].image for index in parts[number]])
+
+    made = made_ahead(make, len(parts), min(workers, len(parts)), device)
+    first = next(made)
+    shape = (len(examples), *first.shape[1:])
+    images = torch.empty(shape, dtype=torch.uint8, device=device, memory_format=torch.channels_last)
+    for part, of_part in zip(parts, chain([first], made), strict=True):
+        images[part.start : part.stop] = of_part
     return images
-
-
-@dataclass(frozen=True)
-class Order:
-    """The indices of the samples of each step from `first_step` to before `n_steps`, of one process."""
-
-    n: int
-    config: TrainConfig
-    process: Process
-    first_step: int
-    n_steps: int
-
-    def __len__(self) -> int:
-        return max(0, self.n_steps - self.first_step)
-
-    def __iter__(self) -> Iterator[list[int]]:
-        steps = range(self.first_step, self.n_steps)
-        return (batch_index(self.n, step, self.config, self.process).tolist() for step in steps)
 
 
 @lru_cache(maxsize=1)
@@ -330,10 +306,10 @@ def labelled_batches(
     device: torch.device,
 ) -> Iterator[LabelledBatch]:
     """All samples in order, for evaluation, with images as `fit` makes them; the last batch may be smaller."""
-    order = [list(range(start, min(start + batch, len(samples)))) for start in range(0, len(samples), batch)]
+    parts = _ranges(len(samples), batch)
 
-    def make(indices: list[int]) -> LabelledBatch:
-        found = [samples[index] for index in indices]
+    def make(number: int) -> LabelledBatch:
+        found = [samples[index] for index in parts[number]]
         fitted = [fit(one.image, intrinsics_of(one.labels), size_px, trained) for one in found]
         return LabelledBatch(
             tuple(one.key for one in found),
@@ -343,7 +319,11 @@ def labelled_batches(
         )
 
     n_workers = spare_cores() if workers is None else workers
-    return made_ahead(make, order, min(n_workers, len(order)), device)
+    return made_ahead(make, len(parts), min(n_workers, len(parts)), device)
+
+
+def _ranges(n: int, size: int) -> list[range]:
+    return [range(start, min(start + size, n)) for start in range(0, n, size)]
 
 
 def _stacked(images: Sequence[RgbImage]) -> UInt8[Tensor, "b 3 h w"]:

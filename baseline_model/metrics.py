@@ -39,6 +39,11 @@ class MetricConfig:
     frame: Literal["camera", "road_raw"] = "camera"
     bootstraps: int = 300
 
+    @property
+    def all_weights(self) -> tuple[Weights, ...]:
+        """Those of the reported AP first."""
+        return (self.weights, *self.alternatives)
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -122,14 +127,15 @@ class Evaluation:
         pose = prediction.pose
         if pose is not None:
             self._pose_errors.append((abs(pose.pitch_rad - plane.pitch_rad), abs(pose.height_m - plane.height_m)))
-        raw = self.config.frame == "road_raw" and pose is not None
-        to_road = road_from_cam(pose) if raw and pose is not None else labels.camera.road_from_cam
+        to_road = labels.camera.road_from_cam
+        if self.config.frame == "road_raw" and pose is not None:
+            to_road = road_from_cam(pose)
         curves = road_curves(labels)
         for kind in KINDS:
             truth = sample_truth(tuple(curve for curve in curves if curve.kind == kind))
             lanes: list[Detection] = [lane for lane in prediction.lanes if lane.kind == kind]
             found = sample_detections(lanes, to_road)
-            for name in (self.config.weights, *self.config.alternatives):
+            for name in self.config.all_weights:
                 pairs = find_pairs(truth, found, point_weights(name))
                 steps = self._steps.setdefault((kind, name), [])
                 steps += [(self._n_images, *step) for step in count_steps(pairs)]
@@ -154,7 +160,7 @@ class Evaluation:
     def _kind_report(self, kind: str) -> KindReport:
         images = self._pairs[kind]
         truth_per_image = np.array([pairs.n_truth for pairs in images], dtype=int)
-        curves = {name: Counts.of(self._steps.get((kind, name), [])) for name in self._weight_names()}
+        curves = {name: Counts.of(self._steps.get((kind, name), [])) for name in self.config.all_weights}
         counts = curves[self.config.weights]
         n_truth = int(truth_per_image.sum())
         recalls, precisions = counts.curve(n_truth)
@@ -177,9 +183,6 @@ class Evaluation:
             precisions=precisions,
             error_by_y_cm=_error_by_y(images, self.config.threshold),
         )
-
-    def _weight_names(self) -> tuple[Weights, ...]:
-        return (self.config.weights, *self.config.alternatives)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,70 +246,54 @@ def bootstrap_interval(counts: Counts, truth_per_image: Int[np.ndarray, " i"], n
 
 
 def _errors(images: list[Pairs], threshold: float) -> Errors:
-    matched = [(pairs, match(pairs, threshold)) for pairs in images]
-    n_true = sum(len(accepted) for _, accepted in matched)
-    n_false = sum(_n_false(pairs, accepted, threshold) for pairs, accepted in matched)
-    n_truth = sum(pairs.n_truth for pairs in images)
+    n_true, n_false, n_truth, dx_m, dz_m = _matched(images, threshold)
     precision = n_true / (n_true + n_false) if n_true + n_false else float("nan")
     recall = n_true / n_truth if n_truth else float("nan")
-    dx_m, dz_m = _pooled(matched)
     error_m = np.hypot(dx_m, dz_m)
     is_near = METRIC_Y_M <= NEAR_TO_M
 
-    def cm(values_m: Float[np.ndarray, "m y"], percent: float) -> float:
-        return _percentile_cm(values_m.ravel(), percent)
-
-    return Errors(
-        threshold=threshold,
-        precision=precision,
-        recall=recall,
-        f1=2 * n_true / (n_true + n_false + n_truth) if n_true + n_false + n_truth else float("nan"),
-        near_1sigma_cm=cm(error_m[:, is_near], 68.0),
-        near_2sigma_cm=cm(error_m[:, is_near], 95.0),
-        far_1sigma_cm=cm(error_m[:, ~is_near], 68.0),
-        far_2sigma_cm=cm(error_m[:, ~is_near], 95.0),
-        near_median_abs_dx_cm=cm(np.abs(dx_m[:, is_near]), 50.0),
-        near_median_abs_dz_cm=cm(np.abs(dz_m[:, is_near]), 50.0),
-        far_median_abs_dx_cm=cm(np.abs(dx_m[:, ~is_near]), 50.0),
-        far_median_abs_dz_cm=cm(np.abs(dz_m[:, ~is_near]), 50.0),
-        bias_dx_cm=cm(dx_m, 50.0),
-        bias_dz_cm=cm(dz_m, 50.0),
-    )
+    figures = {"bias_dx_cm": _percentile_cm(dx_m, 50.0), "bias_dz_cm": _percentile_cm(dz_m, 50.0)}
+    for name, part in (("near", is_near), ("far", ~is_near)):
+        figures[f"{name}_1sigma_cm"] = _percentile_cm(error_m[:, part], 68.0)
+        figures[f"{name}_2sigma_cm"] = _percentile_cm(error_m[:, part], 95.0)
+        figures[f"{name}_median_abs_dx_cm"] = _percentile_cm(np.abs(dx_m[:, part]), 50.0)
+        figures[f"{name}_median_abs_dz_cm"] = _percentile_cm(np.abs(dz_m[:, part]), 50.0)
+    f1 = 2 * n_true / (n_true + n_false + n_truth) if n_true + n_false + n_truth else float("nan")
+    return Errors(threshold=threshold, precision=precision, recall=recall, f1=f1, **figures)
 
 
 def _sample_score(key: str, kinds: list[Pairs], threshold: float) -> SampleScore:
-    matched = [(pairs, match(pairs, threshold)) for pairs in kinds]
-    n_true = sum(len(accepted) for _, accepted in matched)
-    n_false = sum(_n_false(pairs, accepted, threshold) for pairs, accepted in matched)
-    n_all = n_true + n_false + sum(pairs.n_truth for pairs in kinds)
-    error_m = np.hypot(*_pooled(matched))
+    n_true, n_false, n_truth, dx_m, dz_m = _matched(kinds, threshold)
+    n_all = n_true + n_false + n_truth
+    error_m = np.hypot(dx_m, dz_m)
     error_m = error_m[~np.isnan(error_m)]
     error_cm = round(100 * float(error_m.mean()), 3) if len(error_m) else float("nan")
     return SampleScore(key, round(2 * n_true / n_all, 6) if n_all else 1.0, error_cm)
 
 
-def _n_false(pairs: Pairs, accepted: list[int], threshold: float) -> int:
-    unmatched = (pairs.score >= threshold) & ~pairs.forgiven
-    unmatched[pairs.detection[accepted]] = False
-    return int(unmatched.sum())
+def _matched(
+    images: list[Pairs], threshold: float
+) -> tuple[int, int, int, Float[np.ndarray, "m y"], Float[np.ndarray, "m y"]]:
+    """The numbers of true and false positives and of labelled lanes, and the errors of matched ones, x and z."""
+    n_true = n_false = 0
+    dx_m = [np.zeros((0, len(METRIC_Y_M)), dtype=np.float32)]
+    dz_m = dx_m.copy()
+    for pairs in images:
+        accepted = match(pairs, threshold)
+        is_false = (pairs.score >= threshold) & ~pairs.forgiven
+        is_false[pairs.detection[accepted]] = False
+        n_true, n_false = n_true + len(accepted), n_false + np.count_nonzero(is_false)
+        dx_m.append(pairs.dx_m[accepted])
+        dz_m.append(pairs.dz_m[accepted])
+    return n_true, n_false, sum(pairs.n_truth for pairs in images), np.concatenate(dx_m), np.concatenate(dz_m)
 
 
-def _pooled(
-    matched: list[tuple[Pairs, list[int]]],
-) -> tuple[Float[np.ndarray, "m y"], Float[np.ndarray, "m y"]]:
-    none = np.zeros((0, len(METRIC_Y_M)), dtype=np.float32)
-    dx_m = np.concatenate([none, *(pairs.dx_m[accepted] for pairs, accepted in matched)])
-    dz_m = np.concatenate([none, *(pairs.dz_m[accepted] for pairs, accepted in matched)])
-    return dx_m, dz_m
-
-
-def _percentile_cm(values_m: Float[np.ndarray, " n"], percent: float) -> float:
+def _percentile_cm(values_m: Float[np.ndarray, "*n"], percent: float) -> float:
     finite = values_m[~np.isnan(values_m)]
     return float(100 * np.percentile(finite, percent)) if len(finite) else float("nan")
 
 
 def _error_by_y(images: list[Pairs], threshold: float) -> Float[np.ndarray, "2 y"]:
-    dx_m, dz_m = _pooled([(pairs, match(pairs, threshold)) for pairs in images])
-    error_m = np.hypot(dx_m, dz_m)
+    error_m = np.hypot(*_matched(images, threshold)[3:])
     columns = [[_percentile_cm(error_m[:, k], percent) for k in range(len(METRIC_Y_M))] for percent in (68.0, 95.0)]
     return np.array(columns)

@@ -12,7 +12,7 @@ from .backbone import PIXELS, ImagePathway, convolutions
 from .config import TIMM, ModelConfig
 from .curves import MEAN_HEIGHT_M, MEAN_PITCH_RAD
 from .heads import CloseLook, LaneHead, Lanes, Refinement
-from .projection import Projection, cell_centres, invert_rigid, road_from_cam, sampling_grid
+from .projection import ImageMaps, Projection, cell_centres, invert_rigid, pixel_rays, road_from_cam, sample
 from .timm_trunk import TimmPathway
 
 PITCH_SPREAD_RAD, HEIGHT_SPREAD_M = 0.0251, 0.144
@@ -134,54 +134,40 @@ class LaneNet(nn.Module):
             cam_from_top = invert_rigid(road_from_cam(driving))
             if top_from_road is not None:
                 cam_from_top = cam_from_top @ invert_rigid(top_from_road)
-        stages: list[Lanes] = [self.head(self._top_features(image, intrinsics, maps, cam_from_top))]
+        lattices = self.image.lattices if self.image is not None else []
+        seen = ImageMaps(maps, lattices, cam_from_top, intrinsics)
+        stages: list[Lanes] = [self.head(self._top_features(image, seen))]
         for correct in (*self.refinements, *([] if self.close_look is None else [self.close_look])):
-            assert self.image is not None
-            stages.append(correct(stages[-1], self.anchors_m, maps, self.image.lattices, cam_from_top, intrinsics))
+            stages.append(correct(stages[-1], self.anchors_m, seen))
         return Output(*stages[-1], pose, cam_from_top, tuple(stages[:-1]))
 
-    def _top_features(
-        self,
-        image: Float[Tensor, "b 3 h w"],
-        intrinsics: Float[Tensor, "b 4"],
-        maps: list[Float[Tensor, "..."]],
-        cam_from_top: Float[Tensor, "b 4 4"],
-    ) -> Float[Tensor, "b c rows columns"]:
+    def _top_features(self, image: Float[Tensor, "b 3 h w"], seen: ImageMaps) -> Float[Tensor, "b c rows columns"]:
         """The input of the head."""
+        maps, lattices, cam_from_top, intrinsics = seen
         if self.config.variant == "image_view":
             size = (maps[3].shape[2], len(self.anchors_m))
             return functional.interpolate(maps[3], size, mode="bilinear")
-        lattices = self.image.lattices if self.image is not None else []
         projected = {
             level: projection(maps[int(level)], cam_from_top, intrinsics, lattices[int(level)])
             for level, projection in self.projections.items()
         }
         if self.config.variant == "late_ipm":
             return projected["3"]
-        features = self._stem_features(image, intrinsics, cam_from_top) if self.stem is not None else projected["0"]
+        features = self._stem_features(image, seen) if self.stem is not None else projected["0"]
         for level, stage in enumerate(self.top, start=1):
             features = stage(features)
             if str(level) in projected:
                 features = torch.cat([features, projected[str(level)].to(features.dtype)], dim=1)
         return features
 
-    def _stem_features(
-        self, image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"], cam_from_top: Float[Tensor, "b 4 4"]
-    ) -> Float[Tensor, "b c rows columns"]:
+    def _stem_features(self, image: Float[Tensor, "b 3 h w"], seen: ImageMaps) -> Float[Tensor, "b c rows columns"]:
         """`top_view`: the image itself is warped, at twice the first map's resolution, and then convolved."""
         assert self.stem is not None
-        size = (image.shape[2], image.shape[3])
-        grid = sampling_grid(self.stem_points, cam_from_top, intrinsics, PIXELS, size)
         with torch.autocast(image.device.type, enabled=False):
-            channels = torch.cat([image.float(), self._rays(image, intrinsics)], dim=1)
-            warped = functional.grid_sample(channels, grid, align_corners=False)
+            channels = torch.cat([image.float(), self._rays(image, seen.intrinsics)], dim=1)
+            warped = sample(channels, self.stem_points, seen.cam_from_top, seen.intrinsics, PIXELS)
         return self.stem(warped[:, :3], warped[:, 3:])[0]
 
     @staticmethod
     def _rays(image: Float[Tensor, "b 3 h w"], intrinsics: Float[Tensor, "b 4"]) -> Float[Tensor, "b 2 h w"]:
-        """Tangents of each pixel's viewing ray, right and down."""
-        fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
-        height, width = image.shape[2], image.shape[3]
-        u = (torch.arange(width, device=image.device) + 0.5)[None, None, :]
-        v = (torch.arange(height, device=image.device) + 0.5)[None, :, None]
-        return torch.stack([((u - cx) / fx).expand(-1, height, -1), ((v - cy) / fy).expand(-1, -1, width)], dim=1)
+        return torch.stack(pixel_rays(intrinsics, image.shape[2], image.shape[3]), dim=1)

@@ -29,6 +29,8 @@ OPSET = 18
 INPUTS = ("image", "intrinsics")
 OUTPUTS = ("x_m", "z_m", "score", "pose", "visibility")
 """`visibility` only for networks that predict it. `onnx_decode.py` makes lanes from them."""
+CALIBRATED = 32
+"""Images whose activations give the ranges."""
 
 
 class _Plain(nn.Module):
@@ -63,7 +65,7 @@ def metadata_of(config: ModelConfig) -> dict[str, str]:
 def export_onnx(checkpoint: str | Path, path: str | Path, calibration: str | Path | None = None) -> Path:
     """Export the checkpoint's network; its metadata has the knots' y, the types and the whole configuration.
 
-    `calibration` is a split or a folder of images, by which the convolutions become int8 (`onnx_int8.quantised`).
+    `calibration` is a split or a folder of images, by which the convolutions become int8 (`quantised`).
     """
     loaded, model = checkpoints.load_lane_net(checkpoint, torch.device("cpu"))
     images: Iterator[CameraImage] = iter(()) if calibration is None else open_pictures(calibration, None).images
@@ -71,8 +73,6 @@ def export_onnx(checkpoint: str | Path, path: str | Path, calibration: str | Pat
     first = list(islice(images, 1))
     target, proto = Path(path), exported(model)
     if calibration is not None:
-        from .onnx_export import quantised
-
         proto = quantised(proto, chain(first, images), checkpoints.detector_of(loaded, model))
     onnx = _onnx()
     onnx.helper.set_model_props(proto, metadata_of(model.config))
@@ -110,10 +110,6 @@ def _onnx() -> Any:
     except ImportError:
         raise MissingPackageError("onnx and onnxscript are not installed: pip install onnx onnxscript") from None
     return onnx
-
-
-CALIBRATED = 32
-"""Images whose activations give the ranges."""
 
 
 def quantised(proto: Any, images: Iterable[CameraImage], detector: Detector) -> Any:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -80,40 +79,30 @@ FORWARD = _Axis("y forward [m]", 0.0, FAR_M, 10.0)
 RIGHT = _Axis("from above: x right [m]", -ASIDE_M, ASIDE_M, 4.0)
 
 
-def save_pictures(
-    stem: Path,
-    image: Image.Image,
-    img_from_cam: Float[np.ndarray, "3 3"],
-    prediction: Prediction,
-    truth: Labels | Sequence[Polyline2],
-    threshold: float = 0.5,
-) -> None:
+def save_pictures(stem: Path, image: CameraImage, prediction: Prediction, threshold: float = 0.5) -> None:
     """Write STEM.overlay.jpg, the image in full size with the lines, and STEM.png, which shows it beside the lines from
-    above and from the side. The image is drawn on.
+    above and from the side.
 
     Drawn are labels, and detections of at least this confidence, up to 80 m; points that the ground hides, and those
-    predicted to be hidden, are left out. `truth` may be lines in the image only, or none.
+    predicted to be hidden, are left out.
     """
-    lines = draw(image, img_from_cam, prediction, truth, threshold)
-    folder = Folder(stem.parent)
-    figure = _figure(image, lines, prediction.key, threshold)
-    folder.write(f"{stem.name}{OVERLAY}", encoded(lambda stream: image.save(stream, "JPEG", quality=92, subsampling=0)))
-    folder.write(f"{stem.name}{FIGURE}", encoded(lambda stream: figure.save(stream, "PNG", compress_level=1)))
+    picture, lines = draw(image, prediction, threshold)
+    folder, name = Folder(stem.parent), stem.name
+    figure = _figure(picture, lines, prediction.key, threshold)
+    folder.write(f"{name}{OVERLAY}", encoded(lambda stream: picture.save(stream, "JPEG", quality=92, subsampling=0)))
+    folder.write(f"{name}{FIGURE}", encoded(lambda stream: figure.save(stream, "PNG", compress_level=1)))
 
 
-def draw(
-    image: Image.Image,
-    img_from_cam: Float[np.ndarray, "3 3"],
-    prediction: Prediction,
-    truth: Labels | Sequence[Polyline2],
-    threshold: float,
-) -> list[Line]:
-    """Draw what `save_pictures` says onto the image, and return it."""
-    labels = truth if isinstance(truth, Labels) else None
-    lines = [Line("delimiter", True, points_img, None) for points_img in (() if isinstance(truth, Labels) else truth)]
-    lines += _lines(prediction, labels, img_from_cam, threshold)
-    _stroke(image, [(line, line.points_img) for line in lines], line_width_px(image.size))
-    return lines
+def draw(image: CameraImage, prediction: Prediction, threshold: float) -> tuple[Image.Image, list[Line]]:
+    """The image with what `save_pictures` says, and the lines that were drawn."""
+    picture, matrix, truth = Image.fromarray(image.image), img_from_cam(image.intrinsics), image.truth
+    if isinstance(truth, Labels):
+        lines = [*_lines(prediction, truth, matrix, threshold)]
+    else:
+        lines = [Line("delimiter", True, points_img, None) for points_img in truth]
+        lines += _lines(prediction, None, matrix, threshold)
+    _stroke(picture, [(line, line.points_img) for line in lines], line_width_px(picture.size))
+    return picture, lines
 
 
 def _stroke(image: Image.Image, lines_px: Sequence[tuple[Line, Polyline2]], width_px: float) -> None:
@@ -227,37 +216,27 @@ def _lines(
             yield from parts(found.kind, False, found.xyz_cam, seen >= VISIBLE)
 
 
-class LaneVideos:
+class LaneVideos(ExitStack):
     """Writes OUT/NAME.lanes.mp4 for each of the first `most` clips whose frames are added. As a context manager, it
     leaves whole videos only."""
 
     def __init__(self, out: Path, rate_hz: float, most: int) -> None:
-        self._out, self._rate_hz, self._left = out, rate_hz, most
-        self._files, self._time_s = ExitStack(), math.inf
+        super().__init__()
+        self._out, self._rate_hz, self._left, self._time_s = out, rate_hz, most, math.inf
         self._video: Mp4 | None = None
-
-    def __enter__(self) -> "LaneVideos":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._files.__exit__(kind, error, traceback)
 
     def add(self, name: str, image: CameraImage, prediction: Prediction, threshold: float) -> None:
         """Append a frame with the lanes of at least this confidence. One that is not later than the frame before begins
         the next video, of this name."""
         time_s = image.time_s or 0.0
         if time_s <= self._time_s:
-            self._files.close()
+            self.close()
             self._left -= 1
             self._video = self._opened(f"{name}.lanes.mp4") if self._left >= 0 else None
         self._time_s = time_s
         if self._video is not None:
-            frame = Image.fromarray(image.image)
-            draw(frame, img_from_cam(image.intrinsics), prediction, image.truth, threshold)
-            self._video.add(np.asarray(frame))
+            self._video.add(np.asarray(draw(image, prediction, threshold)[0]))
 
     def _opened(self, name: str) -> Mp4:
-        stream = self._files.enter_context(Folder(self._out).replacing(name))
-        return self._files.enter_context(mp4(str(self._out / name), stream, self._rate_hz))
+        stream = self.enter_context(Folder(self._out).replacing(name))
+        return self.enter_context(mp4(str(self._out / name), stream, self._rate_hz))

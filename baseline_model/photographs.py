@@ -132,14 +132,27 @@ def evaluate_predictions(
     file: str | Path, photographs: Photographs, intrinsics: Intrinsics, threshold: float = 0.5
 ) -> ImageReport:
     """Score predictions in JSON lines (docs/baseline.md); images without a line count as images without detections."""
-    keys = photographs.keys()
-    given = read_by_key(Path(file), keys)
-    return _score((given.get(key, Prediction(key, (), None)) for key in keys), photographs, intrinsics, threshold)
+    return _score(read_by_key(Path(file), photographs.keys()), photographs, intrinsics, threshold)
 
 
-def open_photographs(source: str | Path, masks: Path | None = None) -> Photographs | None:
+def open_photographs(source: str | Path, masks: Path | None = None) -> Photographs:
     """Photographs with labels: those of `open_tusimple`, or a folder of images whose masks are in another."""
-    return open_tusimple(source) if masks is None else _lane_areas(Path(source), masks)
+    if masks is None:
+        found = open_tusimple(source)
+        if found is None:
+            raise InputError(f"{source}: expected a label file of tuSimple or a folder with one, or --lane-masks")
+        return found
+    files, mask_files = image_files(source), sorted(masks.glob("*_lane_*.png"))
+    if not mask_files:
+        raise FormatError(f"{masks}: expected masks of lanes, such as um_lane_000000.png, got none")
+    images = []
+    for mask in mask_files:
+        name = mask.stem.replace("_lane_", "_")
+        fitting = [path for path in files if path.stem == name or path.stem.endswith(f"_{name}")]
+        if len(fitting) != 1:
+            raise FormatError(f"{source}: expected one image {name} for the mask {mask.name}, got {len(fitting)}")
+        images += fitting
+    return LaneAreas(images, mask_files)
 
 
 def open_tusimple(source: str | Path) -> TusimpleImages | None:
@@ -185,22 +198,6 @@ def _between(
     left_px, right_px = (columns_of(lane, matrix, np.arange(height) + 0.5)[:, None] for lane in sides)
     centres_px = np.arange(width) + 0.5
     return (left_px <= centres_px) & (centres_px < right_px)
-
-
-def _lane_areas(images: Path, masks: Path) -> LaneAreas:
-    mask_files = sorted(masks.glob("*_lane_*.png"))
-    if not mask_files:
-        raise FormatError(f"{masks}: expected masks of lanes, such as um_lane_000000.png, got none")
-    files = image_files(images)
-    return LaneAreas([_image_of(mask, files, images) for mask in mask_files], mask_files)
-
-
-def _image_of(mask: Path, files: Iterable[Path], folder: Path) -> Path:
-    name = mask.stem.replace("_lane_", "_")
-    found = [path for path in files if path.stem == name or path.stem.endswith(f"_{name}")]
-    if len(found) != 1:
-        raise FormatError(f"{folder}: expected one image {name} for the mask {mask.name}, got {len(found)}")
-    return found[0]
 
 
 def _ratio(part: int, whole: int) -> float:

@@ -12,7 +12,6 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from synth3dlanes.formats.reading import read_image
 from synth3dlanes.system.errors import InputError
@@ -20,7 +19,7 @@ from synth3dlanes.system.files import Folder
 from synth3dlanes.system.words import counted
 
 from . import checkpoint as checkpoints
-from .data import CameraImage, Intrinsics, LabelledImage, img_from_cam, intrinsics_of, size_of
+from .data import CameraImage, Intrinsics, LabelledImage, intrinsics_of, size_of
 from .devices import choose_device
 from .inference import Detector
 from .lanes import Prediction, write_predictions
@@ -55,9 +54,13 @@ def open_pictures(source: str | Path, intrinsics: Intrinsics | None) -> Pictures
     files = image_files(source)
     if not files:
         return _labelled(source, intrinsics)
-    return Pictures(
-        (_of_file(file, intrinsics) for file in files), intrinsics is None, files=files, n_images=len(files)
-    )
+
+    def read() -> Iterator[CameraImage]:
+        for file in files:
+            image = read_image(file)
+            yield CameraImage(file.name, image, intrinsics or assumed_intrinsics(size_of(image)))
+
+    return Pictures(read(), intrinsics is None, files=files, n_images=len(files))
 
 
 def are_photographs(source: str | Path) -> bool:
@@ -88,11 +91,6 @@ def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:
     height, width = size_px
     focal_px = width / 2 / math.tan(math.radians(ASSUMED_FOV_DEG / 2))
     return (focal_px, focal_px, width / 2, height / 2)
-
-
-def _of_file(file: Path, intrinsics: Intrinsics | None) -> CameraImage:
-    image = read_image(file)
-    return CameraImage(file.name, image, intrinsics or assumed_intrinsics(size_of(image)))
 
 
 def _of_video(file: Path, intrinsics: Intrinsics | None) -> Pictures:
@@ -241,7 +239,7 @@ def predict(
                     # As p.jpg and p.png of one folder.
                     name = _stem(image.key) if _stem(image.key) not in drawn else image.key.replace("/", "_")
                     drawn.add(name)
-                    _save(out / name, image, prediction, config.threshold)
+                    save_pictures(out / name, image, prediction, config.threshold)
                 summary.add(prediction)
                 yield replace(prediction, time_s=image.time_s)
 
@@ -262,8 +260,3 @@ def _expect_no_picture_in(out: Path, files: Sequence[Path]) -> None:
 
 def _stem(key: str) -> str:
     return key.replace("/", "_").rsplit(".", 1)[0]
-
-
-def _save(stem: Path, image: CameraImage, prediction: Prediction, threshold: float) -> None:
-    matrix = img_from_cam(image.intrinsics)
-    save_pictures(stem, Image.fromarray(image.image), matrix, prediction, image.truth, threshold)

@@ -75,7 +75,9 @@ class TrainingLog(ExitStack):
         self.n_steps, self.steps_per_epoch = n_steps, steps_per_epoch
         self._loss: Float[Tensor, ""] | None = None
         self._steps_of_loss = 0
-        self.board = _tensorboard(out_dir, step) if is_shown else None
+        # `history.jsonl` has the same numbers.
+        has_board = is_shown and importlib.util.find_spec("tensorboard") is not None
+        self.board = BoardLog(out_dir, step) if has_board else None
         self.line = self.enter_context(ProgressLine("step", n_steps, step, is_shown=is_shown))
         self.first_step, self.started_at, self.written_at = step, time.monotonic(), 0.0
 
@@ -101,12 +103,8 @@ class TrainingLog(ExitStack):
         if report is None:
             return
         document = to_document(report)
-        scalars = {
-            f"val/{kind}/{name}": value
-            for kind in report.kinds
-            for name, value in document[kind].items()
-            if isinstance(value, float)
-        }
+        values = {f"val/{kind}/{name}": value for kind in report.kinds for name, value in document[kind].items()}
+        scalars = {name: value for name, value in values.items() if isinstance(value, float)}
         self._write(step, {"step": step, "val": document}, scalars)
 
     def epoch(self, step: int, report: EvaluationReport | None) -> None:
@@ -163,9 +161,15 @@ class BoardLog:
     """A log for TensorBoard, written as it is told, in records of TensorFlow's format."""
 
     def __init__(self, out_dir: Path, step: int) -> None:
-        from tensorboard.compat.proto import event_pb2  # type: ignore[import-untyped,import-not-found,unused-ignore]
+        from tensorboard.compat.proto import event_pb2, summary_pb2  # type: ignore[import-untyped,import-not-found,unused-ignore]
+        from tensorboard.summary.writer.record_writer import RecordWriter  # type: ignore[import-untyped,import-not-found,unused-ignore]
 
-        self._pb, self._folder = event_pb2, Folder(out_dir)
+        self._events, self._summary, self._writer, self._folder = (
+            event_pb2,
+            summary_pb2.Summary,
+            RecordWriter,
+            Folder(out_dir),
+        )
         self._folder.make("tensorboard")
         now = datetime.now(UTC).timestamp()
         self._path = f"tensorboard/events.out.tfevents.{now:.0f}.{os.uname().nodename}.{os.getpid()}"
@@ -176,23 +180,12 @@ class BoardLog:
 
     def add(self, scalars: dict[str, float], step: int) -> None:
         """Log values."""
-        from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore[import-untyped,import-not-found,unused-ignore]
-
-        values = [Summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
-        self._add(step=step, summary=Summary(value=values))
+        values = [self._summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
+        self._add(step=step, summary=self._summary(value=values))
 
     def _add(self, **content: Any) -> None:
-        from tensorboard.summary.writer.record_writer import RecordWriter  # type: ignore[import-untyped,import-not-found,unused-ignore]
-
         record = BytesIO()
-        event = self._pb.Event(wall_time=datetime.now(UTC).timestamp(), **content)
-        RecordWriter(record).write(event.SerializeToString())
+        event = self._events.Event(wall_time=datetime.now(UTC).timestamp(), **content)
+        self._writer(record).write(event.SerializeToString())
         with self._folder.append(self._path) as file:
             file.write(record.getvalue())
-
-
-def _tensorboard(out_dir: Path, step: int) -> BoardLog | None:
-    """A log, or None if tensorboard is not installed; `history.jsonl` has the same numbers."""
-    if importlib.util.find_spec("tensorboard") is None:
-        return None
-    return BoardLog(out_dir, step)

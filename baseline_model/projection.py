@@ -3,6 +3,9 @@
 Frames: top (the road frame of the pose used in the warp, possibly moved on its plane) -> camera -> image.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -17,7 +20,7 @@ OUTSIDE = -4.0
 
 
 def road_from_cam(pose: Float[Tensor, "b 2"]) -> Float[Tensor, "b 4 4"]:
-    """`poses.road_from_cam` of a batch, differentiable: rotate by pitch about x, then move up by the height."""
+    """`curves.road_from_cam` of a batch, differentiable: rotate by pitch about x, then move up by the height."""
     pitch, height = pose.unbind(-1)
     cos, sin, zero, one = pitch.cos(), pitch.sin(), torch.zeros_like(pitch), torch.ones_like(pitch)
     rows = [one, zero, zero, zero, zero, cos, sin, zero, zero, -sin, cos, height, zero, zero, zero, one]
@@ -77,6 +80,37 @@ def sampling_grid(
     return torch.where(behind, torch.full_like(grid, OUTSIDE), grid)
 
 
+def pixel_rays(
+    intrinsics: Float[Tensor, "b 4"], height: int, width: int
+) -> tuple[Float[Tensor, "b h w"], Float[Tensor, "b h w"]]:
+    """Tangents of each pixel's viewing ray, right and down."""
+    fx, fy, cx, cy = (value[:, None, None] for value in intrinsics.unbind(-1))
+    u = (torch.arange(width, device=intrinsics.device) + 0.5)[None, None, :]
+    v = (torch.arange(height, device=intrinsics.device) + 0.5)[None, :, None]
+    return ((u - cx) / fx).expand(-1, height, -1), ((v - cy) / fy).expand(-1, -1, width)
+
+
+def sample(
+    features: Float[Tensor, "n c h w"],
+    points_top: Float[Tensor, "*b rows columns 3"],
+    cam_from_top: Float[Tensor, "n 4 4"],
+    intrinsics: Float[Tensor, "n 4"],
+    lattice: Lattice,
+) -> Float[Tensor, "n c rows columns"]:
+    """A map of images at points, bilinearly; zero outside the image."""
+    grid = sampling_grid(points_top, cam_from_top, intrinsics, lattice, (features.shape[2], features.shape[3]))
+    return functional.grid_sample(features, grid, align_corners=False)
+
+
+class ImageMaps(NamedTuple):
+    """Maps of images, where their features are in the images, and the cameras that took these."""
+
+    maps: Sequence[Float[Tensor, "..."]]
+    lattices: Sequence[Lattice]
+    cam_from_top: Float[Tensor, "b 4 4"]
+    intrinsics: Float[Tensor, "b 4"]
+
+
 class Projection(nn.Module):
     """One projective transformation: image map -> top-view map of the road plane.
 
@@ -100,7 +134,5 @@ class Projection(nn.Module):
         """Sample bilinearly; zero outside the image."""
         features = self.reduce(features)
         with torch.autocast(features.device.type, enabled=False):
-            size = (features.shape[2], features.shape[3])
-            grid = sampling_grid(self.points_top, cam_from_top, intrinsics, lattice, size)
-            sampled = functional.grid_sample(features.float(), grid, align_corners=False)
+            sampled = sample(features.float(), self.points_top, cam_from_top, intrinsics, lattice)
         return sampled.contiguous(memory_format=torch.channels_last)

@@ -1,6 +1,8 @@
 """Write a report as JSON, text and plots."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -133,50 +135,50 @@ def markdown(cells: Cells) -> str:
 
 def save_curve(rows: dict[str, EvaluationReport], path: Path) -> None:
     """Plot AP with its 95 % interval, and near and far errors, against the number of training images."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
     sizes = [int(name) for name in rows]
-    for kind, rgb in KINDS.items():
-        colour, words = hexadecimal(rgb), f"{KIND_WORDS[kind]}s"
-        found = [report.kinds[kind] for report in rows.values()]
-        left.plot(sizes, [k.ap for k in found], "o-", color=colour, label=words)
-        left.fill_between(sizes, *zip(*(k.ap_interval for k in found), strict=True), color=colour, alpha=0.2)
-        right.plot(sizes, [k.at_threshold.near_1sigma_cm for k in found], "o-", color=colour, label=f"{words}, near")
-        right.plot(sizes, [k.at_threshold.far_1sigma_cm for k in found], "o:", color=colour, label=f"{words}, far")
-    left.set(ylabel="AP", ylim=(0, 1))
-    right.set(ylabel="error, 1 sigma [cm]")
-    right.set_ylim(bottom=0)
-    for axes in (left, right):
-        axes.set(xlabel="training images", xscale="log", xticks=sizes, xticklabels=sizes)
-        axes.minorticks_off()
-        axes.grid(alpha=0.3)
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
-    write(path, encoded(lambda stream: figure.savefig(stream, dpi=120)))
+    with _two_plots(path, (9, 4.0)) as (left, right):
+        for kind, rgb in KINDS.items():
+            colour, words = hexadecimal(rgb), f"{KIND_WORDS[kind]}s"
+            found = [report.kinds[kind] for report in rows.values()]
+            errors = [k.at_threshold for k in found]
+            left.plot(sizes, [k.ap for k in found], "o-", color=colour, label=words)
+            left.fill_between(sizes, *zip(*(k.ap_interval for k in found), strict=True), color=colour, alpha=0.2)
+            right.plot(sizes, [at.near_1sigma_cm for at in errors], "o-", color=colour, label=f"{words}, near")
+            right.plot(sizes, [at.far_1sigma_cm for at in errors], "o:", color=colour, label=f"{words}, far")
+        left.set(ylabel="AP", ylim=(0, 1))
+        right.set(ylabel="error, 1 sigma [cm]")
+        right.set_ylim(bottom=0)
+        for axes in (left, right):
+            axes.set(xlabel="training images", xscale="log", xticks=sizes, xticklabels=sizes)
+            axes.minorticks_off()
 
 
 def save_plots(report: EvaluationReport, path: Path) -> None:
     """Plot precision against recall, and error against distance."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import LogFormatter
 
-    figure = Figure(figsize=(10, 4.6), layout="constrained")
+    with _two_plots(path, (10, 4.6)) as (left, right):
+        for name, rgb in KINDS.items():
+            kind, colour, words = report.kinds[name], hexadecimal(rgb), f"{KIND_WORDS[name]}s"
+            left.plot(kind.recalls, kind.precisions, color=colour, label=f"{words}, AP {kind.ap:.3f}")
+            for errors_cm, sigmas, style in zip(kind.error_by_y_cm, (1, 2), "-:", strict=True):
+                right.plot(METRIC_Y_M, errors_cm, style, color=colour, label=f"{words}, {sigmas} sigma")
+        left.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
+        right.set(xlabel="distance [m]", ylabel="error [cm]", yscale="log")
+        right.yaxis.set_major_formatter("{x:g}")
+        right.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 1)))
+
+
+@contextmanager
+def _two_plots(path: Path, size_inches: tuple[float, float]) -> Iterator[tuple[Any, Any]]:
+    """Axes beside each other, written to a PNG file in the end."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_inches, layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    for name, rgb in KINDS.items():
-        kind, colour, words = report.kinds[name], hexadecimal(rgb), f"{KIND_WORDS[name]}s"
-        left.plot(kind.recalls, kind.precisions, color=colour, label=f"{words}, AP {kind.ap:.3f}")
-        one, two = kind.error_by_y_cm
-        right.plot(METRIC_Y_M, one, color=colour, label=f"{words}, 1 sigma")
-        right.plot(METRIC_Y_M, two, color=colour, linestyle=":", label=f"{words}, 2 sigma")
-    left.set(xlabel="recall", ylabel="precision", xlim=(0, 1.02), ylim=(0, 1.02))
-    right.set(xlabel="distance [m]", ylabel="error [cm]", yscale="log")
-    right.yaxis.set_major_formatter("{x:g}")
-    right.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 1)))
+    yield left, right
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)

@@ -25,6 +25,10 @@ from .pretrained import grown, load_pretrained, load_weights
 
 EMA_START = 10
 """The decay starts at (1 + step) / (10 + step), so that early weights are soon forgotten."""
+CHANGEABLE = frozenset(
+    ("device", "epochs", "batch", "validate_every_epochs", "precision", "compile", "workers", "keep_decoded")
+)
+"""Settings that may differ when a run is resumed; a longer `epochs` extends a finished one."""
 
 
 @dataclass
@@ -60,10 +64,6 @@ class Schedule:
             self.best_of_past_cycles = max(self.best_of_past_cycles, self.best_of_this_cycle)
             self.best_of_this_cycle, self.cycle = -1.0, step // period
 
-    def state(self) -> dict[str, Any]:
-        """Plain values for a checkpoint."""
-        return asdict(self)
-
 
 def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -> torch.optim.Optimizer:
     """Adam, or AdamW with weight decay on convolution and matrix weights only."""
@@ -72,10 +72,7 @@ def optimizer_for(model: nn.Module, config: TrainConfig, device: torch.device) -
         return torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=is_fused)
     matrices = [p for p in model.parameters() if p.ndim > 1]
     vectors = [p for p in model.parameters() if p.ndim <= 1]
-    groups = [
-        {"params": matrices, "weight_decay": config.weight_decay},
-        {"params": vectors, "weight_decay": 0.0},
-    ]
+    groups = [{"params": matrices, "weight_decay": config.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
     return torch.optim.AdamW(groups, lr=config.learning_rate, fused=is_fused)
 
 
@@ -101,18 +98,14 @@ class RunningAverage:
                 average.copy_(current)
 
 
-CHANGEABLE = frozenset(
-    ("device", "epochs", "batch", "validate_every_epochs", "precision", "compile", "workers", "keep_decoded")
-)
-"""Settings that may differ when a run is resumed; a longer `epochs` extends a finished one."""
-
-
 @dataclass(eq=False)
 class TrainingRun:
-    """The configuration and mutable state of a training run."""
+    """The configuration, folder and mutable state of a training run; `about` is told of it in its checkpoints."""
 
     config: TrainConfig
     process: Process
+    out_dir: Path
+    about: dict[str, Any]
     model: nn.Module
     average: RunningAverage
     optimizer: torch.optim.Optimizer
@@ -125,19 +118,20 @@ class TrainingRun:
     """The step of `last.pt`, and the batch of the steps before it."""
 
 
-def save(trainee: TrainingRun, out_dir: Path, about: dict[str, Any]) -> None:
+def save(trainee: TrainingRun, about: dict[str, Any]) -> None:
+    """Write `last.pt`, from which the run can go on."""
     if trainee.process.rank != 0:
         return
     resume = {
         "model": trainee.model.state_dict(),
         "optimizer": trainee.optimizer.state_dict(),
-        "schedule": trainee.schedule.state(),
+        "schedule": asdict(trainee.schedule),
         "step": trainee.step,
         "best": trainee.best,
         "history": trainee.history,
     }
     weights = trainee.average.model.state_dict()
-    checkpoints.save(out_dir / "last.pt", checkpoints.Checkpoint(trainee.config, about, weights, resume))
+    checkpoints.save(trainee.out_dir / "last.pt", checkpoints.Checkpoint(trainee.config, about, weights, resume))
 
 
 def last_saved(out_dir: Path) -> tuple[int, int] | None:
@@ -172,47 +166,45 @@ def prepare(config: TrainConfig, process: Process, out_dir: Path, about: dict[st
     """Start a new run, or resume the one in `out_dir`."""
     torch.manual_seed(config.seed)
     model = network_of(config.model)
-    last = out_dir / "last.pt"
-    is_resumed = os.path.lexists(last)
+    is_resumed = os.path.lexists(out_dir / "last.pt")
     if not is_resumed:
-        about |= _start(model, config)
+        about = about | _start(model, config)
     model = model.to(process.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    trainee = TrainingRun(
-        config,
-        process,
-        model,
-        RunningAverage(model, config.ema_decay),
-        optimizer_for(model, config, process.device),
-    )
+    average, optimizer = RunningAverage(model, config.ema_decay), optimizer_for(model, config, process.device)
+    trainee = TrainingRun(config, process, out_dir, about, model, average, optimizer)
     if is_resumed:
-        found = checkpoints.load(last, config.model.build if isinstance(config.model, CustomModel) else None)
-        _resume(trainee, found, out_dir)
-        about |= {name: found.about[name] for name in ("pretrained", "init") if name in found.about}
+        _resume(trainee)
     return trainee
 
 
 def _start(model: nn.Module, config: TrainConfig) -> dict[str, str]:
-    """Load the weights that a new run starts from; return descriptions of them."""
+    """Load the weights that a new run starts from, a package's or another run's, which may be of a smaller network;
+    return descriptions of them."""
     about = {}
     if config.pretrained is not None:
         if not isinstance(model, LaneNet):
             raise InputError("pretrained: expected a named model with a vgg16 trunk (paper), got a network of your own")
         about["pretrained"] = load_pretrained(model, config.pretrained)
     if config.init is not None:
-        about["init"] = _start_from(model, config.init)
+        weights, small, of_init = checkpoints.load_start(checkpoints.place(config.init))
+        if isinstance(model, LaneNet) and small is not None:
+            weights = grown(weights, small, model)
+        load_weights(model, weights, "init", config.init)
+        about["init"] = f"{config.init}, trained on {of_init.get('train', {}).get('n_images', '?')} images"
     return about
 
 
-def _resume(trainee: TrainingRun, found: checkpoints.Checkpoint, out_dir: Path) -> None:
+def _resume(trainee: TrainingRun) -> None:
     """Continue from `last.pt`. With another batch, the run continues after as many images, in whole batches."""
-    config = trainee.config
+    config, last = trainee.config, trainee.out_dir / "last.pt"
+    found = checkpoints.load(last, config.model.build if isinstance(config.model, CustomModel) else None)
     wrong = [
         name
         for name in TrainConfig.model_fields
         if name not in CHANGEABLE and getattr(found.config, name) != getattr(config, name)
     ]
     if wrong:
-        raise InputError(f"{out_dir}: holds a run with other settings ({', '.join(wrong)})")
+        raise InputError(f"{trainee.out_dir}: holds a run with other settings ({', '.join(wrong)})")
     state = found.resume or {}
     try:
         trainee.model.load_state_dict(state["model"])
@@ -224,13 +216,5 @@ def _resume(trainee: TrainingRun, found: checkpoints.Checkpoint, out_dir: Path) 
         trainee.best, trainee.history = float(state["best"]), list(state["history"])
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else str(error).partition("\n")[0]
-        raise FormatError(f"{out_dir / 'last.pt'}: expected the state of a run, got damaged: {reason:.100}") from None
-
-
-def _start_from(model: nn.Module, source: str) -> str:
-    """Load another run's weights, which may be of a smaller network; return a description of them."""
-    weights, small, about = checkpoints.load_start(checkpoints.place(source))
-    if isinstance(model, LaneNet) and small is not None:
-        weights = grown(weights, small, model)
-    load_weights(model, weights, "init", source)
-    return f"{source}, trained on {about.get('train', {}).get('n_images', '?')} images"
+        raise FormatError(f"{last}: expected the state of a run, got damaged: {reason:.100}") from None
+    trainee.about |= {name: found.about[name] for name in ("pretrained", "init") if name in found.about}

@@ -60,18 +60,16 @@ def motion_between(before: CameraImage, image: CameraImage) -> Matrix4:
 def associate(before: Sequence[Detection], lanes: Sequence[Detection]) -> dict[int, int]:
     """For the index of each lane that was there before, its index then: the nearest pairs of a kind first, within the
     gate."""
-    distance_m = np.full((len(lanes), len(before)), np.inf)
-    at_m = [[_at(lane, COMPARED_Y_M)[:, 0] for lane in group] for group in (lanes, before)]
-    for i, lane in enumerate(lanes):
-        for j, other in enumerate(before):
-            if lane.kind == other.kind:
-                distance_m[i, j] = np.abs(at_m[0][i] - at_m[1][j]).mean()
+    x_before_m, x_m = ([_at(lane, COMPARED_Y_M)[:, 0] for lane in group] for group in (before, lanes))
+    apart_m = {
+        (i, j): np.abs(x_m[i] - x_before_m[j]).mean()
+        for i, lane in enumerate(lanes)
+        for j, other in enumerate(before)
+        if lane.kind == other.kind
+    }
     pairs = dict[int, int]()
-    for place in np.argsort(distance_m, axis=None).tolist():
-        i, j = divmod(place, len(before))
-        if distance_m[i, j] > GATE_M:
-            break
-        if i not in pairs and j not in pairs.values():
+    for i, j in sorted(apart_m, key=lambda pair: apart_m[pair]):
+        if apart_m[i, j] <= GATE_M and i not in pairs and j not in pairs.values():
             pairs[i] = j
     return pairs
 

@@ -48,18 +48,6 @@ class Subset:
     def __getitem__(self, at: int) -> LabelledImage:
         return self.source[self.index[at]]
 
-    def key(self, at: int) -> str:
-        """The sample's key."""
-        return key_at(self.source, self.index[at])
-
-    def labels(self, at: int) -> Labels:
-        """The sample's labels."""
-        return labels_at(self.source, self.index[at])
-
-    def image(self, at: int) -> RgbImage:
-        """The sample's image."""
-        return image_at(self.source, self.index[at])
-
     def digest(self) -> str | None:
         """What the samples are, as far as the source can tell."""
         whole = digest_of(self.source)
@@ -82,33 +70,19 @@ class Together:
         return self.ends[-1]
 
     def __getitem__(self, at: int) -> ForeignSample:
-        source, index = self._place(at)
-        sample = self.sources[source][index]
-        return ForeignSample(f"{self.names[source]}:{sample.key}", sample.image, sample.labels)
+        number, index = self.place(at)
+        sample = self.sources[number][index]
+        return ForeignSample(f"{self.names[number]}:{sample.key}", sample.image, sample.labels)
 
-    def key(self, at: int) -> str:
-        """The name of the source, and the sample's key there."""
-        source, index = self._place(at)
-        return f"{self.names[source]}:{key_at(self.sources[source], index)}"
-
-    def labels(self, at: int) -> Labels:
-        """The sample's labels."""
-        source, index = self._place(at)
-        return labels_at(self.sources[source], index)
-
-    def image(self, at: int) -> RgbImage:
-        """The sample's image."""
-        source, index = self._place(at)
-        return image_at(self.sources[source], index)
+    def place(self, at: int) -> tuple[int, int]:
+        """The number of the source that has a sample, and the sample's index there."""
+        number = bisect_right(self.ends, at)
+        return number, at - (self.ends[number - 1] if number else 0)
 
     def digest(self) -> str | None:
         """What the samples are, as far as the sources can tell."""
         known = [whole for whole in map(digest_of, self.sources) if whole is not None]
         return _hash(*map(str.encode, known)) if len(known) == len(self.sources) else None
-
-    def _place(self, at: int) -> tuple[int, int]:
-        source = bisect_right(self.ends, at)
-        return source, at - (self.ends[source - 1] if source else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,6 +259,12 @@ def digest_of(samples: Samples) -> str | None:
 
 
 def _alone(samples: Samples, part: str, index: int) -> Any:
+    if isinstance(samples, Subset):
+        return _alone(samples.source, part, samples.index[index])
+    if isinstance(samples, Together):
+        number, index = samples.place(index)
+        found = _alone(samples.sources[number], part, index)
+        return f"{samples.names[number]}:{found}" if part == "key" else found
     read = getattr(samples, part, None)
     return getattr(samples[index], part) if read is None else read(index)
 

@@ -46,15 +46,6 @@ class TargetStatistics:
     ceiling: EvaluationReport
 
 
-def target_statistics(
-    data_dir: str | Path, model: ModelConfig = COMPACT, max_images: int | None = None
-) -> TargetStatistics:
-    """Statistics of all labels of a split (`DIR/train`); images are not read."""
-    samples = open_split(data_dir)
-    n = len(samples) if max_images is None else min(max_images, len(samples))
-    return statistics_of((labels_at(samples, index) for index in range(n)), model)
-
-
 def statistics_of(labels: Iterable[Labels], model: ModelConfig = COMPACT) -> TargetStatistics:
     """Statistics of given labels."""
     names = {KEPT: "kept", IGNORED: "ignored", DROPPED: "dropped"}
@@ -122,8 +113,9 @@ def to_document(statistics: TargetStatistics) -> dict[str, Any]:
 
 
 def describe_targets(data_dir: str | Path, *, as_json: bool = False) -> str:
-    """Statistics and ceiling of a split, as text or JSON."""
-    statistics = target_statistics(data_dir)
+    """Statistics and ceiling of a split (`DIR/train`), as text or JSON; images are not read."""
+    samples = open_split(data_dir)
+    statistics = statistics_of(labels_at(samples, index) for index in range(len(samples)))
     return json.dumps(to_document(statistics)) if as_json else to_text(statistics)
 
 

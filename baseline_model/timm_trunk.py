@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from synth3dlanes.system.errors import InputError, MissingPackageError
 
-from .backbone import IMAGE_MEAN, IMAGE_STD, Lattice
+from .backbone import Lattice, Normalised
 from .config import TIMM, ModelConfig
 
 STRIDES = (2, 4, 8, 16)
@@ -25,7 +25,7 @@ class UnevenError(ValueError):
     """The features of a map have no place in the image that is the same for all sizes."""
 
 
-class TimmPathway(nn.Module):
+class TimmPathway(Normalised):
     """The maps of a timm network at strides 2, 4, 8, 16. Images are normalised as for most of timm's weights."""
 
     has_rays = False
@@ -42,10 +42,6 @@ class TimmPathway(nn.Module):
             self.lattices = measured_lattices(self.trunk, *size_px)
         except UnevenError as error:
             raise InputError(f"model.backbone: {_symmetric(self.name, *size_px) or error}") from None
-        self.mean: Tensor
-        self.std: Tensor
-        self.register_buffer("mean", torch.tensor(IMAGE_MEAN)[:, None, None], persistent=False)
-        self.register_buffer("std", torch.tensor(IMAGE_STD)[:, None, None], persistent=False)
 
     def forward(
         self, image: Float[Tensor, "b 3 h w"], rays: Float[Tensor, "b 2 h w"] | None = None
@@ -159,9 +155,11 @@ def create(name: str, *, features_only: bool = True, pretrained: bool = False, *
     except ImportError:
         raise MissingPackageError(f"timm, which has {name}, is not installed: pip install timm") from None
     except RuntimeError as error:  # as of torchvision, which timm imports, beside another build of torch
+        build = torch.__version__.partition("+")[2]
+        index = f" --index-url https://download.pytorch.org/whl/{build}" if build else ""
         raise MissingPackageError(
-            f"timm, which has {name}, cannot be imported ({error!s:.60}): "
-            "install torch and torchvision of one build, from the same index"
+            f"timm, which has {name}, cannot be imported ({error!s:.60}): torchvision is of another build than torch; "
+            f"pip install --force-reinstall --no-deps torchvision{index}"
         ) from None
     try:
         return timm.create_model(name, pretrained=pretrained, features_only=features_only, **settings)

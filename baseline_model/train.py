@@ -92,17 +92,15 @@ def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, 
     found = last_saved(out_dir)
     trainee = prepare(config, process, out_dir, about)
     with claimed(out_dir, process, found):
-        _run(trainee, train_samples, val_samples, out_dir, about)
+        _run(trainee, train_samples, val_samples)
     if process.world > 1:
         torch.distributed.destroy_process_group()
     return out_dir / "best.pt"
 
 
-def _run(
-    trainee: TrainingRun, train_samples: Samples, val_samples: Samples, out_dir: Path, about: dict[str, Any]
-) -> None:
+def _run(trainee: TrainingRun, train_samples: Samples, val_samples: Samples) -> None:
     """The steps that are left of a run, in its own folder."""
-    config, process = trainee.config, trainee.process
+    config, process, out_dir = trainee.config, trainee.process, trainee.out_dir
     decoding = decoding_of(len(train_samples), config, process)
     examples = open_examples(train_samples, decoding, config, process, out_dir)
     length = RunLength.of(config, len(examples))
@@ -111,7 +109,10 @@ def _run(
         trainee.model.compile()
     distributed = DistributedDataParallel(task) if process.world > 1 else task
     saved_at = time.monotonic()
-    with _log(out_dir, length, trainee) as log:
+    if process.rank == 0:
+        trim_history(out_dir, trainee.saved_step, Fraction(trainee.saved_batch, config.batch))
+    steps = (length.n_steps, length.steps_per_epoch, trainee.step)
+    with TrainingLog(out_dir, *steps, config.batch, is_shown=process.rank == 0) as log:
         for line in _plan(trainee, decoding, describe(val_samples)):
             log.line.say(line)
         for batch in training_batches(examples, config, process, trainee.step, length.n_steps):
@@ -123,24 +124,15 @@ def _run(
             if trainee.step % length.validate_every == 0 or trainee.step == length.n_steps:
                 report = _validate(trainee, val_samples)
                 log.validation(trainee.step, report)
-                _note(trainee, report, length.steps_per_epoch, out_dir, about)
+                _note(trainee, report, length.steps_per_epoch)
             elif time.monotonic() - saved_at > SAVE_EVERY_S:
-                save(trainee, out_dir, about)
+                save(trainee, trainee.about)
                 saved_at = time.monotonic()
             if report is not None or trainee.step % length.steps_per_epoch == 0:
                 log.epoch(trainee.step, report)
     if process.world > 1:
         torch.distributed.barrier()
     Folder(out_dir).remove(ANNOTATIONS)
-
-
-def _log(out_dir: Path, length: RunLength, trainee: TrainingRun) -> TrainingLog:
-    is_shown = trainee.process.rank == 0
-    if is_shown:
-        trim_history(out_dir, trainee.saved_step, Fraction(trainee.saved_batch, trainee.config.batch))
-    return TrainingLog(
-        out_dir, length.n_steps, length.steps_per_epoch, trainee.step, trainee.config.batch, is_shown=is_shown
-    )
 
 
 def _splits(config: TrainConfig, data_dirs: str | Sequence[str]) -> tuple[Samples, Samples]:
@@ -210,9 +202,7 @@ def _validate(trainee: TrainingRun, samples: Samples) -> EvaluationReport | None
     return score(found, MetricConfig(alternatives=(), bootstraps=0))
 
 
-def _note(
-    trainee: TrainingRun, report: EvaluationReport | None, steps_per_epoch: int, out_dir: Path, about: dict[str, Any]
-) -> None:
+def _note(trainee: TrainingRun, report: EvaluationReport | None, steps_per_epoch: int) -> None:
     """After a validation: update the schedule on every process, and save the best weights on rank 0."""
     score = float("nan") if report is None else float(np.nanmean([kind.ap for kind in report.kinds.values()]))
     if trainee.process.world > 1:
@@ -223,9 +213,10 @@ def _note(
     if report is None:
         return
     trainee.history.append({"step": trainee.step, "score": score, **to_document(report)})
-    if score > trainee.best or not (out_dir / "best.pt").exists():
+    best, about = trainee.out_dir / "best.pt", trainee.about
+    if score > trainee.best or not best.exists():
         trainee.best = score
-        weights = trainee.average.model.state_dict()
         about = {**about, "step": trainee.step, "score": score}
-        checkpoints.save(out_dir / "best.pt", checkpoints.Checkpoint(trainee.config, about, weights, None))
-    save(trainee, out_dir, about)
+        weights = trainee.average.model.state_dict()
+        checkpoints.save(best, checkpoints.Checkpoint(trainee.config, about, weights, None))
+    save(trainee, about)

@@ -26,6 +26,12 @@ IMG_FROM_CAM = np.array([[1000.0, 640.0, 0.0], [0.0, 320.0, -1000.0], [0.0, 1.0,
 WHOLE_IMG_FROM_CAM = np.array([[1000.0, 640.0, 0.0], [0.0, 320.0 + CROP_TOP_PX, -1000.0], [0.0, 1.0, 0.0]])
 POSE = Pose(float(np.radians(9.0)), 1.6)
 FAR_M = 110.0
+BESIDE_M = 10.0
+"""Distance at which the lines to the left and right of the host are chosen."""
+MOST_LINES = 4
+"""tuSimple asks for at most four lines, those of the host's lane and of the lanes beside it."""
+NEAREST_M = 0.5
+VISIBLE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +85,6 @@ def check_plane(prediction: Prediction, labels: str | Path) -> None:
             f"{labels}: expected --intrinsics FX,FY,CX,CY of its camera, which tuSimple does not publish "
             "(docs/real_images.md has an estimate); only the model `tusimple` needs none"
         )
-
-
-BESIDE_M = 10.0
-"""Distance at which the lines to the left and right of the host are chosen."""
-MOST_LINES = 4
-"""tuSimple asks for at most four lines, those of the host's lane and of the lanes beside it."""
-NEAREST_M = 0.5
-VISIBLE = 0.5
 
 
 def delimiters(prediction: Prediction, threshold: float) -> list[Detection]:

@@ -12,12 +12,11 @@ import signal
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from itertools import islice
 from multiprocessing.context import ForkProcess
-from typing import Any, BinaryIO, NoReturn, TypeVar, cast
+from typing import Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 import torch
@@ -26,6 +25,12 @@ from torch import Tensor
 
 from synth3dlanes.system.errors import Synth3dlanesError, WorkerError
 
+PREFETCHED_BATCHES = 2
+"""Batches that wait in this process; each worker has one more."""
+SIZE = struct.Struct("<Q")
+IN_LINE_BYTES = 1 << 16
+"""Smaller arrays are pickled; larger ones follow the pickle, to be read to where they stay."""
+ADVICE = "rerun to resume; if it happens again, use fewer workers (--set workers=1) or a smaller batch"
 T = TypeVar("T")
 ImageProgress = Callable[[int, int | None], None]
 """Gets how many are done, and how many there are, None if that is not known."""
@@ -54,82 +59,66 @@ def ahead(items: Iterable[T], n: int = 1) -> Iterator[T]:
                 waiting.cancel()
 
 
-PREFETCHED_BATCHES = 2
-"""Batches that wait in this process; each worker has one more."""
-SIZE = struct.Struct("<Q")
-IN_LINE_BYTES = 1 << 16
-"""Smaller arrays are pickled; larger ones follow the pickle, to be read to where they stay."""
-ADVICE = "rerun to resume; if it happens again, use fewer workers (--set workers=1) or a smaller batch"
-
-
 @dataclass(frozen=True, eq=False)
 class _Worker:
     process: ForkProcess
     pipe: BinaryIO
 
-    def receive(self) -> Any:
+    def receive(self, is_gpu: bool) -> Any:
         """What the worker makes next; raise what it raised, or WorkerError if it is gone."""
         try:
             made = _read(self.pipe)
         except EOFError:
-            _mourn(self.process)
+            self.process.join()
+            code = self.process.exitcode or 0
+            how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+            cause = ", perhaps because memory ran out" if code == -signal.SIGKILL else ""
+            raise WorkerError(f"workers: a loader's worker {how}{cause}; {ADVICE}") from None
         if isinstance(made, (Synth3dlanesError, OSError)):
             raise made
-        return made
+        return _pinned(made) if is_gpu else made
 
 
-def made_ahead(
-    make: Callable[[list[int]], Any], order: Iterable[list[int]], n_workers: int, device: torch.device
-) -> Iterator[Any]:
-    """`make` of each list of indices, in order, by `n_workers` processes, or by this one if that is 0. Tensors in named
-    tuples come in page-locked memory if the device is a GPU.
+def made_ahead(make: Callable[[int], Any], n: int, n_workers: int, device: torch.device) -> Iterator[Any]:
+    """`make` of each number below `n`, in order, by `n_workers` processes, or by this one if that is 0. Tensors in
+    named tuples come in page-locked memory if the device is a GPU.
 
     Raises the errors of ours and of the system that `make` raises, and WorkerError where a worker ends before its work
     is done.
     """
     if not n_workers:
-        yield from map(make, order)
+        yield from map(make, range(n))
         return
     with ExitStack() as ending:
         workers: list[_Worker] = []
         for number in range(n_workers):
-            workers.append(_start(make, order, number, n_workers, workers))
+            workers.append(_start(make, range(number, n, n_workers), workers))
             ending.callback(workers[-1].pipe.close)
         reader = ThreadPoolExecutor(1, initializer=_use, initargs=(device,))
         ending.callback(reader.shutdown, cancel_futures=True)
         # Runs first: without its worker, a thread that reads from it comes to an end.
         ending.callback(_end, [worker.process for worker in workers])
-        is_gpu = device.type == "cuda"
-        ahead = deque(maxlen=PREFETCHED_BATCHES)  # type: ignore[var-annotated]
-        for number, _ in enumerate(order):
-            ahead.append(reader.submit(_ready, workers[number % n_workers], is_gpu))
-            if len(ahead) == PREFETCHED_BATCHES:
-                yield ahead.popleft().result()
-        while ahead:
-            yield ahead.popleft().result()
+        read = deque[Future[Any]]()
+        for number in range(n):
+            read.append(reader.submit(workers[number % n_workers].receive, device.type == "cuda"))
+            if len(read) == PREFETCHED_BATCHES:
+                yield read.popleft().result()
+        while read:
+            yield read.popleft().result()
 
 
-def _start(
-    make: Callable[[list[int]], Any], order: Iterable[list[int]], number: int, n_workers: int, before: list[_Worker]
-) -> _Worker:
+def _start(make: Callable[[int], Any], numbers: range, before: list[_Worker]) -> _Worker:
     reading, writing = os.pipe()
     pipes = [reading, *(worker.pipe.fileno() for worker in before)]
     process = multiprocessing.get_context("fork").Process(
-        target=_work, args=(make, order, number, n_workers, writing, pipes), name=f"loader {number}", daemon=True
+        target=_work, args=(make, numbers, writing, pipes), name=f"loader {numbers.start}", daemon=True
     )
     process.start()
     os.close(writing)
     return _Worker(process, open(reading, "rb"))
 
 
-def _work(
-    make: Callable[[list[int]], Any],
-    order: Iterable[list[int]],
-    number: int,
-    n_workers: int,
-    writing: int,
-    pipes: list[int],
-) -> None:
+def _work(make: Callable[[int], Any], numbers: range, writing: int, pipes: list[int]) -> None:
     """The life of a worker. It ends with the run, whose end of the pipe is then the last one to be closed."""
     for pipe in pipes:
         os.close(pipe)
@@ -138,26 +127,13 @@ def _work(
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     torch.set_num_threads(1)
     with suppress(BrokenPipeError), os.fdopen(writing, "wb") as stream:
-        for indices in islice(order, number, None, n_workers):
+        for number in numbers:
             try:
-                _write(stream, make(indices))
+                _write(stream, make(number))
             except (Synth3dlanesError, OSError) as error:
                 _write(stream, error)
             except MemoryError:
                 _write(stream, WorkerError(f"workers: a loader's worker found no memory; {ADVICE}"))
-
-
-def _ready(worker: _Worker, is_gpu: bool) -> Any:
-    made = worker.receive()
-    return _pinned(made) if is_gpu else made
-
-
-def _mourn(process: ForkProcess) -> NoReturn:
-    process.join()
-    code = process.exitcode or 0
-    how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-    cause = ", perhaps because memory ran out" if code == -signal.SIGKILL else ""
-    raise WorkerError(f"workers: a loader's worker {how}{cause}; {ADVICE}")
 
 
 def _end(processes: list[ForkProcess]) -> None:

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import click
 
@@ -18,9 +18,6 @@ from .networks import (
     own_model_option,
 )
 from .options import FiniteRange, json_option, progress_bar, refuse_idle, refuse_together
-
-if TYPE_CHECKING:
-    from synth3dlanes_baseline.photographs import Photographs
 
 OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots", "intrinsics", "lane_masks")
 
@@ -119,7 +116,7 @@ def evaluate(
     if are_photographs:
         from synth3dlanes_baseline import photographs as images
 
-        photographs, camera = _photographs(source, lane_masks), camera_intrinsics(intrinsics)
+        photographs, camera = images.open_photographs(source, lane_masks), camera_intrinsics(intrinsics)
         if camera is None:
             raise InputError(f"{source}: expected --intrinsics FX,FY,CX,CY of its camera, got none")
         if predictions is not None:
@@ -157,12 +154,3 @@ def evaluate(
     samples = reporting.samples_document(report)
     document = {"source": split_of(source), **reporting.to_document(report), "samples": samples}
     click.echo(json.dumps(document) if as_json else reporting.to_text(report))
-
-
-def _photographs(source: str, lane_masks: Path | None) -> "Photographs":
-    from synth3dlanes_baseline.photographs import open_photographs
-
-    found = open_photographs(source, lane_masks)
-    if found is None:
-        raise InputError(f"{source}: expected a label file of tuSimple or a folder with one, or --lane-masks")
-    return found

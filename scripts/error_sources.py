@@ -17,7 +17,7 @@ from synth3dlanes_baseline import checkpoint
 from synth3dlanes_baseline.curves import METRIC_Y_M, Pose, plane_pose, road_curves
 from synth3dlanes_baseline.data import pixels_on
 from synth3dlanes_baseline.evaluate import score
-from synth3dlanes_baseline.inference import layout_of, predictions_of
+from synth3dlanes_baseline.inference import predictions_of
 from synth3dlanes_baseline.lanes import Prediction
 from synth3dlanes_baseline.loading import labelled_batches
 from synth3dlanes_baseline.matching import find_pairs, match, point_weights, sample_detections, sample_truth
@@ -63,7 +63,7 @@ def main(weights: str, source: str) -> None:
                 pairs = zip(predicted, batch.labels, strict=True)
                 poses = torch.tensor([given(Pose(*pose), plane_pose(one)) for pose, one in pairs])
                 output = network(pixels, batch.intrinsics, poses)._replace(pose=poses)
-                found[name] += predictions_of(batch.keys, output, layout_of(network))
+                found[name] += predictions_of(batch.keys, output, network.config)
     found["height, and all lanes scaled with it"] = list(map(_scaled, labels, found["nothing"]))
     sys.stdout.write(f"{HEAD}\n")
     for name, predictions in found.items():

@@ -11,6 +11,7 @@ from PIL import Image
 from synth3dlanes_baseline import checkpoint
 from synth3dlanes_baseline.checkpoint import SHIPPED, detector
 from synth3dlanes_baseline.config import train_config
+from synth3dlanes_baseline.data import CameraImage, intrinsics_of
 from synth3dlanes_baseline.lanes import write_predictions
 from synth3dlanes_baseline.loading import annotation_file
 from synth3dlanes_baseline.overlay import save_pictures
@@ -27,11 +28,11 @@ from tests.thorough import first
 def writers(out: Path, roads):
     labels = roads.labels([lambda y: (0 * y, 0 * y)])
     prediction = roads.as_prediction(labels)
-    image = Image.new("RGB", (480, 360))
+    image = CameraImage("0", np.zeros((360, 480, 3), np.uint8), intrinsics_of(labels), labels)
     state = checkpoint.Checkpoint(train_config("nano", {}), {}, {"weight": torch.zeros(1)}, None)
 
     def pictures() -> None:
-        save_pictures(out / "00000000", image, labels.camera.img_from_cam, prediction, labels, 0.5)
+        save_pictures(out / "00000000", image, prediction)
 
     def log() -> None:
         with TrainingLog(out, 1, 1, 0, 1, is_shown=True) as history:

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from synth3dlanes_baseline import projection
 from synth3dlanes_baseline.anchors import Targets, anchor_positions_m, encode
 from synth3dlanes_baseline.augment import augment, flip, generator_for, rotate, saturate, sharpen
 from synth3dlanes_baseline.config import OUR_AUGMENTATION, PAPER, TINY, Augmentation, LossConfig, train_config
@@ -16,7 +17,7 @@ from synth3dlanes_baseline.data import annotation_of, pack
 from synth3dlanes_baseline.loading import Example, collate
 from synth3dlanes_baseline.loss import ALONG, loss
 from synth3dlanes_baseline.model import LaneNet, Output
-from synth3dlanes_baseline.projection import top_from_road
+from synth3dlanes_baseline.projection import ImageMaps, top_from_road
 
 from synth3dlanes.geometry.frames import invert, project, transform
 
@@ -64,7 +65,7 @@ def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(nam
     rows, columns = config.image_height_px // 16, config.image_width_px // 16
     u_px = (16 * torch.arange(columns) + 8.0).expand(1, 1, rows, columns)
     image, intrinsics = torch.zeros(1, 3, 16, 16), torch.tensor([config.reference_intrinsics])
-    seen = model._top_features(image, intrinsics, [u_px] * 4, torch.eye(4)[None])
+    seen = model._top_features(image, ImageMaps([u_px] * 4, [], torch.eye(4)[None], intrinsics))
     fx, fy, cx, cy = config.reference_intrinsics
     pose = road_from_cam(config.fixed_height_m, math.radians(config.fixed_pitch_deg))
     points_road = np.array([[x_m, Y_REF_M, 0.0] for x_m in model.anchors_m.tolist()])
@@ -330,3 +331,20 @@ def _centroid(image):
     weight = image[0, 0]
     v, u = torch.meshgrid(torch.arange(360) + 0.5, torch.arange(480) + 0.5, indexing="ij")
     return [float((weight * u).sum() / weight.sum()), float((weight * v).sum() / weight.sum())]
+
+
+@pytest.mark.parametrize("variant", ["full", "top_view"])
+def test_the_warp_is_in_float32_in_every_precision(variant, monkeypatch):
+    """Rounded to bfloat16, a place at column 400 would be off by a pixel or two."""
+    model, grids = LaneNet(train_config("tiny", ablation=variant).model).eval(), []
+    sampled = projection.functional.grid_sample
+    monkeypatch.setattr(
+        projection.functional, "grid_sample", lambda x, grid, **how: grids.append(grid) or sampled(x, grid, **how)
+    )
+    image, intrinsics = torch.rand(1, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]])
+    for enabled in (False, True):
+        with torch.no_grad(), torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
+            model(image, intrinsics, model.fixed_pose[None])
+    exact, mixed = grids[: len(grids) // 2], grids[len(grids) // 2 :]
+    assert exact
+    assert all(one.equal(other) for one, other in zip(exact, mixed, strict=True))

@@ -17,10 +17,10 @@ from PIL import Image
 from synth3dlanes_baseline import checkpoint as checkpoints
 from synth3dlanes_baseline import evaluate, onnx_decode, onnx_export, sources, statistics
 from synth3dlanes_baseline.config import train_config
-from synth3dlanes_baseline.data import CameraImage, intrinsics_of
+from synth3dlanes_baseline.data import CameraImage, img_from_cam, intrinsics_of
 from synth3dlanes_baseline.devices import choose_device
 from synth3dlanes_baseline.evaluate import evaluate_checkpoint, evaluate_predictions, score, through_flat_ground
-from synth3dlanes_baseline.inference import layout_of, predictions_of
+from synth3dlanes_baseline.inference import predictions_of
 from synth3dlanes_baseline.lanes import read_predictions, write_predictions
 from synth3dlanes_baseline.model import LaneNet, Output
 from synth3dlanes_baseline.onnx_decode import decode
@@ -272,7 +272,7 @@ def test_the_decoder_of_onnx_outputs_gives_the_lanes_of_predict(row):
     outputs = dict(zip(OUTPUTS, arrays, strict=False))
     assert ("visibility" in outputs) == has_visibility
     metadata = metadata_of(model.config)
-    by_torch = [prediction.lanes for prediction in predictions_of("abc", output, layout_of(model))]
+    by_torch = [prediction.lanes for prediction in predictions_of("abc", output, model.config)]
     for lanes, found in zip(by_torch, decode(outputs, metadata), strict=True):
         assert len(lanes) == len(found) > 10
         for lane, mine in zip(lanes, found, strict=True):
@@ -345,15 +345,15 @@ def test_pictures_follow_the_shape_of_the_image_and_one_has_its_size(roads, tmp_
     labels = dataclasses.replace(labels, lanes=lanes)
     prediction = roads.as_prediction(labels)
     width, height = size_px
-    camera = np.array([[width / 2, width / 2, 0], [0, height / 2, -width / 2], [0, 1.0, 0]])
+    black, camera = np.zeros((height, width, 3), np.uint8), (width / 2, width / 2, width / 2, height / 2)
     for truth in (labels, ()):
-        save_pictures(tmp_path / "a", Image.new("RGB", size_px, "black"), camera, prediction, truth)
+        save_pictures(tmp_path / "a", CameraImage("a", black, camera, truth), prediction)
         with Image.open(tmp_path / "a.overlay.jpg") as picture:
             assert picture.size == size_px
             overlay = np.asarray(picture).astype(int)
         for lane, found in zip(lanes, prediction.lanes, strict=True):
             assert lane.kind == found.kind
-            points_img = project(camera, found.xyz_cam[10:12])
+            points_img = project(img_from_cam(camera), found.xyz_cam[10:12])
             u, v = np.floor(points_img.mean(axis=0)).astype(int)
             row, color = overlay[v], np.array(KINDS[lane.kind])
             assert abs(row[u] - color).max() < 60, "full"

@@ -11,7 +11,7 @@ from synth3dlanes_baseline.config import TINY, LossConfig, improved
 from synth3dlanes_baseline.heads import ASIDE_M, ASIDE_PX, STEP_PX, WIDTH, CloseLook, Lanes, Refinement
 from synth3dlanes_baseline.loss import loss
 from synth3dlanes_baseline.model import LaneNet, Output
-from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
+from synth3dlanes_baseline.projection import ImageMaps, invert_rigid, road_from_cam
 
 
 def _lanes(config, x_m=0.0, z_m=0.0):
@@ -49,7 +49,7 @@ def test_it_looks_where_the_points_of_a_lane_are_in_the_image():
     for axis in (0, 1):
         maps = [_places(axis, lattice, wide, high) for lattice in lattices]
         intrinsics = torch.tensor([[fx, fx, cx, cy]] * 2)
-        refinement(_lanes(config, x_m, z_m), anchors_m, maps, lattices, cam_from_top, intrinsics)
+        refinement(_lanes(config, x_m, z_m), anchors_m, ImageMaps(maps, lattices, cam_from_top, intrinsics))
     seen = [value[:, : 3 * len(ASIDE_M) * WIDTH].reshape(2, 3, 16, 3, WIDTH, len(ASIDE_M), -1) for value in given]
     # The camera looks down by the pitch from above the road's origin; image rows count downwards.
     anchor = int(np.argmin(np.abs(anchors_m.numpy())))
@@ -80,7 +80,8 @@ def test_a_close_look_is_at_pixels_across_the_line_at_and_between_knots():
     _hand_on(close_look)
     for axis in (0, 1):
         maps = [_places(axis, lattice, wide, high) for lattice in lattices]
-        close_look(lanes, anchors_m, maps, lattices, cam_from_top, torch.tensor([[f_px, f_px, cx, cy]] * 2))
+        intrinsics = torch.tensor([[f_px, f_px, cx, cy]] * 2)
+        close_look(lanes, anchors_m, ImageMaps(maps, lattices, cam_from_top, intrinsics))
     seen = [value.reshape(2, 3, 16, 2, WIDTH, len(ASIDE_PX), -1) for value in given]
     points_y_m = np.interp(np.arange(28) / 3, np.arange(10), knots_y_m)
     for point, y_m in enumerate(points_y_m):

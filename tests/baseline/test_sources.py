@@ -9,7 +9,7 @@ import pytest
 from PIL import Image, ImageDraw
 from synth3dlanes_baseline import sources
 from synth3dlanes_baseline.data import annotation_of
-from synth3dlanes_baseline.sources import open_split, training_and_validation
+from synth3dlanes_baseline.sources import image_at, key_at, labels_at, open_split, training_and_validation
 from synth3dlanes_baseline.tusimple import TusimpleOnPlane
 
 from synth3dlanes.dataset.folder import claim
@@ -101,11 +101,11 @@ def test_several_data_sets_follow_one_another_each_with_its_own_validation(split
     for at in range(2 * N):
         source, index = divmod(at, N)
         sample, alone = train[at], parts[source][index]
-        assert sample.key == train.key(at) == f"{(level, rolled)[source]}/train:0000000{index}"
-        for labels in (sample.labels, train.labels(at)):
+        assert sample.key == key_at(train, at) == f"{(level, rolled)[source]}/train:0000000{index}"
+        for labels in (sample.labels, labels_at(train, at)):
             np.testing.assert_array_equal(labels.lanes[0].xyz_cam, alone.labels.lanes[0].xyz_cam)
         np.testing.assert_array_equal(sample.image, alone.image)
-        np.testing.assert_array_equal(train.image(at), alone.image)
+        np.testing.assert_array_equal(image_at(train, at), alone.image)
     assert sources.describe(val) == (
         f"{level}/val: 3 images; {rolled}/val: 3 images of the training split, as there is no validation split"
     )

@@ -212,5 +212,7 @@ def test_a_timm_that_cannot_be_imported_is_told_in_a_line(monkeypatch, tmp_path)
     (tmp_path / "timm.py").write_text('raise RuntimeError("operator torchvision::nms does not exist")')
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "timm", raising=False)
-    with pytest.raises(MissingPackageError, match=r"timm, .*operator torchvision::nms .*: install torch"):
-        LaneNet(_config("timm:resnet18"))
+    for version, command in (("2.13.0", "torchvision"), ("2.13.0+cpu", r"torchvision --index-url https://\S+/whl/cpu")):
+        monkeypatch.setattr(torch, "__version__", version)
+        with pytest.raises(MissingPackageError, match=rf"timm, .*operator torchvision::nms .*; pip .*-deps {command}$"):
+            LaneNet(_config("timm:resnet18"))

@@ -42,7 +42,7 @@ def make(indices):
 
 
 def made_by(n_workers, make=make, order=ORDER):
-    return made_ahead(make, order, n_workers, CPU)
+    return made_ahead(lambda number: make(order[number]), len(order), n_workers, CPU)
 
 
 @pytest.mark.parametrize("n_workers", [1, 3, 10])
