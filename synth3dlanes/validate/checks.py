@@ -135,14 +135,13 @@ CHECKS = (
     Check(
         "boxes",
         check_boxes,
-        "objects whose boxes do not fit their pixels or points",
+        "objects, signals and signs whose boxes do not fit their pixels or points, or whose labels count others than "
+        "their ids show",
     ),
     Check(
         "elements",
         check_elements,
-        "signals and signs that are not where their pixels are, without a label, in another "
-        "state than their lights show, over another lane than they govern, or seen by another share than their pixels "
-        "show",
+        "signals and signs without a label, or in another state than their lights show",
     ),
     Check(
         "moving",
