@@ -87,8 +87,8 @@ CHECKS = (
     Check(
         "appearance",
         check_appearance,
-        "by clear daylight: gray pictures, swapped or turned colours, black parts, white lines that are yellow, lines "
-        "whose paint is missing",
+        "by clear daylight: gray pictures, swapped or turned colours, also of cars alone, black parts, white lines "
+        "that are yellow, lines whose paint is missing",
         _needs("aim image depth semantic"),
     ),
     Check(

@@ -109,6 +109,18 @@ def test_leaves_with_red_and_green_exchanged_are_found_by_themselves(samples):
     assert sum("expected leaves with at most" in text for text in told) >= len(samples) / 2, told
 
 
+@pytest.mark.parametrize("channels", [(2, 1, 0), (1, 2, 0)])
+def test_cars_of_other_hues_are_found_by_themselves(samples, channels):
+    """Where one that has a hue is near: swapped red and blue, and hues turned by a third of the circle."""
+
+    def changed_cars(sample: Evidence) -> Evidence:
+        is_car = sample.passes["semantic"] == CAR
+        return replace(sample, image=np.where(is_car[..., None], sample.image[..., channels], sample.image))
+
+    told = [reasons(changed_cars(sample), "appearance") for sample in samples]
+    assert any("in its own colour, got another" in text for text in told), told
+
+
 def test_lines_stand_out_that_are_brighter_than_their_road():
     """Concrete is three times as bright as asphalt, and yellow half as bright as white."""
 
