@@ -231,6 +231,10 @@ def test_narrow_frames_get_their_own_intrinsics_or_are_left_out_and_counted(writ
         for result in verify(Export(str(root), tmp_path / name, name), 9)
         if result.problems
     ] == []
+    write_split(tmp_path / "narrow", "train", 1, ["camera.horizontal_fov_deg=30"])
+    job = Export(str(tmp_path / "narrow"), tmp_path / "nothing", "apollo")
+    job.write()
+    assert [result.problems for result in verify(job)] == [(f"{job.out}: expected lane lines to compare, found none",)]
 
 
 @pytest.mark.parametrize(
