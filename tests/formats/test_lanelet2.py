@@ -2,8 +2,9 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,9 +12,16 @@ import pytest
 from scipy.spatial import cKDTree
 
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_world
-from synth3dlanes.formats.lanelet2 import lanelet2
+from synth3dlanes.formats.comparing import SourceSample
+from synth3dlanes.formats.format import ReadFrame
+from synth3dlanes.formats.lanelet2 import lanelet2, verify
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.labels.labels import Lane as Line
 from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps.osm import read_osm
 from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of
+from synth3dlanes.scene.scene import Scene
+from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.world import World
 from tests.thorough import first
 
@@ -157,7 +165,7 @@ def test_neighbours_share_a_bound_and_change_lanes_where_the_paint_is_dashed(nam
     beside = {segment.id: network.neighbours(segment) for segment in segments}
     dashed, solid = [], []
     for line in network.delimiters:
-        ends = (0.0, line.end_m) if line.is_measured else np.clip([line.start_m, line.end_m], -260, 260)
+        ends = (0.0, line.end_m) if line.pieces[0].knots is not None else np.clip([line.start_m, line.end_m], -260, 260)
         points = line.points_world(np.linspace(*ends, 2 + int(20 * (ends[1] - ends[0]))))
         (dashed if line.marking == "dashed" else solid).append(points)
     trees = {kind: cKDTree(np.concatenate(parts)) for kind, parts in (("dashed", dashed), ("solid", solid)) if parts}
@@ -340,3 +348,34 @@ def test_crosswalks_are_lanelets_of_walkers_with_the_outline_of_the_paint() -> N
         # People walk along the longer sides.
         left, right = file.points(lane.left), file.points(lane.right)
         assert np.linalg.norm(left[-1] - left[0]) > np.linalg.norm(left[0] - right[0])
+
+
+class InPieces(SourceSample):
+    """A world's labels, their painted lines in pieces of some ten metres, as where a map has short marks."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+
+    @property
+    def scene(self) -> Scene:
+        return self.world.scene
+
+    @cached_property
+    def labels(self) -> Labels:
+        whole = ground_truth(self.scene)
+        return replace(whole, lanes=tuple(piece for lane in whole.lanes for piece in self._pieces(lane)))
+
+    @staticmethod
+    def _pieces(lane: Line) -> list[Line]:
+        ends = [*range(0, len(lane.xyz_cam) - 20, 20), len(lane.xyz_cam) - 1]
+        if lane.kind != "delimiter" or len(ends) < 2:
+            return [lane]
+        parts = (slice(first, last + 1) for first, last in pairwise(ends))
+        fields = ({key: getattr(lane, key)[at] for key in ("xyz_cam", "in_image", "terrain_visible")} for at in parts)
+        return [replace(lane, id=f"{lane.id}{i}", object_visible=None, **own) for i, own in enumerate(fields)]
+
+
+def test_a_bound_along_painted_lines_after_each_other_has_no_false_alarm() -> None:
+    world, text, _ = made("lights")
+    frame = ReadFrame("lights.osm", "lights.osm", None, read_osm(text.encode(), "lights.osm"))
+    assert verify(frame, InPieces(world)).problems == ()
