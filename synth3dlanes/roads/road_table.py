@@ -25,8 +25,8 @@ from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3,
 
 # Steps of a projection, and how far from the perpendicular through a foot its point may be.
 MOST_STEPS, FOOT_M = 12, 1e-3
-# Farther than any place is from a road that it is near.
-APART_M = 1e5
+# Farther than any place is from a road that it is near; the width of rows in which places are sorted.
+APART_M, ROW_M = 1e5, 25.0
 
 Indices = Int[np.ndarray, " n"]
 
@@ -339,6 +339,37 @@ class RoadTable:
         return np.where(own.has_heights.take(section), own.height(section, s, t) - terrain_m, 0.0)
 
 
+def _in_boxes(
+    xy_world: Float[np.ndarray, "n 2"], low: Float[np.ndarray, "r 2"], high: Float[np.ndarray, "r 2"]
+) -> tuple[Indices, Indices]:
+    """The numbers of points and of the boxes that they are in."""
+    if not len(xy_world):
+        return np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+    # Points in rows of the plan, by x in each: a box has one run of each row that it meets.
+    corner = xy_world.min(axis=0)
+    x, y = (xy_world - corner).T
+    row, length_m = np.floor(y / ROW_M), x.max() + 1.0
+    keys = row * length_m + x
+    order = np.argsort(keys)
+    first, last = (
+        np.floor(np.clip((ends[:, 1] - corner[1]) / ROW_M, -1, row.max() + 1)).astype(int) for ends in (low, high)
+    )
+    first, last = np.maximum(first, 0), np.minimum(last, int(row.max()))
+    n_rows = np.maximum(last - first + 1, 0)
+    box = np.repeat(np.arange(len(low)), n_rows)
+    start = (first[box] + np.arange(len(box)) - np.repeat(np.cumsum(n_rows) - n_rows, n_rows)) * length_m
+    begin, end = (
+        np.searchsorted(keys[order], start + np.clip(ends[box, 0] - corner[0], 0, length_m - 0.5))
+        for ends in (low, high)
+    )
+    counts = np.maximum(end - begin, 0)
+    box = np.repeat(box, counts)
+    point = order[np.arange(len(box)) + np.repeat(begin - np.cumsum(counts) + counts, counts)]
+    y = xy_world[point, 1]
+    is_in = (y > low[box, 1]) & (y < high[box, 1])
+    return point[is_in], box[is_in]
+
+
 class _Index(NamedTuple):
     """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
     line, these, and a tree of them, roads one above the other APART_M from each other."""
@@ -361,14 +392,7 @@ class RoadIndex:
         road: road by road, points in ascending order."""
         index, reach = self._index, np.broadcast_to(reach_m, len(self.roads))[:, None]
         low, high, from_line_m = index.low - reach, index.high + reach, index.half_m + reach[:, 0]
-        order = np.argsort(xy_world[:, 0])
-        first, end = (np.searchsorted(xy_world[order, 0], at[:, 0]) for at in (low, high))
-        counts = np.maximum(end - first, 0)
-        road = np.repeat(np.arange(len(counts)), counts)
-        point = order[np.arange(len(road)) + np.repeat(first - np.cumsum(counts) + counts, counts)]
-        y = xy_world[point, 1]
-        is_near = (y > low[road, 1]) & (y < high[road, 1])
-        point, road = point[is_near], road[is_near]
+        point, road = _in_boxes(xy_world, low, high)
         above = np.column_stack([xy_world[point], APART_M * road])
         away_m, place = index.tree.query(above, distance_upper_bound=max(from_line_m.max(initial=0.0), 0.0))
         found = np.flatnonzero(away_m < from_line_m[road])

@@ -7,6 +7,7 @@ of the places where edges cross the image's border.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ AHEAD_M, MAX_PIXELS = 0.1, 1000
 # Parts of a box across, along and up, of which the share outside the image is counted.
 PARTS = (8, 24, 8)
 
+CORNERS_OF_IMAGE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 # Ends of the twelve edges: corners of CORNERS that differ in one coordinate.
 EDGES = np.array([(i, j) for i in range(8) for j in range(i) if (CORNERS[i] != CORNERS[j]).sum() == 1])
 INSIDE = np.stack(np.meshgrid(*((np.arange(n) + 0.5) * 2 / n - 1 for n in PARTS), indexing="ij"), axis=-1).reshape(
@@ -100,14 +102,20 @@ def rectangles(
     if shown.all():
         return whole, whole
     size_px = np.array([camera.width_px, camera.height_px], float)
-    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size_px
-    found = [uv[shown], corners[meets_box(camera.rays(corners), cam_from_box, size_m)]]
+    corners = CORNERS_OF_IMAGE * size_px
+    found = [uv[shown], corners[meets_box(_corner_rays(camera), cam_from_box, size_m)]]
     if shown.any():
         crossing = shown[:, 1:] != shown[:, :-1]
         ends = [np.where(shown[:, 1:, None] == side, edges[:, 1:], edges[:, :-1])[crossing] for side in (True, False)]
         found.append(camera.project(_border(camera, *ends)))
     inside = np.concatenate(found)
     return np.clip(_around(inside), 0, np.tile(size_px, 2)) if len(inside) else None, whole
+
+
+@lru_cache(maxsize=2)
+def _corner_rays(camera: CameraLabel) -> Points3:
+    """The rays of the corners of the image, which all boxes of a view are compared with."""
+    return camera.rays(CORNERS_OF_IMAGE * [camera.width_px, camera.height_px])
 
 
 def truncation(camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> float:

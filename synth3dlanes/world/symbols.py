@@ -19,9 +19,10 @@ from synth3dlanes.scene.road_map import MapPaint
 from synth3dlanes.scene.scene import Scene, Symbol
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.schema import SymbolKind
+from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.meshes import Mesh, facing_up
-from synth3dlanes.world.paint import towards_eye
+from synth3dlanes.world.paint import NO_PAINT, towards_eye
 
 Polygon = Float[np.ndarray, "_ 2"]
 
@@ -123,14 +124,24 @@ def shape(ground: Ground, item: Symbol | MapPaint) -> SymbolShape:
     return SymbolShape(item.kind, polygons, dense(outline, OUTLINE_STEP_M), places, COLUMN_M)
 
 
-def symbol_meshes(ground: Ground, forms: Sequence[SymbolShape], eye_world: Float[np.ndarray, "3"]) -> list[Mesh]:
-    """The paint of symbols over the road, moved towards the eye so that it looks in place from there."""
-    if not forms:
-        return []
-    places = [np.concatenate([_quads(polygon, form.column) for polygon in form.polygons]) for form in forms]
+def symbol_meshes(
+    ground: Ground, forms: Sequence[SymbolShape], eye_world: Float[np.ndarray, "3"], seen: Sector | None = None
+) -> list[Mesh]:
+    """The paint of symbols over the road, moved towards the eye so that it looks in place from there. Meshes of symbols
+    out of what is `seen` are empty."""
+    meshes, drawn = [NO_PAINT] * len(forms), [*range(len(forms))]
+    if seen is not None:
+        drawn = [i for i, form in enumerate(forms) if seen.holds(form.places_world(form.outline)[:, :2]).any()]
+    if not drawn:
+        return meshes
+    shown = [forms[i] for i in drawn]
+    places = [np.concatenate([_quads(polygon, form.column) for polygon in form.polygons]) for form in shown]
     places = [quads.reshape(-1, 2) for quads in places]
-    vertices = towards_eye(ground, np.concatenate(symbol_points(forms, places)), eye_world)
-    return list(map(facing_up, np.split(vertices, np.cumsum(list(map(len, places)))[:-1]), places))
+    vertices = towards_eye(ground, np.concatenate(symbol_points(shown, places)), eye_world)
+    parts = np.split(vertices, np.cumsum(list(map(len, places)))[:-1])
+    for i, own, uv in zip(drawn, parts, places, strict=True):
+        meshes[i] = facing_up(own, uv)
+    return meshes
 
 
 def gore_of(network: Network) -> tuple[Road, float, float] | None:

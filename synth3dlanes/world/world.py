@@ -241,9 +241,10 @@ class World:
         seen = None if all_round else view.sector
         return paint_meshes(self.ground, self.site.lines, view.eye_world, self.scene.stream, seen)
 
-    def symbols(self, view: View) -> list[Mesh]:
-        """The paint of every symbol, corrected for parallax so that it looks in place from a view."""
-        return symbol_meshes(self.ground, self.symbol_shapes, view.eye_world)
+    def symbols(self, view: View, all_round: bool = True) -> list[Mesh]:
+        """The paint of every symbol as `paint` has that of lines."""
+        seen = None if all_round else view.sector
+        return symbol_meshes(self.ground, self.symbol_shapes, view.eye_world, seen)
 
     @property
     def symbol_ids(self) -> list[int]:
