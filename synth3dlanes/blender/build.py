@@ -209,7 +209,8 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
             _add_object("paint", new_mesh(strips[name], [material]), instance_id("delimiter", number))
     for id_, mesh in zip(world.symbol_ids, world.symbols(view, all_round=False), strict=True):
-        _add_object("paint", new_mesh(mesh, [materials.symbol]), id_)
+        if len(mesh.faces):
+            _add_object("paint", new_mesh(mesh, [materials.symbol]), id_)
 
 
 def _objects(assets: LoadedAssets, view: View) -> list[MeshInstance]:

@@ -341,7 +341,7 @@ class RoadTable:
 
 def _in_boxes(
     xy_world: Float[np.ndarray, "n 2"], low: Float[np.ndarray, "r 2"], high: Float[np.ndarray, "r 2"]
-) -> tuple[Indices, Indices]:
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
     """The numbers of points and of the boxes that they are in."""
     if not len(xy_world):
         return np.zeros(0, dtype=int), np.zeros(0, dtype=int)

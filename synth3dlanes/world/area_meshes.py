@@ -71,7 +71,7 @@ class AreaSurfaces:
         xs, ys = paved.grid.axes
         near = shapely.box(*paved.way.box(REACH_M - 20.0))
         # Where below the pavement its border lies exactly, nobody sees.
-        bed = valid(shapely.simplify(intersection(outset(paved.graded_pavement, -UNDER_M), near), UNDER_M / 5))
+        bed = intersection(outset(valid(shapely.simplify(paved.graded_pavement, UNDER_M / 5)), -UNDER_M), near)
         over = difference(intersection(union(span.area for span in paved.tunnels), near), bed)
         for area in (bed, over):
             shapely.prepare(area)

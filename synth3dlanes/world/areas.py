@@ -171,4 +171,5 @@ def filled(area: BaseGeometry) -> BaseGeometry:
         for part in shapely.get_parts(area)
         if isinstance(part, shapely.Polygon)
     ]
-    return union(parts)
+    # Others may lie in the holes of one.
+    return parts[0] if len(parts) == 1 else union(parts)

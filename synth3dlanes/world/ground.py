@@ -77,13 +77,13 @@ class Ground:
         """The outlines of what is raised, without the gaps between strips beside each other."""
         return [outlined(outset(polygon, GAP_M)) for polygon, _ in self.paved.raised]
 
-    def is_in(self, points_world: Points3) -> Bool[np.ndarray, " n"]:
+    def is_in(self, points_world: Points3, limits_m: tuple[Scalars, Scalars] | None = None) -> Bool[np.ndarray, " n"]:
         """Which points lie in the ground as built: below a deck there is none down to the graded ground, and none in a
-        tunnel."""
+        tunnel. `limits_m` is what `paved.limits` says of them, if that is known."""
         # Most points are far above or below the graded ground, whose height takes long to find: its least is enough.
         xy = points_world[:, :2]
         terrain_m = height_at(self.network.terrain, xy)
-        above_m, most_m = self.paved.limits(xy)
+        above_m, most_m = limits_m or self.paved.limits(xy)
         over_m = points_world[:, 2] - terrain_m
         raised_m = max((raised_m for _, raised_m in self.paved.raised), default=0.0)
         found, is_near = over_m < above_m, over_m < most_m + raised_m

@@ -21,9 +21,11 @@ def seen_over_ground(
     to = points_world - eye_world
     ray, step, sight = along_sights(eye_world, to, SIGHT_STEP_M)
     is_first, seen = step % FIRST_STEPS == 0, np.ones(len(to), dtype=bool)
+    limits_m = ground.paved.limits(sight[:, :2])
     for some in (is_first, ~is_first):
         asked = np.flatnonzero(some & seen[ray])
-        hidden = ground.is_in(sight[asked] + np.array([0.0, 0.0, TOLERANCE_M]))
+        least_m, most_m = (at[asked] for at in limits_m)
+        hidden = ground.is_in(sight[asked] + np.array([0.0, 0.0, TOLERANCE_M]), (least_m, most_m))
         seen[ray[asked[hidden]]] = False
     for crest in ground.paved.crests():
         seen[seen] = ~_behind_crest(eye_world, to[seen], crest)
