@@ -237,7 +237,8 @@ def outline(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> Float[
     the lines between these, and may see some of them behind the camera."""
     if camera.lens.is_pinhole:
         return camera.project(ahead(points_cam))
-    one, other = np.triu_indices(len(points_cam))
+    sides = ConvexHull(points_cam).simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    one, other = np.unique(np.sort(sides, axis=1), axis=0).T
     share = np.linspace(0, 1, BENDS)[:, None, None]
     uv = camera.project((points_cam[one] + share * (points_cam[other] - points_cam[one])).reshape(-1, 3))
     return uv[np.isfinite(uv).all(axis=1)]
