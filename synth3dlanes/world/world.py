@@ -30,7 +30,7 @@ from synth3dlanes.world.elements import TrafficElement, traffic_elements
 from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
-from synth3dlanes.world.host_way import HostWay
+from synth3dlanes.world.host_way import EndlessWay, HostWay
 from synth3dlanes.world.meshes import Mesh, Surfaces
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things
@@ -298,8 +298,9 @@ def surfaces_of(scene: Scene, network: Network) -> AnySurfaces:
     shot, camera = scene.shot, scene.start
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     driven_m = driven_m if shot.views is None else shot.views.reach_m
-    way = HostWay(network, camera.y_m, driven_m, shot.behind_m > 0)
-    return KINDS[type(scene.roads)].surfaces(scene, way, FarHills.draw(scene.stream("far_hills")))
+    kind = KINDS[type(scene.roads)]
+    way = kind.way(network, camera.y_m, driven_m, shot.behind_m > 0)
+    return kind.surfaces(scene, way, FarHills.draw(scene.stream("far_hills")))
 
 
 def scene_network(scene: Scene) -> Network:
@@ -308,9 +309,10 @@ def scene_network(scene: Scene) -> Network:
 
 
 class RoadKind(NamedTuple):
-    """What makes the network of a scene of its roads, and what its surfaces along the host's way."""
+    """What makes the network of a scene of its roads, the host's way on it, and its surfaces along that."""
 
     network: Callable[[Any, Scene], Network]
+    way: type[HostWay]
     surfaces: Callable[[Scene, HostWay, FarHills], AnySurfaces]
 
 
@@ -331,6 +333,6 @@ def _with_verges(scene: Scene, way: HostWay, hills: FarHills) -> Surfaces:
 
 # By how a scene has its roads; nothing else asks.
 KINDS: dict[type, RoadKind] = {
-    PaperRoad: RoadKind(lambda road, scene: paper_network(road, scene.terrain), _with_verges),
-    RoadMap: RoadKind(_network_of, _of_areas),
+    PaperRoad: RoadKind(lambda road, scene: paper_network(road, scene.terrain), EndlessWay, _with_verges),
+    RoadMap: RoadKind(_network_of, HostWay, _of_areas),
 }
