@@ -18,11 +18,11 @@ from jaxtyping import Float
 from pydantic import RootModel
 from scipy.spatial.transform import Rotation
 
-from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
+from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
 from synth3dlanes.formats.reading import json_object, read_file
 from synth3dlanes.geometry.frames import rotation
 from synth3dlanes.imaging.video import open_video
-from synth3dlanes.labels.labels import Labels, Marking, PaintColor, Pair
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Points3, RgbImage
@@ -38,42 +38,16 @@ REACH_M = 150.0
 
 
 @dataclass(frozen=True, eq=False)
-class PaintedLine:
-    """A painted line, in the host's driving direction; `pair` names stripes that differ from the left."""
-
-    id: str
-    points_world: Points3
-    marking: Marking
-    color: PaintColor
-    double: bool
-    pair: Pair | None
-
-
-@dataclass(frozen=True, eq=False)
-class RoadSymbol:
-    """Paint that bounds no lane: its outline; of a line across the road, its middle from one end to the other."""
-
-    kind: SymbolKind
-    points_world: Points3
-
-
-@dataclass(frozen=True, eq=False)
-class StandingElement:
-    """A traffic element, and the pose of its frame."""
-
-    label: ObjectLabel
-    world_from_element: Matrix4
-
-
-@dataclass(frozen=True, eq=False)
 class Scenario:
-    """What stands still around a clip."""
+    """What stands still around a clip. Painted lines by their ids go in the host's driving direction. Of symbols, which
+    bound no lane, it has the outlines; of lines across the road their middles from one end to the other. Traffic
+    elements have the poses of their frames in the world."""
 
     lanes: tuple[LaneSegment, ...]
-    lines: tuple[PaintedLine, ...]
+    lines: dict[str, Boundary]
     edges: tuple[Points3, ...]
-    symbols: tuple[RoadSymbol, ...]
-    elements: tuple[StandingElement, ...]
+    symbols: tuple[tuple[SymbolKind, Points3], ...]
+    elements: tuple[tuple[ObjectLabel, Matrix4], ...]
 
 
 def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenario:
@@ -83,39 +57,38 @@ def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenar
     reach_m = REACH_M + host_driven(shot, shot.duration_s)
     return Scenario(
         tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
-        tuple(_lines(world, place, reach_m)),
+        dict(_lines(world, place, reach_m)),
         tuple(world.ground.paved.edges(place[:2], reach_m)),
         tuple(_symbols(world)),
         _elements(pictures),
     )
 
 
-def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[PaintedLine]:
+def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[tuple[str, Boundary]]:
     network, markings = world.network, world.scene.markings
     for line, s in network.delimiters_near(place[:2], reach_m).items():
         points = line.points_world(s)
         points = points[np.linalg.norm(points[:, :2] - place[:2], axis=1) < 2 * reach_m]
         if line.marking != "none" and len(points) > 1:
-            paint = paint_color(line, markings) or "white", bool(is_double(line, markings)), pair_of(line, markings)
+            paint = paint_color(line, markings), is_double(line, markings), pair_of(line, markings)
             # Stations may fall as the host drives.
-            yield PaintedLine(line.id, points[:: int(network.onwards)], line.marking, *paint)
+            yield line.id, Boundary(points[:: int(network.onwards)], line.marking, *paint)
 
 
-def _symbols(world: World) -> Iterator[RoadSymbol]:
+def _symbols(world: World) -> Iterator[tuple[SymbolKind, Points3]]:
     for form in world.symbol_shapes:
+        outline = form.outline
         if form.kind in ("stop_line", "give_way_line"):
-            (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
-            ends = np.array([[x0, (y0 + y1) / 2], [x1, (y0 + y1) / 2]])
-            yield RoadSymbol(form.kind, form.points_world(ends))
-        else:
-            yield RoadSymbol(form.kind, form.points_world(form.outline))
+            (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
+            outline = np.array([[x0, (y0 + y1) / 2], [x1, (y0 + y1) / 2]])
+        yield form.kind, form.points_world(outline)
 
 
-def _elements(pictures: Iterable[Labels]) -> tuple[StandingElement, ...]:
-    found = dict[int, StandingElement]()
+def _elements(pictures: Iterable[Labels]) -> tuple[tuple[ObjectLabel, Matrix4], ...]:
+    found = dict[int, tuple[ObjectLabel, Matrix4]]()
     for labels in pictures:
         for item in labels.traffic_elements or ():
-            found.setdefault(item.id, StandingElement(item, labels.camera.world_from_cam @ item.cam_from_object))
+            found.setdefault(item.id, (item, labels.camera.world_from_cam @ item.cam_from_object))
     return tuple(found[number] for number in sorted(found))
 
 

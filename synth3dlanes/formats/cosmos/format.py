@@ -253,22 +253,21 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
         for side, boundary in (("left", lane.left), ("right", lane.right)):
             row |= {f"{side}_rail": points(boundary.points_world), **_edge_paint(side, boundary)}
         rows["lane"].append(row)
-    for line in around.lines:
+    for name, line in around.lines.items():
         n, style = len(line.points_world), line_style(line.marking, line.double, line.pair)
-        paint = {"styles": [style] * n, "colors": [line.color.upper()] * n}
-        rows["lane_line"].append({"map_id": line.id, "line_rail": points(line.points_world), **paint})
+        paint = {"styles": [style] * n, "colors": [(line.color or "white").upper()] * n}
+        rows["lane_line"].append({"map_id": name, "line_rail": points(line.points_world), **paint})
     rows["road_boundary"] = [{"category": "road_boundary", "location": points(edge)} for edge in around.edges]
-    for symbol in around.symbols:
-        location = points(symbol.points_world)
-        if symbol.kind == "crosswalk":
-            rows["crosswalk"].append({"category": "PEDESTRIAN", "location": location})
-        elif symbol.kind in WAIT_CATEGORIES:
-            told = {"category": WAIT_CATEGORIES[symbol.kind], "is_implicit": False}
-            rows["wait_line"].append({**told, "location": location})
-        elif symbol.kind in ARROW_CATEGORIES:
-            rows["road_marking"].append({"category": ARROW_CATEGORIES[symbol.kind], "location": location})
-    for element in around.elements:
-        label, placed = element.label, clip_from_world @ element.world_from_element
+    for kind, outline in around.symbols:
+        if kind == "crosswalk":
+            rows["crosswalk"].append({"category": "PEDESTRIAN", "location": points(outline)})
+        elif kind in WAIT_CATEGORIES:
+            told = {"category": WAIT_CATEGORIES[kind], "is_implicit": False}
+            rows["wait_line"].append({**told, "location": points(outline)})
+        elif kind in ARROW_CATEGORIES:
+            rows["road_marking"].append({"category": ARROW_CATEGORIES[kind], "location": points(outline)})
+    for label, world_from_element in around.elements:
+        placed = clip_from_world @ world_from_element
         width_m, depth_m, height_m = label.size_m.tolist()
         box = {"map_id": str(label.id), "center": _xyz(placed[:3, 3]), "orientation": _xyzw(with_flu_axes(placed))}
         box["dimensions"] = _xyz((depth_m, width_m, height_m))

@@ -16,7 +16,8 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_gradient_magnitude, label, maximum_filter, sobel
 
 from synth3dlanes.formats.comparing import SourceSample
-from synth3dlanes.formats.cosmos.clip import FOLDERS, CosmosClip, PaintedLine, Scenario
+from synth3dlanes.formats.cosmos.clip import FOLDERS, CosmosClip, Scenario
+from synth3dlanes.formats.lane_map import Boundary
 from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import lengths_along
@@ -157,21 +158,21 @@ def lane_map_picture(picture: SourceSample, around: Scenario) -> RgbImage:
     canvas = _Canvas(camera, picture.passes)
     for edge in around.edges:
         canvas.line(edge, BOUNDARY, WIDTH_PX)
-    for symbol in around.symbols:
-        if symbol.kind in ("stop_line", "give_way_line"):
-            canvas.line(symbol.points_world, WAIT_LINE, WIDTH_PX)
-        elif symbol.kind != "gore":
-            canvas.area(symbol.points_world, CROSSWALK if symbol.kind == "crosswalk" else ROAD_MARKING)
-    for line in around.lines:
+    for kind, outline in around.symbols:
+        if kind in ("stop_line", "give_way_line"):
+            canvas.line(outline, WAIT_LINE, WIDTH_PX)
+        elif kind != "gore":
+            canvas.area(outline, CROSSWALK if kind == "crosswalk" else ROAD_MARKING)
+    for line in around.lines.values():
         for stripe in _stripes(line):
-            canvas.line(stripe, LINE_COLORS[line.color], WIDTH_PX)
+            canvas.line(stripe, LINE_COLORS[line.color or "white"], WIDTH_PX)
     items = objects_of(picture.labels, CATEGORIES)
     boxes = [(item.corners_cam, BOX_COLORS.get(CATEGORIES[item.category], LARGE_COLORS)) for item in items]
     states = {item.id: item for item in picture.labels.traffic_elements or ()}
-    for element in around.elements:
-        label = states.get(element.label.id, element.label)
+    for first, world_from_element in around.elements:
+        label = states.get(first.id, first)
         color = _element_color(label)
-        corners_world = transform(element.world_from_element, CORNERS * label.size_m / 2)
+        corners_world = transform(world_from_element, CORNERS * label.size_m / 2)
         boxes.append((transform(canvas.cam_from_world, corners_world), (color, color)))
     for corners_cam, colors in sorted(boxes, key=lambda box: -float(np.linalg.norm(box[0].mean(axis=0)))):
         canvas.box(corners_cam, colors)
@@ -186,7 +187,7 @@ def _element_color(label: ObjectLabel) -> Rgb:
     return STATE_COLORS.get(light, LIGHT)
 
 
-def _stripes(line: PaintedLine) -> Iterator[Points3]:
+def _stripes(line: Boundary) -> Iterator[Points3]:
     """The painted pieces of a line; of a double one, or of a pair, those of both stripes."""
     if not line.double and line.pair is None:
         yield from _dashes(line.points_world) if line.marking == "dashed" else (line.points_world,)
