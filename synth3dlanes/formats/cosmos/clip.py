@@ -25,7 +25,7 @@ from synth3dlanes.imaging.video import open_video
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.system import schema
-from synth3dlanes.system.arrays import Matrix4, Points3, RgbImage
+from synth3dlanes.system.arrays import Matrix4, Points3, Polyline3, RgbImage
 from synth3dlanes.system.columnar import TableBounds, read_parquet, reading_table
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import Excerpt, Number, SymbolKind
@@ -45,8 +45,8 @@ class Scenario:
 
     lanes: tuple[LaneSegment, ...]
     lines: dict[str, Boundary]
-    edges: tuple[Points3, ...]
-    symbols: tuple[tuple[SymbolKind, Points3], ...]
+    edges: tuple[Polyline3, ...]
+    symbols: tuple[tuple[SymbolKind, Polyline3], ...]
     elements: tuple[tuple[ObjectLabel, Matrix4], ...]
 
 
@@ -75,7 +75,7 @@ def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Itera
             yield line.id, Boundary(points[:: int(network.onwards)], line.marking, *paint)
 
 
-def _symbols(world: World) -> Iterator[tuple[SymbolKind, Points3]]:
+def _symbols(world: World) -> Iterator[tuple[SymbolKind, Polyline3]]:
     for form in world.symbol_shapes:
         outline = form.outline
         if form.kind in ("stop_line", "give_way_line"):
