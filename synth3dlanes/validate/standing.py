@@ -38,11 +38,10 @@ def check_standing(evidence: Evidence) -> Iterator[Result]:
         ("tree_gap_m", trunks, ground_of(world), MAX_TREE_M),
         ("structure_gap_m", feet, ground_of(world), MAX_TREE_M),
     ):
-        points = points[_in(camera.world_from_cam, points)[:, 1] > 0]
-        ground_m = faces.height(points[:, :2], points[:, 2] + PASSAGE_M)
-        known = np.isfinite(ground_m)
-        gap_m = np.abs(points[:, 2] - ground_m)[known]
-        near_m = gap_m[np.hypot(*_in(world.view.world_from_host, points)[known, :2].T) < RANGE_M]
+        is_near = np.hypot(*_in(world.view.world_from_host, points)[:, :2].T) < RANGE_M
+        points = points[is_near & (_in(camera.world_from_cam, points)[:, 1] > 0)]
+        gap_m = np.abs(points[:, 2] - faces.height(points[:, :2], points[:, 2] + PASSAGE_M))
+        near_m = gap_m[np.isfinite(gap_m)]
         reason = f"{name}: expected at most {limit_m} m, got {{wrong}} of {{n}} beyond, up to"
         reason += f" {near_m.max(initial=0):.2f} m"
         yield from counted(f"standing.{name}", near_m > limit_m, reason, single=0)

@@ -484,18 +484,20 @@ FAULTS = [
         of_passes(lambda passes, _: {name: aside(pixels, 1) for name, pixels in passes.items()}),
         "right|aside|shift|centroid",
     ),
-    Fault("normals in the world frame", of_pass("normal", in_the_world), "normal", "normal: "),
-    Fault("normals negated", of_pass("normal", lambda normals, _: -normals), "normal"),
-    Fault("normals zero", of_pass("normal", lambda normals, _: 0 * normals), "normal"),
-    Fault("instance ids zero", of_pass("instance", lambda ids, _: 0 * ids), "instance"),
-    Fault("instance ids off by one", of_pass("instance", off_by_one), "instance", "instance: "),
+    Fault("normals in the world frame", of_pass("normal", in_the_world), "road's in the camera frame", "normal: "),
+    Fault("normals negated", of_pass("normal", lambda normals, _: -normals), "expected it to face the camera"),
+    Fault("normals zero", of_pass("normal", lambda normals, _: 0 * normals), "zero in the sky and only there"),
+    Fault("instance ids zero", of_pass("instance", lambda ids, _: 0 * ids), "instance: expected ids of the kind"),
+    Fault("instance ids off by one", of_pass("instance", off_by_one), "instance: expected pixels of", "instance: "),
     Fault(
         "car_visible_fraction reversed",
         with_shares(lambda shares: shares[::-1]),
         "car_visible_fraction|visible fraction",
     ),
-    Fault("ids of car and tree swapped", of_pass("semantic", swapped("car", "tree")), "car|tree", "semantic: "),
-    Fault("ids of road and shoulder swapped", of_pass("semantic", swapped("road", "shoulder")), "shoulder"),
+    Fault(
+        "ids of car and tree swapped", of_pass("semantic", swapped("car", "tree")), "ids of the kind tree", "semantic: "
+    ),
+    Fault("ids of road and shoulder swapped", of_pass("semantic", swapped("road", "shoulder")), "road by the plan"),
     Fault("image 3 px to the right", of_image(lambda image, *_: aside(image, 3)), "image"),
     Fault("image stretched by 5 %", of_image(drawn(stretched)), "image"),
     Fault("image BGR", of_image(lambda image, *_: image[..., ::-1]), "image", "image: "),
@@ -519,9 +521,7 @@ FAULTS = [
         for column, more in (("lane_width_m", 0.1), ("max_grade", 0.01))
     ),
     Fault("test made of train's scenes", None, "scene", edit=under_new_numbers),
-    Fault(
-        "depth x 1.005", of_pass("depth", lambda d, _: d * np.float32(1.005)), "depth|the pavement within", "depth: "
-    ),
+    Fault("depth x 1.005", of_pass("depth", lambda d, _: d * np.float32(1.005)), "the pavement within", "depth: "),
     Fault(
         "n_lanes edited in the scene",
         of_json(SCENE, lambda document: document["road"].update(n_lanes=document["road"]["n_lanes"] + 1)),
