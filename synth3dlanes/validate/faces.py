@@ -116,11 +116,6 @@ def ground_of(world: World) -> Faces:
     return Faces([*surfaces.pavement, *surfaces.verges, surfaces.terrain], world.view.eye_world)
 
 
-def mesh_height(meshes: Sequence[Mesh], xy_world: Points2, most_m: AnyScalars | float = np.inf) -> Scalars:
-    """What `Faces.height` says of some meshes."""
-    return Faces(meshes).height(xy_world, most_m)
-
-
 def _on_planes(triangles: FaceCorners, points: Float[np.ndarray, "k 3"]) -> tuple[np.ndarray, ...]:
     """Of the foot of each point on the plane of its triangle: its shares of both sides from the first corner; and the
     normals of the planes, of the triangles' double area, and this. Not a number where a triangle has no area."""

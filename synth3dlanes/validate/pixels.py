@@ -25,12 +25,10 @@ def luma(rgb: Shaped[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
 
 
 class InterpolatedDepth(NamedTuple):
-    """Depth at points between pixels: interpolated, the share by which it may err because the surface bends, and how
-    many times farther the farthest of the four pixels around a point is than the nearest."""
+    """Depth at points between pixels: interpolated, and the share by which it may err because the surface bends."""
 
     depth_m: Float[np.ndarray, " n"]
     bend: Float[np.ndarray, " n"]
-    spread: Float[np.ndarray, " n"]
 
 
 def around(uv: Points2, shape: tuple[int, ...], reach: int) -> tuple[Squares, Squares]:
@@ -54,8 +52,7 @@ def depth_between(depth_m: Float[np.ndarray, "h w"], uv: Points2) -> Interpolate
         bends = sum(
             np.abs(a - b - c + d).max(axis=0) / 16 for a, b, c, d in (square[:, 1:3], square.swapaxes(0, 1)[:, 1:3])
         )
-        four = square[1:3, 1:3].reshape(4, -1)
-        return InterpolatedDepth(between, bends * between, four.max(axis=0) / four.min(axis=0))
+        return InterpolatedDepth(between, bends * between)
 
 
 def some_pixels(
