@@ -36,7 +36,7 @@ class NearestFaces(NamedTuple):
     material: Int[np.ndarray, " n"]
 
 
-class Faces:
+class MeshFaces:
     """The faces of some meshes, found from above; where an eye is given, those within NEAR_M of it."""
 
     def __init__(self, meshes: Sequence[Mesh], eye_world: Float[np.ndarray, "3"] | None = None) -> None:
@@ -104,16 +104,16 @@ def _near(mesh: Mesh, eye_world: Float[np.ndarray, "3"] | None) -> Bool[np.ndarr
 
 
 @lru_cache(maxsize=1)
-def pavement_of(world: World) -> Faces:
+def pavement_of(world: World) -> MeshFaces:
     """The faces of a world's pavement near its camera."""
-    return Faces(world.site.surfaces.pavement, world.view.eye_world)
+    return MeshFaces(world.site.surfaces.pavement, world.view.eye_world)
 
 
 @lru_cache(maxsize=1)
-def ground_of(world: World) -> Faces:
+def ground_of(world: World) -> MeshFaces:
     """The faces of a world's pavement, verges and terrain near its camera."""
     surfaces = world.site.surfaces
-    return Faces([*surfaces.pavement, *surfaces.verges, surfaces.terrain], world.view.eye_world)
+    return MeshFaces([*surfaces.pavement, *surfaces.verges, surfaces.terrain], world.view.eye_world)
 
 
 def _on_planes(triangles: FaceCorners, points: Float[np.ndarray, "k 3"]) -> tuple[np.ndarray, ...]:

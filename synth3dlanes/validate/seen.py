@@ -67,7 +67,7 @@ class PartSeen(NamedTuple):
     lane: str = ""
 
 
-class Row(NamedTuple):
+class SeenRow(NamedTuple):
     """Points of some semantic classes (or of a kind of instance ids, where there are any) within a range: of each thing
     among them all but `single` and a share must be within `most`, or, `in_median`, the median must. `expected` may
     have places for {what} is seen and {whose} it is; `layer` is the pass that findings name, or else that of ids. Beams
@@ -105,18 +105,18 @@ def check_seen(check: str, evidence: Evidence) -> Iterator[Result]:
         yield from _judge(row, evidence, known[key])
 
 
-def _any_ids(evidence: Evidence, row: Row) -> frozenset[str]:
+def _any_ids(evidence: Evidence, row: SeenRow) -> frozenset[str]:
     """Instance ids say what semantic ids would, of kinds of things that have them."""
     return frozenset({"semantic"}) if row.kind and "instance" in evidence.has else frozenset()
 
 
-def _is_of(row: Row, ids: Mapping[str, Integer[np.ndarray, "*n"]]) -> Bool[np.ndarray, "*n"]:
+def _is_of(row: SeenRow, ids: Mapping[str, Integer[np.ndarray, "*n"]]) -> Bool[np.ndarray, "*n"]:
     if row.kind and "instance" in ids:
         return np.asarray(numbers_of(row.kind, ids["instance"]) >= 0)
     return np.isin(ids["semantic"], [SEMANTIC_IDS[name] for name in row.classes])
 
 
-def _judge(row: Row, evidence: Evidence, seen: Seen) -> Iterator[Result]:
+def _judge(row: SeenRow, evidence: Evidence, seen: Seen) -> Iterator[Result]:
     what = "points" if seen.is_lidar else "pixels"
     source = "lidar" if seen.is_lidar else row.layer or ("instance" if "instance" in evidence.passes else "semantic")
     for part in row.parts(evidence, seen):
@@ -298,8 +298,8 @@ def _gaps(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
         yield PartSeen(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
 
 
-def _of_body(kind: str, classes: tuple[str, ...]) -> Row:
-    return Row(
+def _of_body(kind: str, classes: tuple[str, ...]) -> SeenRow:
+    return SeenRow(
         "ids",
         f"ids.{kind}",
         classes,
@@ -313,45 +313,45 @@ def _of_body(kind: str, classes: tuple[str, ...]) -> Row:
 
 
 ROWS = (
-    Row(
+    SeenRow(
         "pavement", "pavement.surface", PAVEMENT, _surface, f"{{whose}} within {MAX_OFF_M} m of the scene's",
         most=MAX_OFF_M, share=0.001, layer="passes", within_m=RANGE_M, n=15_000, of_beams=BEAMS,
     ),
-    Row(
+    SeenRow(
         "pavement", "pavement.kind", PAVEMENT, _kind, "{whose} by the plan",
         most=0, share=0.001, layer="semantic", within_m=RANGE_M, n=15_000, of_beams=BEAMS,
     ),
-    Row(
+    SeenRow(
         "pavement", "pavement.normal", PAVEMENT, _turn, "{whose}'s in the camera frame",
         most=MAX_TURN, in_median=True, layer="normal", within_m=RANGE_M, least_n=100, n=15_000,
         needs=frozenset({"depth", "semantic", "normal"}),
     ),
-    Row(
+    SeenRow(
         "terrain", "terrain.hills", ("terrain",), _hills, f"{{whose}} within {MAX_OFF_M} m of the scene's",
         most=MAX_OFF_M, share=0.001, layer="depth", within_m=HILLS_M, n=2_000, of_beams=BEAMS,
     ),
-    Row(
+    SeenRow(
         "terrain", "terrain.through", ("terrain",), _through, "pavement on the road and not {whose}",
         most=INSIDE_M, layer="passes", within_m=THROUGH_RANGE_M, n=15_000,
     ),
-    Row(
+    SeenRow(
         "ids", "ids.paint", ("marking",), _paint, "paint where {whose} is painted",
         most=MAX_BEYOND_M, share=0.02, kind="delimiter", within_m=PROOF_M,
     ),
-    Row(
+    SeenRow(
         "ids", "ids.bare", PAINTED, _bare, "{what} of {whose} in all of its paint",
         most=0, share=0.05, layer="semantic", within_m=PROOF_M, n=15_000,
     ),
     *(_of_body(kind, classes_of(kind)) for kind in BODIES),
-    Row(
+    SeenRow(
         "ids", "ids.faces", SURFACES, _faces, "{whose} on faces of {whose}",
         most=0, share=0.05, layer="semantic", needs=_IDS_TOO,
     ),
-    Row(
+    SeenRow(
         "symbols", "symbols.strays", PAINTED, _strays, "{what} of {whose} within its paint",
         most=MARGIN_M, share=0.05, within_m=PROOF_M,
     ),
-    Row(
+    SeenRow(
         "symbols", "symbols.gaps", PAINTED, _gaps, "{what} of {whose} in all of its paint",
         most=0, share=0.05, within_m=PROOF_M,
     ),

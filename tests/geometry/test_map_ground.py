@@ -7,7 +7,7 @@ from synth3dlanes.formats.lane_map import REACH_M, lane_segments
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland, Polynomial, RoadMap
 from synth3dlanes.truth.ground_truth import label
-from synth3dlanes.validate.faces import Faces
+from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.world import resolve
 from tests.map_scenes import ARM_M, FOUR_WAY, HALF_M, HILLS, WIDTH_M, crossing, map_scene, sections_road
 
@@ -35,7 +35,7 @@ def lane_points(world, aside_m):
 @pytest.mark.parametrize("aside_m", [-1.7, -0.6, 0.0, 1.7])
 def test_the_pavement_is_one_surface_on_the_terrain_without_steps(world, aside_m):
     xy = lane_points(world, aside_m)
-    z = Faces(world.site.surfaces.pavement).height(xy)
+    z = MeshFaces(world.site.surfaces.pavement).height(xy)
     assert np.isfinite(z).all(), "lanes are paved throughout"
     np.testing.assert_allclose(z, height_at(HILLS, xy), atol=0.01)
     np.testing.assert_allclose(world.ground.height(xy), height_at(HILLS, xy), atol=1e-9)
@@ -44,15 +44,15 @@ def test_the_pavement_is_one_surface_on_the_terrain_without_steps(world, aside_m
 def test_the_terrain_goes_on_below_the_pavement_and_meets_its_edges(world):
     terrain = [world.site.surfaces.terrain]
     xy = lane_points(world, 0.0)[::7]
-    below_m = Faces(world.site.surfaces.pavement).height(xy) - Faces(terrain).height(xy)
+    below_m = MeshFaces(world.site.surfaces.pavement).height(xy) - MeshFaces(terrain).height(xy)
     assert (below_m > 0.02).all()
     assert (below_m < 0.4 * world.ground.paved.grid.cell_scale(xy)).all()
     s = np.linspace(3, 60, 40)
     arm = world.network.road("south")
     beside = arm.xy(s, arm.right(s) + 0.4)
-    np.testing.assert_allclose(Faces(terrain).height(beside), height_at(HILLS, beside), atol=0.04)
+    np.testing.assert_allclose(MeshFaces(terrain).height(beside), height_at(HILLS, beside), atol=0.04)
     edge = arm.xy(s, arm.right(s) - 0.02)
-    gap_m = Faces(world.site.surfaces.pavement).height(edge) - Faces(terrain).height(edge)
+    gap_m = MeshFaces(world.site.surfaces.pavement).height(edge) - MeshFaces(terrain).height(edge)
     assert (np.abs(gap_m - 0.12) < 0.06).all(), "a kerb above the terrain that goes on under it"
 
 
@@ -74,11 +74,13 @@ def test_walkways_and_islands_are_raised(world):
     middle = arm.xy(s, arm.right(s) - 1.0)
     np.testing.assert_allclose(world.ground.above_terrain(middle), 0.12)
     np.testing.assert_allclose(
-        Faces(world.site.surfaces.pavement).height(middle) - height_at(HILLS, middle), 0.12, atol=0.01
+        MeshFaces(world.site.surfaces.pavement).height(middle) - height_at(HILLS, middle), 0.12, atol=0.01
     )
     on = np.array([[0.0, 0.0], [0.7, -0.6]])
     np.testing.assert_allclose(world.ground.above_terrain(on), 0.2)
-    np.testing.assert_allclose(Faces(world.site.surfaces.pavement).height(on) - height_at(HILLS, on), 0.2, atol=0.01)
+    np.testing.assert_allclose(
+        MeshFaces(world.site.surfaces.pavement).height(on) - height_at(HILLS, on), 0.2, atol=0.01
+    )
 
 
 def test_clearance_is_the_distance_from_the_nearest_edge(world):
@@ -105,7 +107,7 @@ def test_roads_with_heights_leave_the_terrain_and_fall_to_it_beside_their_edges(
         xy = road.xy(s, t)
         np.testing.assert_allclose(road.points(s, t)[:, 2], expected, atol=1e-9)
         np.testing.assert_allclose(world.ground.height(xy), expected, atol=1e-6)
-        np.testing.assert_allclose(Faces(world.site.surfaces.pavement).height(xy), expected, atol=0.01)
+        np.testing.assert_allclose(MeshFaces(world.site.surfaces.pavement).height(xy), expected, atol=0.01)
     edge = road.right(s)
     for away_m in (1.0, 3.0, 20.0):
         top = 2 + 0.03 * s - np.tan(0.02) * edge

@@ -6,7 +6,7 @@ import pytest
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.system.arrays import Points3
-from synth3dlanes.validate.faces import Faces
+from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.meshes import Mesh
 from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road
@@ -52,10 +52,10 @@ def test_the_terrain_is_one_surface_below_the_pavement(name: str | int) -> None:
     rng, ground = np.random.default_rng(0), world.ground
     (x0, y0, x1, y1) = ground.way.box(120.0)
     xy = rng.uniform((x0, y0), (x1, y1), (3000, 2))
-    z = Faces([terrain]).height(xy)
+    z = MeshFaces([terrain]).height(xy)
     assert np.isfinite(z).all()
     inside_m = -ground.clearance(xy)
-    over_m = Faces(world.site.surfaces.pavement).height(xy) - z
+    over_m = MeshFaces(world.site.surfaces.pavement).height(xy) - z
     assert np.nanmin(over_m[inside_m > 0.2]) > 0, f"{name}: terrain over the pavement"
     near = (inside_m < -2.0) & (ground.way.away_at(xy) < 60)
     assert np.abs(ground.height(xy[near]) - z[near]).max() < 0.06

@@ -15,7 +15,7 @@ from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.scene import Symbol
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth, label
-from synth3dlanes.validate.faces import Faces
+from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.paint import DOT_HEIGHT_M, DOT_M, DOTS_M, PAINT_LIFT_M
 from synth3dlanes.world.seams import CLEAR_M, OLD_ASPHALT, WANDER_M, clear_lanes, joint
 from synth3dlanes.world.symbols import ARROWS, LENGTHS_M, shape
@@ -166,7 +166,7 @@ def test_paint_of_an_exit_lies_over_the_other_roads_pavement_in_a_hollow():
     for name, mesh in world.paint(world.view).items():
         painted = mesh.vertices_world[np.unique(mesh.faces)]
         near = painted[np.linalg.norm(painted[:, :2] - eye[:2], axis=1) < 30]
-        over_m = near[:, 2] - Faces(world.site.surfaces.pavement).height(near[:, :2])
+        over_m = near[:, 2] - MeshFaces(world.site.surfaces.pavement).height(near[:, :2])
         assert np.nanmean(over_m > 0) > 0.98, name
 
 

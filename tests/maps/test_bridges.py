@@ -11,7 +11,7 @@ from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.scene.roadside import MAX_RAILS
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.validate.faces import Faces
+from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.height_map import height_map
 from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M
 from synth3dlanes.world.world import World
@@ -88,7 +88,7 @@ def test_the_ground_goes_on_below_a_deck(level: World) -> None:
     s = np.linspace(deck.from_m + 0.3, deck.to_m - 0.3, 120)
     for t in (-3.0, 0.0, 3.0):
         top, xy = upper.points(s, np.full(len(s), t)), upper.xy(s, np.full(len(s), t))
-        terrain_m = Faces([level.site.surfaces.terrain]).height(xy)
+        terrain_m = MeshFaces([level.site.surfaces.terrain]).height(xy)
         assert np.isfinite(terrain_m).all()
         # At the very ends it is on its way down.
         inner = (s > deck.from_m + 2) & (s < deck.to_m - 2)
@@ -144,13 +144,13 @@ def test_a_tunnel_is_below_the_ground_and_open_at_both_ends() -> None:
     assert not ground.is_in(xyz + 1.5 * up).any()
     assert ground.is_in(xyz + 6.0 * up).all()
     assert not ground.is_in(xyz + 8.0 * up).any()
-    terrain_m = Faces([world.site.surfaces.terrain]).height(xyz[:, :2])
+    terrain_m = MeshFaces([world.site.surfaces.terrain]).height(xyz[:, :2])
     np.testing.assert_allclose(terrain_m - xyz[:, 2], CEILING_M + COVER_M, atol=0.1)
     # Just before and behind the portals the road is free.
     for s_m in (149.0, 149.9, 230.1, 231.0):
         t = np.linspace(-3.3, 3.3, 12)
         points = own.points(np.full(12, s_m), t)
-        over_m = Faces([world.site.surfaces.terrain]).height(points[:, :2]) - points[:, 2]
+        over_m = MeshFaces([world.site.surfaces.terrain]).height(points[:, :2]) - points[:, 2]
         assert np.nanmax(over_m) < 0, s_m
     labels = ground_truth(world.scene)
     middle = next(lane for lane in labels.lanes if lane.id == "1.0.-1")
@@ -165,7 +165,7 @@ def test_bridges_of_a_file_are_decks_over_a_valley() -> None:
     (deck,) = world.ground.paved.spans
     assert (deck.from_m, deck.to_m, deck.is_given) == (150, 190, True)
     middle = deck.road.points(np.array([170.0]), np.zeros(1))
-    assert Faces([world.site.surfaces.terrain]).height(middle[:, :2])[0] < middle[0, 2] - DECK_M - 3
+    assert MeshFaces([world.site.surfaces.terrain]).height(middle[:, :2])[0] < middle[0, 2] - DECK_M - 3
 
 
 def test_barriers_of_a_file_are_rails() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from synth3dlanes.labels.labels import Lane
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.validate.faces import Faces
+from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.validate.labels import order
 from synth3dlanes.world.meshes import Mesh
 from tests.map_scenes import FOUR_WAY, map_scene
@@ -52,5 +52,7 @@ def test_what_stands_below_a_deck_stands_on_the_road_there() -> None:
     square, faces = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]]), np.array([[0, 1, 2, 3]])
     levels = [Mesh(np.column_stack([square, np.full(4, z)]), faces, square, np.zeros(1, int)) for z in (0.0, 6.0)]
     points = np.array([[5, 5, 0.1], [5, 5, 6.1], [5, 5, 5.0], [5, 5, -9.0], [15, 5, 0]])
-    np.testing.assert_allclose(Faces(levels).height(points[:, :2], points[:, 2] + 3), [0, 6, 6, 0, np.nan], atol=1e-9)
-    np.testing.assert_allclose(Faces(levels).height(points[:, :2])[:4], 6, atol=1e-9)
+    np.testing.assert_allclose(
+        MeshFaces(levels).height(points[:, :2], points[:, 2] + 3), [0, 6, 6, 0, np.nan], atol=1e-9
+    )
+    np.testing.assert_allclose(MeshFaces(levels).height(points[:, :2])[:4], 6, atol=1e-9)
