@@ -224,3 +224,34 @@ def test_pages_fit_any_screen_and_ask_no_other_host(browser: Browser, address: s
     assert said == []
     assert [url for url in asked if not url.startswith((address, "data:"))] == []
     page.close()
+
+
+def test_pages_quote_the_stored_bench() -> None:
+    """README, questions and the page on speed say what the row of appendix_i with 4 samples says."""
+    (row,) = (
+        row
+        for row in json.loads((DOCS / "bench.json").read_text())["rows"]
+        if (row["params"], row["samples"], row["frames"]) == ("appendix_i", 4, 1) and not row.get("map")
+    )
+    seconds, stages = f"{row['core_seconds_per_image']:.1f} core-seconds", row["stages"]
+    quotes = {
+        ROOT / "README.md": [seconds, f"{round(row['images_per_hour'], -1):,.0f} images", f"{row['ratio']:.2f} times"],
+        DOCS / "faq.md": [seconds],
+        DOCS / "speed.md": [seconds, *(f"{stages[name]:.2f}" for name in ("path tracing", "denoise", "build", "bvh"))],
+    }
+    for page, texts in quotes.items():
+        assert [text for text in texts if text not in page.read_text()] == [], page.name
+
+
+def test_the_times_of_the_faq_follow_from_the_bench() -> None:
+    """The table gives the hours of (images x core-seconds / cores), rounded."""
+    cost_s = json.loads((DOCS / "bench.json").read_text())["rows"][0]["core_seconds_per_image"]
+    unit_s = {"min": 60, "h": 3600}
+    rows = re.findall(r"^\| ([\d,]+) \| (.+?) \| (.+?) \| (.+?) \|$", (DOCS / "faq.md").read_text(), re.MULTILINE)
+    assert [row[0] for row in rows] == ["10,000", "100,000", "300,000"]
+    for images, *times in rows:
+        for cores, time in zip((8, 64, 512), times, strict=True):
+            number, unit = time.split()
+            assert float(number) * unit_s[unit] == pytest.approx(
+                int(images.replace(",", "")) * cost_s / cores, rel=0.04, abs=30
+            )

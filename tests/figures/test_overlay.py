@@ -13,7 +13,7 @@ from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
 from synth3dlanes.figures.gallery import draw_clip, draw_gallery
 from synth3dlanes.figures.inspect import draw_inspect, summary
 from synth3dlanes.figures.overlay import draw_overlay, lines_img, objects_in_image, stretches_img
-from synth3dlanes.figures.page import scene_page
+from synth3dlanes.figures.page import MAX_FRAMES, scene_page
 from synth3dlanes.figures.passes import pass_picture
 from synth3dlanes.figures.samples import ShownSample, ShownScene
 from synth3dlanes.figures.scene_view import SceneView
@@ -282,3 +282,14 @@ def test_colours_of_passes_tell_what_they_should():
     low, high = pass_picture("height", np.array([[-4.0, 4.0]], np.float32))[0].astype(int)
     assert low.argmax() == 2
     assert high.argmax() == 0
+
+
+def test_a_page_of_a_long_clip_has_some_of_its_frames(flat_scene, gray_image):
+    n_frames = 2 * MAX_FRAMES + 1
+    labels = labelled(shown_in(flat_scene, 0, n_frames))
+    page = scene_page(
+        ShownScene(shown_in(flat_scene, 100, n_frames), labels, gray_image, clip=[(labels, gray_image)] * n_frames)
+    )
+    words = [int(number) for number in re.findall(r'data-words="frame (\d+),', page)]
+    assert words == list(range(0, n_frames, 3))
+    assert re.search(r'value="33"', page)
