@@ -265,7 +265,7 @@ def cars_in_the_host(world: World) -> list[int]:
 def test_every_drawn_host_is_in_its_lane_and_clear_of_cars(preset: str) -> None:
     for index in range(3):
         world = sample_world(Scenes(load_params(preset)), index)
-        law_m = CHORD_M if world.network.host_way(world.view.camera).is_measured else LAW_M
+        law_m = CHORD_M if world.scene.map else LAW_M
         assert abs(off_its_lane_m(world)) < law_m
         assert cars_in_the_host(world) == []
 

@@ -96,4 +96,6 @@ def numeric(values: Shaped[np.ndarray, " n"], where: str) -> Float[np.ndarray, "
     """A column as floats; raise FormatError where it holds anything but numbers."""
     if values.dtype.kind not in "fiu":
         raise FormatError(f"{where}: expected numbers, got {values.dtype}")
-    return values.astype(float)
+    # A signalling NaN of a damaged file warns where it is cast.
+    with np.errstate(invalid="ignore"):
+        return values.astype(float)
