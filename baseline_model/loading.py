@@ -177,7 +177,7 @@ class Examples:
             self._annotations.put(index, to_bytes(annotation))
         return annotation
 
-    def _keep_image(self, index: int, image: RgbImage) -> RgbImage:
+    def _keep_image(self, index: int, image: RgbImage) -> UInt8[np.ndarray, "h2 w2 3"]:
         small = resize(image, self._size_px)
         if self._pixels is not None:
             self._pixels.put(index, small.tobytes())

@@ -24,13 +24,15 @@ from synth3dlanes.formats.comparing import (
     too_far,
 )
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.polylines import resampled
+from synth3dlanes.geometry.polylines import lengths_along, resampled
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.world.world import scene_network
 
 # How far a boundary may be from half a lane's width, and the step between places where it is looked at.
 SIDE_M, SIDE_STEP_M = 0.05, 1.0
+# No boundary of a lane is longer, but a damaged file may say so.
+MOST_LONG_M = 1e4
 # Length over which an endless road of the paper is measured.
 ENDLESS_M = 300.0
 
@@ -81,8 +83,9 @@ def side_problems(
     least_m, most_m = halves_m
     path = middle[:, :2]
     for side, line in sides.items():
-        if len(line) < 2:
-            yield f"lane {name}: expected a {side} boundary, got none"
+        length_m = lengths_along(line[:, :2])[-1] if len(line) else 0.0
+        if not 0 < length_m < MOST_LONG_M:
+            yield f"lane {name}: expected a {side} boundary, got one of {length_m:.3g} m"
             continue
         fine = shapely.get_coordinates(shapely.segmentize(shapely.LineString(line[:, :2]), SIDE_STEP_M))
         at = np.linalg.norm(fine[:, None] - path, axis=2).argmin(axis=1)
