@@ -351,6 +351,7 @@ def _in_boxes(
     row, length_m = np.floor(y / ROW_M), x.max() + 1.0
     keys = row * length_m + x
     order = np.argsort(keys)
+    keys = keys[order]
     first, last = (
         np.floor(np.clip((ends[:, 1] - corner[1]) / ROW_M, -1, row.max() + 1)).astype(int) for ends in (low, high)
     )
@@ -359,8 +360,7 @@ def _in_boxes(
     box = np.repeat(np.arange(len(low)), n_rows)
     start = (first[box] + np.arange(len(box)) - np.repeat(np.cumsum(n_rows) - n_rows, n_rows)) * length_m
     begin, end = (
-        np.searchsorted(keys[order], start + np.clip(ends[box, 0] - corner[0], 0, length_m - 0.5))
-        for ends in (low, high)
+        np.searchsorted(keys, start + np.clip(ends[box, 0] - corner[0], 0, length_m - 0.5)) for ends in (low, high)
     )
     counts = np.maximum(end - begin, 0)
     box = np.repeat(box, counts)
