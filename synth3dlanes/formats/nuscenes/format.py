@@ -18,7 +18,6 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import groupby, islice, pairwise
 from pathlib import Path, PurePath
 from typing import Any
@@ -113,8 +112,6 @@ SCENES: dict[Part, str] = {
 """Numbers of the original's scenes of each part, by which tools tell them; without four that converters leave out."""
 MORE_SCENES: dict[Part, int] = {"train": 20_000, "val": 40_000, "test": 60_000}
 """Numbers of scenes beyond these."""
-WORDS = "category", "attribute", "visibility"
-"""Tables that are the same for all scenes."""
 REACH_M = 150.0
 """Reach of a map ahead of and behind all places of the host in the clip."""
 
@@ -305,9 +302,9 @@ JsonRow = dict[str, Any]
 def _table(version: str, name: str, scenes: Sequence[_Scene]) -> Iterator[str]:
     """A table, with a row a line; no row twice."""
     seen, mark = set[str](), "[\n"
-    of_clips = (row for scene in scenes for table, row in ROWS[name](_clip(version, scene)) if table == name)
-    of_all = {"map": _mask_rows, **dict.fromkeys(WORDS, partial(_words, name))}
-    for row in of_all[name](scenes) if name in of_all else of_clips:
+    of_clips = (found for scene in scenes for found in ROWS[name](_clip(version, scene)))
+    found = (row for table, row in (of_clips if name in ROWS else _words()) if scenes and table == name)
+    for row in _mask_rows(scenes) if name == "map" else found:
         if row["token"] not in seen:
             seen.add(row["token"])
             yield f"{mark}{json.dumps(row)}"
@@ -443,19 +440,15 @@ def _of_boxes(clip: _Clip) -> Iterator[tuple[str, JsonRow]]:
             )
 
 
-def _words(name: str, scenes: Sequence[_Scene]) -> Iterator[JsonRow]:
-    """The words of a table, which are the same for all scenes; none for no scene."""
-    levels = pairwise((0, *(int(100 * share) for share in VISIBLE), 100))
-    rows = {
-        "category": [{"name": name, "description": "", "index": i} for i, name in enumerate(CLASSES, start=1)],
-        "attribute": [{"name": name, "description": ""} for name in ATTRIBUTES],
-        "visibility": [
-            {"level": f"v{low}-{high}", "description": f"a camera sees between {low} and {high} % of it"}
-            for low, high in levels
-        ],
-    }
-    for number, row in enumerate(rows[name] if scenes else [], start=1):
-        yield {"token": token(name, row["name"]) if "name" in row else str(number), **row}
+def _words() -> Iterator[tuple[str, JsonRow]]:
+    """The words of all scenes."""
+    for number, name in enumerate(CLASSES, start=1):
+        yield "category", {"token": token("category", name), "name": name, "description": "", "index": number}
+    for name in ATTRIBUTES:
+        yield "attribute", {"token": token("attribute", name), "name": name, "description": ""}
+    for level, (low, high) in enumerate(pairwise((0, *(int(100 * share) for share in VISIBLE), 100)), start=1):
+        words = {"level": f"v{low}-{high}", "description": f"a camera sees between {low} and {high} % of it"}
+        yield "visibility", {"token": str(level), **words}
 
 
 def _mask_rows(scenes: Sequence[_Scene]) -> Iterator[JsonRow]:
@@ -472,7 +465,7 @@ ROWS: dict[str, Callable[[_Clip], Iterator[tuple[str, JsonRow]]]] = {
     **dict.fromkeys(("sample_data", "ego_pose", "calibrated_sensor", "sensor"), _of_sensors),
     **dict.fromkeys(BOXES, _of_boxes),
 }
-"""What makes the rows of each table that a scene has some of."""
+"""What makes the rows of each table of which a scene has its own; `_words` are the same for all."""
 
 
 # -- maps and masks of places
