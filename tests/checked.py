@@ -21,12 +21,13 @@ LEFT_OUT = inspect.Parameter.empty
 PLAIN = {float, int, bool, NoneType, np.float64}
 VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
-# Each test checks this many calls of a function: with all of them, tests of drawn scenes took a fifth more CPU time.
-CALLS_OF_A_TEST = 10
+# Each file of tests checks this many calls of a function. With all calls, tests of drawn scenes took a half more CPU
+# time, with ten of each test a third.
+CALLS_OF_A_FILE = 30
 _renewed: list[Callable[[], None]] = []
 
 
-def begin_test() -> None:
+def begin_file() -> None:
     """Check calls of all functions again."""
     while _renewed:
         _renewed.pop()()
@@ -34,8 +35,8 @@ def begin_test() -> None:
 
 def check(function: Any) -> Any:
     """A function, or a dataclass with its constructor, that raises an error for a call or a result of other types or
-    shapes than its annotations name. A dimension has one size in all arrays of a call. Of each test, the first calls
-    are checked."""
+    shapes than its annotations name. A dimension has one size in all arrays of a call. In each file of tests, the first
+    calls are checked."""
     if inspect.isclass(function):
         if is_dataclass(function):
             function.__init__ = check(function.__init__)
@@ -44,18 +45,18 @@ def check(function: Any) -> Any:
         # Such a function would be compiled anew with every call of the one around it.
         return function
     checked: Callable[..., Any] | None = None
-    left = CALLS_OF_A_TEST
+    left = CALLS_OF_A_FILE
 
     def renew() -> None:
         nonlocal left
-        left = CALLS_OF_A_TEST
+        left = CALLS_OF_A_FILE
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal checked, left
         if not left:
             return function(*args, **kwargs)
-        if left == CALLS_OF_A_TEST:
+        if left == CALLS_OF_A_FILE:
             _renewed.append(renew)
         left -= 1
         if checked is None:

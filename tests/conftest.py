@@ -59,8 +59,6 @@ def pytest_collection_finish() -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     from tests import warm
 
-    checked.begin_test()
-
     warm.use(item.get_closest_marker("fresh") is None)
 
 
@@ -78,6 +76,12 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(config.stash.get(EXIT_STATUS, 1))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def types_are_checked() -> None:
+    """Of the first calls in each file of tests."""
+    checked.begin_file()
 
 
 @pytest.fixture(autouse=True, scope="session")

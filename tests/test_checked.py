@@ -11,7 +11,7 @@ from synth3dlanes_baseline.curves import cam_from_road
 
 from synth3dlanes.dataset.format import key_of
 from synth3dlanes.geometry.frames import invert
-from tests.checked import check
+from tests.checked import begin_file, check
 
 Vector = Float[np.ndarray, " n"]
 
@@ -83,6 +83,11 @@ WRONG = {
     "a pose of the networks": lambda: cam_from_road((0.0, 1.5)),
     "a function inside another": around,
 }
+
+
+@pytest.fixture(autouse=True)
+def all_calls_are_checked() -> None:
+    begin_file()
 
 
 def test_what_is_right_passes_and_sizes_of_one_call_say_nothing_of_others():

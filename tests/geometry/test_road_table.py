@@ -13,8 +13,6 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import FOUR_WAY, HILLS, arm, map_scene, sections_road
 
-RNG = np.random.default_rng(5)
-
 
 def _hilly(roads: RoadMap) -> RoadMap:
     """The map at heights of its own that rise over the hills, banked, and with a bump."""
@@ -47,14 +45,14 @@ def network(world: World) -> Network:
     return world.network
 
 
-def test_places_of_many_roads_are_those_of_each(network: Network) -> None:
+def test_places_of_many_roads_are_those_of_each(network: Network, rng: np.random.Generator) -> None:
     table = RoadTable(network.roads, network.terrain)
-    road = RNG.integers(0, len(network.roads), 400)
-    share = RNG.uniform(-0.1, 1.1, 400)
-    share[:40] = RNG.integers(0, 2, 40)
-    s, t = share * table.end_m[road], RNG.uniform(-9, 9, 400)
+    road = rng.integers(0, len(network.roads), 400)
+    share = rng.uniform(-0.1, 1.1, 400)
+    share[:40] = rng.integers(0, 2, 40)
+    s, t = share * table.end_m[road], rng.uniform(-9, 9, 400)
     starts = np.array([at.start_m for one in network.roads for at in one.sections])
-    s[40:80] = RNG.choice(starts, 40)
+    s[40:80] = rng.choice(starts, 40)
     lefts, rights = table.edges(road, s)
     points = table.base_points(road, s, t)
     for i, one in enumerate(network.roads):
@@ -64,13 +62,15 @@ def test_places_of_many_roads_are_those_of_each(network: Network) -> None:
         np.testing.assert_allclose(points[at], one.base_points(s[at], t[at]), rtol=0, atol=1e-12)
 
 
-def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(network: Network) -> None:
+def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(
+    network: Network, rng: np.random.Generator
+) -> None:
     table = network.index.table
-    road = RNG.integers(0, len(network.roads), 300)
-    s = RNG.uniform(0, 1, 300) * table.end_m[road]
-    t = RNG.uniform(-7, 7, 300)
+    road = rng.integers(0, len(network.roads), 300)
+    s = rng.uniform(0, 1, 300) * table.end_m[road]
+    t = rng.uniform(-7, 7, 300)
     xy = table.xy(road, s, t)
-    at_s, at_t, is_foot = table.project(road, xy, table.lines_at(road, s + RNG.uniform(-2, 2, 300)))
+    at_s, at_t, is_foot = table.project(road, xy, table.lines_at(road, s + rng.uniform(-2, 2, 300)))
     assert is_foot.all()
     np.testing.assert_allclose(table.xy(road, at_s, at_t), xy, rtol=0, atol=1e-8)
     near = np.abs(at_s - s) < 1
@@ -79,8 +79,10 @@ def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(networ
 
 
 @pytest.mark.parametrize("reach_m", [0.0, 3.0, 25.0])
-def test_all_roads_near_a_point_are_found_and_the_points_are_there(network: Network, reach_m: float) -> None:
-    xy = RNG.uniform(-70, 70, (120, 2))
+def test_all_roads_near_a_point_are_found_and_the_points_are_there(
+    network: Network, reach_m: float, rng: np.random.Generator
+) -> None:
+    xy = rng.uniform(-70, 70, (120, 2))
     places = network.index.places(xy, reach_m)
     np.testing.assert_allclose(
         network.index.table.xy(places.road, places.s, places.t), xy[places.point], rtol=0, atol=2e-3
@@ -103,9 +105,9 @@ def _has_foot(road, xy: np.ndarray) -> bool:
     return bool((np.diff(np.sign(along)) != 0).any())
 
 
-def test_no_point_is_on_a_road_whose_pavement_is_far_from_it(network: Network) -> None:
+def test_no_point_is_on_a_road_whose_pavement_is_far_from_it(network: Network, rng: np.random.Generator) -> None:
     """Inside a tight bend Newton's method may end on the road's other side."""
-    xy = RNG.uniform(-40, 40, (3000, 2))
+    xy = rng.uniform(-40, 40, (3000, 2))
     places = network.index.places(xy, EMBANKMENT_M)
     left, right = network.index.table.edges(places.road, places.s)
     on = (places.t > left) & (places.t < right) & (places.s > 0) & (places.s < network.index.table.end_m[places.road])
@@ -129,9 +131,9 @@ GROUNDS = dict(_grounds())
 
 
 @pytest.mark.parametrize("name", sorted(GROUNDS))
-def test_heights_of_many_places_are_those_of_each(name: str) -> None:
+def test_heights_of_many_places_are_those_of_each(name: str, rng: np.random.Generator) -> None:
     ground = GROUNDS[name]
-    xy = RNG.uniform(-130, 130, (40, 2))
+    xy = rng.uniform(-130, 130, (40, 2))
     asked = ground.height, ground.paved.graded, ground.paved.bed_height
     together = [height(xy) for height in asked]
     for k, place in enumerate(xy):
@@ -139,16 +141,18 @@ def test_heights_of_many_places_are_those_of_each(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(GROUNDS))
-def test_the_ground_is_nowhere_beyond_its_limits_and_points_are_in_it_below_its_height(name: str) -> None:
+def test_the_ground_is_nowhere_beyond_its_limits_and_points_are_in_it_below_its_height(
+    name: str, rng: np.random.Generator
+) -> None:
     ground = GROUNDS[name]
-    xy = RNG.uniform(-130, 130, (3000, 2))
+    xy = rng.uniform(-130, 130, (3000, 2))
     graded: GradedGround = ground.paved.graded_ground
     least_m, most_m = graded.limits(xy)
     above = graded.above(xy, np.zeros(len(xy), dtype=bool))
     assert (above <= most_m).all()
     assert (above >= least_m).all()
     assert (most_m[np.hypot(*xy.T) < 10] < 8).all(), "limits that say something"
-    z = ground.height(xy) + RNG.uniform(-3, 3, len(xy))
+    z = ground.height(xy) + rng.uniform(-3, 3, len(xy))
     clear = ~ground.is_stacked(xy)
     points = np.column_stack([xy, z])
     np.testing.assert_array_equal(ground.is_in(points)[clear], (ground.height(xy) > z)[clear])
