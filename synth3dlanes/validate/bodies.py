@@ -1,4 +1,4 @@
-"""Bodies of things by kind: boxes that they fill or may fill, lines of sight through these, and outlines in the image.
+"""Bodies of things by kind: boxes that they fill or may fill, and straight lines that meet these.
 
 An object, as a car, fills its model's box, a tree that of trunk and crown, a structure a flat box about each of its
 faces. Frame of the world, metres.
@@ -10,13 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import ConvexHull
 
-from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.scene.instance_ids import thing_of
-from synth3dlanes.system.arrays import Points2, Points3
-from synth3dlanes.world.bonnet import bonnet
+from synth3dlanes.system.arrays import Points3
+from synth3dlanes.world.bonnet import FROM_M, HALF_WIDTH_M, TO_M, surface_m
 from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.world import World
 
@@ -27,21 +24,21 @@ SUNK, ROOTS_M = 0.05, 1.0
 # Every car is solid in this part of its box: above the open space below a truck, below the windows, behind the gap at a
 # truck's cab, and between the arches of the wheels, through which one sees above the tyres.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.35), (0.7, 0.2)), (0.38, 0.5)
-# Below its highest point the host's bonnet fills the first box and is inside the second.
+# The host's bonnet fills this box below its highest point, and is as deep as this; parts along it that have boxes.
 BONNET_CORE = ((-0.6, 0.35, -0.3), (0.6, 1.3, -0.16))
-BONNET = ((-0.78, 0.02, -0.4), (0.78, 1.6, 0.02))
-# Bodies are cut off at this depth, so that a car beside the camera can be projected.
-CUT_DEPTH_M = 0.3
-# Lower limit of the sun's elevation, and upper limit of a shadow's length.
+DEEP_M, BONNET_PARTS = 0.4, 10
+# Lower limit of the sun's elevation, and upper limit of a shadow's length on level ground.
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
-# Margin for soft shadow edges and for mirrors.
-ROOM_PX = 3.0
-# Least number of a body's corners in the field of a lens; places along a line that the lens bends.
-MIN_CORNERS, BENDS = 3, 9
+# Room for soft edges of shadows, and for mirrors.
+ROOM_M = 0.08
 # Boxes of a thing that are looked at together where one around them is met; boxes times points at once.
 RUN, TOGETHER = 32, 1_000_000
 
+# The series of objects.
+OBJECTS = ("car", "thing")
+
 Corners = Float[np.ndarray, "k 3"]
+Hits = Bool[np.ndarray, " n"]
 
 
 class Boxes(NamedTuple):
@@ -55,14 +52,6 @@ class Boxes(NamedTuple):
     def at(self, which: Bool[np.ndarray, " k"] | slice) -> "Boxes":
         """Some of the boxes."""
         return Boxes(*(values[which] for values in self))
-
-    def and_one(
-        self, pose: Float[np.ndarray, "4 4"] | None, low: tuple[float, ...], high: tuple[float, ...]
-    ) -> "Boxes":
-        """The same with one more box of no thing, if it has a pose."""
-        if pose is None:
-            return self
-        return Boxes(*(np.concatenate([part, [own]]) for part, own in zip(self, (pose, low, high, -1), strict=True)))
 
     def groups(self) -> tuple["Boxes", list[slice]]:
         """Upright boxes around runs of a thing's boxes, and these runs."""
@@ -92,6 +81,11 @@ def objects(series: str, world: World) -> Boxes:
     placed = [item for item in world.view.objects if thing_of(item.id)[0] == series]
     sizes = np.array([item.size_m for item in placed]).reshape(-1, 3) * [0.5, 0.5, 1]
     return _of_models(sizes, np.array([item.world_from_object for item in placed]).reshape(-1, 4, 4))
+
+
+def box_of(item: PlacedObject) -> Boxes:
+    """The box of one object."""
+    return _of_models(item.size_m[None] * [0.5, 0.5, 1], item.world_from_object[None])
 
 
 def trees(world: World) -> Boxes:
@@ -127,8 +121,7 @@ def structures(world: World) -> Boxes:
 
 # The series of instance ids whose things have bodies.
 BODIES: dict[str, Callable[[World], Boxes]] = {
-    "car": partial(objects, "car"),
-    "thing": partial(objects, "thing"),
+    **{series: partial(objects, series) for series in OBJECTS},
     "tree": trees,
     "structure": structures,
 }
@@ -144,18 +137,36 @@ def cores(world: World) -> Boxes:
     boxes = objects("car", world)
     half, up = boxes.high * [1, 1, 0], boxes.high * [0, 0, 1]
     low, high = (half * [*side, 0] + height * up for side, height in zip(CORE_SIDES, CORE_HEIGHT, strict=True))
-    return boxes._replace(low=low, high=high).and_one(world.view.world_from_bonnet, *BONNET_CORE)
+    return joined(boxes._replace(low=low, high=high), _of_bonnet(world, *np.array(BONNET_CORE)[:, None]))
 
 
 def outlines(world: World) -> Boxes:
     """The box that each object, each tree and the bonnet may fill."""
-    grown_ = [grown(boxes(world)) for series, boxes in BODIES.items() if series != "structure"]
-    return Boxes(*(np.concatenate(parts) for parts in zip(*grown_, strict=True))).and_one(
-        world.view.world_from_bonnet, *BONNET
-    )
+    return joined(*(grown(boxes(world)) for series, boxes in BODIES.items() if series != "structure"), bonnet(world))
 
 
-def inside(boxes: Boxes, points_world: Points3, owners: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def bonnet(world: World) -> Boxes:
+    """Boxes about parts of the host's bonnet, which falls towards its nose."""
+    y_m = np.linspace(FROM_M, TO_M, BONNET_PARTS + 1)
+    top_m = surface_m(np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, 20), y_m[:-1, None]).max(axis=1)
+    side_m = np.full(BONNET_PARTS, HALF_WIDTH_M)
+    low, high = (-side_m, y_m[:-1], top_m - DEEP_M), (side_m, y_m[1:], top_m)
+    return _of_bonnet(world, np.stack(low, axis=1), np.stack(high, axis=1))
+
+
+def _of_bonnet(world: World, low: Corners, high: Corners) -> Boxes:
+    """Boxes in the bonnet's frame, of no thing; none without a bonnet."""
+    pose = world.view.world_from_bonnet
+    n = 0 if pose is None else len(low)
+    return Boxes(np.tile(np.eye(4) if pose is None else pose, (n, 1, 1)), low[:n], high[:n], np.full(n, -1))
+
+
+def joined(*parts: Boxes) -> Boxes:
+    """All of them."""
+    return Boxes(*(np.concatenate(of) for of in zip(*parts, strict=True)))
+
+
+def inside(boxes: Boxes, points_world: Points3, owners: Int[np.ndarray, " n"]) -> Hits:
     """Which points are in a box of their thing; those of -1 in one of any."""
     found = np.zeros(len(points_world), dtype=bool)
     around, runs = boxes.groups()
@@ -169,27 +180,27 @@ def inside(boxes: Boxes, points_world: Points3, owners: Int[np.ndarray, " n"]) -
     return found
 
 
-def meet(
-    boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points3, room_m: float = 0.0
-) -> Bool[np.ndarray, " n"]:
-    """Which straight lines from the eye to the points meet any of the boxes, or room about them."""
-    found = np.zeros(len(points_world), dtype=bool)
+def meet(boxes: Boxes, eyes_world: Float[np.ndarray, "*m 3"], points_world: Points3, room_m: float = 0.0) -> Hits:
+    """Which straight lines from one eye, or from an eye each, to the points meet any of the boxes, or room about
+    them."""
+    found, eyes = np.zeros(len(points_world), dtype=bool), eyes_world.reshape(-1, 3)
     around, runs = boxes.groups()
     for first in range(0, len(runs), step := max(1, TOGETHER // max(len(points_world), 1))):
         some = slice(first, first + step)
-        near = _meet(around.at(some), eye_world, points_world, room_m)
+        near = _meet(around.at(some), eyes, points_world, room_m)
         for run, of_run in zip(runs[some], near, strict=True):
             at = np.flatnonzero(of_run & ~found)
-            found[at] = _meet(boxes.at(run), eye_world, points_world[at], room_m).any(axis=0)
+            of_these = eyes if len(eyes) == 1 else eyes[at]
+            found[at] = _meet(boxes.at(run), of_these, points_world[at], room_m).any(axis=0)
     return found
 
 
 def _meet(
-    boxes: Boxes, eye_world: Float[np.ndarray, "3"], points_world: Points3, room_m: float
+    boxes: Boxes, eyes_world: Float[np.ndarray, "m 3"], points_world: Points3, room_m: float
 ) -> Bool[np.ndarray, "k n"]:
     """Which lines meet which box."""
     turn, origin = boxes.world_from_boxes[:, :3, :3], boxes.world_from_boxes[:, None, :3, 3]
-    eyes, ends = (eye_world - origin) @ turn, (points_world - origin) @ turn
+    eyes, ends = (eyes_world - origin) @ turn, (points_world - origin) @ turn
     low, high = boxes.low[:, None] - room_m, boxes.high[:, None] + room_m
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (low - eyes) / (ends - eyes), (high - eyes) / (ends - eyes)
@@ -199,67 +210,20 @@ def _meet(
     return np.asarray(enters <= leaves)
 
 
-def corners_world(item: PlacedObject, room: float = 1.0) -> Float[np.ndarray, "8 3"]:
-    """The corners of an object's bounding box, grown about its place on the road."""
-    high = item.size_m * [0.5, 0.5, 1]
-    corners = np.stack(np.meshgrid(*np.stack([high * [-1, -1, 0], high], axis=1)), axis=-1).reshape(-1, 3)
-    return transform(item.world_from_object, room * corners)
+def before(world: World, points_world: Points3) -> Hits:
+    """Before which points an object or the bonnet is, as the camera sees them."""
+    return meet(_of_view(world), world.view.eye_world, points_world)
 
 
-def may_show_objects(world: World, camera: CameraLabel, uv: Points2, within_m: float) -> Bool[np.ndarray, " n"]:
-    """Which pixels an object with a box or its shadow may cover, counting only those that begin within `within_m`
-    ahead, or the host's bonnet."""
-    hulls = []
-    for item in world.view.objects:
-        corners = corners_world(item)
-        hulls.append(np.concatenate([corners, _shadow(world, item, corners)]))
-    if world.view.world_from_bonnet is not None:
-        hulls.append(transform(world.view.world_from_bonnet, bonnet().vertices_world))
-    hidden = np.zeros(len(uv), dtype=bool)
-    for points in hulls:
-        points_cam = transform(invert(camera.world_from_cam), points)
-        if points_cam[:, 1].min() <= within_m:
-            hidden[~hidden] = covers(outline(camera, points_cam), uv[~hidden], ROOM_PX)
-    return hidden
+def before_or_shading(world: World, points_world: Points3) -> Hits:
+    """The same, and which points may lie in the shadow of an object."""
+    light = world.scene.light
+    up = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
+    to_sun = MAX_SHADOW_M * np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad), up])
+    return before(world, points_world) | meet(_of_view(world), points_world, points_world + to_sun)
 
 
-def _shadow(world: World, item: PlacedObject, corners: Float[np.ndarray, "8 3"]) -> Float[np.ndarray, "8 3"]:
-    """The corners' shadows on level ground."""
-    light, foot_m = world.scene.light, item.world_from_object[2, 3]
-    rise = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
-    length_m = np.minimum((corners[:, 2] - foot_m) / rise, MAX_SHADOW_M)
-    away = -np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad)])
-    return np.column_stack([corners[:, :2] + length_m[:, None] * away, np.full(len(corners), foot_m)])
-
-
-def outline(camera: CameraLabel, points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "_ 2"]:
-    """Places in the image whose convex hull contains what the camera sees of the convex hull of points. A lens bends
-    the lines between these, and may see some of them behind the camera."""
-    if camera.lens.is_pinhole:
-        return camera.project(ahead(points_cam))
-    sides = ConvexHull(points_cam).simplices[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    one, other = np.unique(np.sort(sides, axis=1), axis=0).T
-    share = np.linspace(0, 1, BENDS)[:, None, None]
-    uv = camera.project((points_cam[one] + share * (points_cam[other] - points_cam[one])).reshape(-1, 3))
-    return uv[np.isfinite(uv).all(axis=1)]
-
-
-def ahead(points_cam: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Points whose convex hull is the part of that of the given points that is ahead of the camera."""
-    y_m = points_cam[:, 1]
-    front, back = points_cam[y_m >= CUT_DEPTH_M], points_cam[y_m < CUT_DEPTH_M]
-    share = (front[:, None, 1:2] - CUT_DEPTH_M) / (front[:, None, 1:2] - back[None, :, 1:2])
-    return np.concatenate([front, (front[:, None] + share * (back - front[:, None])).reshape(-1, 3)])
-
-
-def covers(corners: Float[np.ndarray, "k 2"], uv: Points2, room_px: float) -> Bool[np.ndarray, " n"]:
-    """Which pixels are inside the convex hull of corners, or within a margin of it; none without an area."""
-    covered = np.zeros(len(uv), dtype=bool)
-    corners = corners[np.isfinite(corners).all(axis=1)]
-    if len(corners) < MIN_CORNERS or not np.ptp(corners, axis=0).all():
-        return covered
-    near = ((uv > corners.min(axis=0) - room_px) & (uv < corners.max(axis=0) + room_px)).all(axis=1)
-    if near.any():
-        sides = ConvexHull(corners).equations
-        covered[near] = (uv[near] @ sides[:, :2].T + sides[:, 2] < room_px).all(axis=1)
-    return covered
+def _of_view(world: World) -> Boxes:
+    """The boxes of all objects, with room, and of the bonnet."""
+    boxes = joined(*(objects(series, world) for series in OBJECTS))
+    return joined(boxes._replace(low=boxes.low - ROOM_M, high=boxes.high + ROOM_M), bonnet(world))

@@ -216,6 +216,10 @@ class Evidence:
         rays = self.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
         return np.asarray(hit & (np.abs(rays[..., 1]) > LEAST_AHEAD))
 
+    def rays_world(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points3:
+        """The directions in which the centres of pixels look."""
+        return self.camera.rays(np.column_stack([columns, rows]) + 0.5) @ self.camera.world_from_cam[:3, :3].T
+
     def points_cam(self, rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> Points3:
         """The points that the depth pass has at the centres of pixels. Camera frame."""
         depth_m = self.passes["depth"][rows, columns].astype(float)

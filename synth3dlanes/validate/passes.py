@@ -71,7 +71,7 @@ def check_sky(evidence: Evidence) -> Iterator[Result]:
         reason = "depth: expected infinity in the sky and only there, got otherwise at {wrong} pixels"
         yield from counted("sky.depth", wrong, reason, SINGLE)
     rows, columns = np.nonzero(is_sky)
-    rays = evidence.camera.rays(np.column_stack([columns, rows]) + 0.5) @ evidence.camera.world_from_cam[:3, :3].T
+    rays = evidence.rays_world(rows, columns)
     down = rays[:, 2] < 0
     rows, columns, rays = rows[down], columns[down], rays[down]
     xs, ys = evidence.world.ground.paved.grid.axes

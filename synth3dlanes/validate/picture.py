@@ -23,7 +23,7 @@ from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes
-from synth3dlanes.validate.bodies import may_show_objects, meet
+from synth3dlanes.validate.bodies import before, before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
 from synth3dlanes.world.visibility import seen_over_ground
@@ -32,6 +32,8 @@ from synth3dlanes.world.visibility import seen_over_ground
 MAX_CLIPPED, MIN_MEAN = 0.5, 8.0
 # Blender shows missing textures in pink. Cars may be pink, ground is not.
 MAX_PINK_OF_GROUND, MAX_PINK = 0.02, 0.5
+# Nothing in a scene is farther.
+FAR_M = 5_000.0
 GROUND = ("terrain", "road", "shoulder", "marking")
 
 # Sampled places: metres ahead of the camera, metres beside the pavement, and least distance from any pavement.
@@ -85,8 +87,8 @@ def check_frame(evidence: Evidence) -> Iterator[Result]:
         limit = MAX_PINK_OF_GROUND
     share = float(pink.mean()) if pink.size else 0.0
     if share > limit and "semantic" not in passes:
-        of_cars = may_show_objects(evidence.world, evidence.camera, np.argwhere(pink)[:, ::-1] + 0.5, np.inf)
-        share -= float(of_cars.sum()) / pink.size
+        far = evidence.world.view.eye_world + FAR_M * evidence.rays_world(*np.nonzero(pink))
+        share -= float(before(evidence.world, far).sum()) / pink.size
     reason = f"image: expected textures, got {100 * share:.0f} % of the ground pink"
     yield from judged("picture.pink", share, reason, most=limit)
 
@@ -141,11 +143,11 @@ def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
     eye_world = camera.world_from_cam[:3, 3]
     points_world = points_world[seen_over_ground(ground, eye_world, points_world)]
     points_world = points_world[~meet(evidence.bodies["structure"], eye_world, points_world)]
+    points_world = points_world[~before_or_shading(world, points_world)]
     points_cam = transform(invert(camera.world_from_cam), points_world)
     uv = camera.project(points_cam)
     with np.errstate(invalid="ignore"):
-        uv = uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
-    return uv[~may_show_objects(world, camera, uv, AHEAD_M[-1])]
+        return uv[((uv >= 0) & (uv < [camera.width_px, camera.height_px])).all(axis=1)]
 
 
 def _middle(luma: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "r c"]:
@@ -352,8 +354,7 @@ def _pavement_beside(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np
 
 def _may_glare(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
     """Which of these pixels of a road may mirror the sun or the sky about it."""
-    rows, columns = np.nonzero(at)
-    rays = evidence.camera.rays(np.column_stack([columns, rows]) + 0.5) @ evidence.camera.world_from_cam[:3, :3].T
+    rays = evidence.rays_world(*np.nonzero(at))
     return np.asarray((rays * [1, 1, -1]) @ sun_direction(evidence.scene.light) > np.cos(GLARE_RAD))
 
 

@@ -22,7 +22,7 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.validate.bias import PaintOffset, sides
-from synth3dlanes.validate.bodies import may_show_objects, meet
+from synth3dlanes.validate.bodies import before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
 from synth3dlanes.validate.paint import Strip
@@ -181,10 +181,10 @@ def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[LineProfiles]:
         return
     paint, world, camera = evidence.paint, evidence.world, evidence.camera
     ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
-    uv = camera.project(ends_cam.reshape(-1, 3))
-    is_clear = ~may_show_objects(world, camera, uv, PROOF_M).reshape(-1, 3).any(axis=1)
-    is_clear &= ~_behind_structures(evidence, transform(camera.world_from_cam, ends_cam))
-    is_clear &= ~_near_symbols(world, transform(camera.world_from_cam, ends_cam[:, 1]))
+    uv, ends_world = camera.project(ends_cam.reshape(-1, 3)), transform(camera.world_from_cam, ends_cam)
+    hidden = before_or_shading(world, ends_world.reshape(-1, 3))
+    hidden |= meet(evidence.bodies["structure"], world.view.eye_world, ends_world.reshape(-1, 3), STRUCTURE_ROOM_M)
+    is_clear = ~hidden.reshape(-1, 3).any(axis=1) & ~_near_symbols(world, ends_world[:, 1])
     some = np.arange(0, len(ends_cam), ROOM_EVERY)
     outside_m = np.full((len(ends_cam), 3), np.nan)
     ends = transform(camera.world_from_cam, ends_cam[some].reshape(-1, 3))
@@ -213,13 +213,6 @@ def _beside(
     beyond_m = np.stack([min(stripes_m) - OFFSETS_M, OFFSETS_M - max(stripes_m)]) / width_m
     beside = (beyond_m > BESIDE[0]) & (beyond_m < BESIDE[1])
     return profiles @ (beside / beside.sum(axis=1, keepdims=True)).T
-
-
-def _behind_structures(evidence: Evidence, ends_world: Float[np.ndarray, "n 3 3"]) -> Bool[np.ndarray, " n"]:
-    """Which profiles, by their ends and middles, a structure may hide or be part of."""
-    eye_world = evidence.world.view.eye_world
-    boxes, ends = evidence.bodies["structure"], ends_world.reshape(-1, 3)
-    return meet(boxes, eye_world, ends, STRUCTURE_ROOM_M).reshape(-1, 3).any(axis=1)
 
 
 def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
