@@ -436,28 +436,49 @@ def _all_feet(points: Points, line: Points) -> tuple[Float[np.ndarray, "n m"], F
     return np.linalg.norm(to - share[..., None] * steps, axis=2), share
 
 
+FROM_MIDDLE = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+"""What a matrix K of pixels that count from the middle of the first one lacks to those that count from its corner."""
+
+
 def compare_camera(
     name: str,
     camera: CameraLabel,
     project: Callable[[Points3], Polyline2],
     limit_px: float,
     shares: Sequence[float] = SHARES,
+    size_px: tuple[int, int] | None = None,
 ) -> Comparison:
     """How far places that a camera of the labels sees, at these shares of its width and height, are from its pixels by
-    the camera of an export. `project` takes points in our camera frame; pixels count from the corner of the first."""
+    the camera of an export. `project` takes points in our camera frame; pixels count from the corner of the first. Its
+    images must be of `size_px`, if that is given."""
+    own_px = camera.width_px, camera.height_px
+    if size_px not in (None, own_px):
+        own, got = (f"{width}x{height}" for width, height in (own_px, size_px or own_px))
+        return Comparison(problems=(f"camera {name}: expected a size of {own}, got {got}",))
     grid = np.array([(u, v, depth_m) for u in shares for v in shares for depth_m in DEPTHS_M])
-    uv = grid[:, :2] * (camera.width_px, camera.height_px)
+    uv = grid[:, :2] * own_px
     points_cam = camera.points(uv, grid[:, 2])
     known = np.isfinite(points_cam).all(axis=1)
     apart = np.linalg.norm(project(points_cam[known]) - uv[known], axis=1)
     return Comparison.within([Gap.of(f"camera {name}", "px", apart, "camera")], {"px": limit_px})
 
 
-def pinhole_pixels(img_from_cv: Float[np.ndarray, "3 3"], cv_from_cam: Matrix4, points_cam: Points3) -> Polyline2:
-    """Where a pinhole of this matrix K and place sees points of our camera frame; infinite for those behind it."""
-    x, y, z = img_from_cv @ transform(cv_from_cam, points_cam).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where((z > 0)[:, None], np.column_stack([x / z, y / z]), np.inf)
+def compare_pinhole(
+    name: str,
+    camera: CameraLabel,
+    img_from_cv: Float[np.ndarray, "3 3"],
+    cv_from_cam: Matrix4,
+    limit_px: float,
+    size_px: tuple[int, int] | None = None,
+) -> Comparison:
+    """`compare_camera` for a pinhole of this matrix K and place; places behind it are infinitely far."""
+
+    def project(points_cam: Points3) -> Polyline2:
+        x, y, z = img_from_cv @ transform(cv_from_cam, points_cam).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where((z > 0)[:, None], np.column_stack([x / z, y / z]), np.inf)
+
+    return compare_camera(name, camera, project, limit_px, size_px=size_px)
 
 
 def compare_sweep(found_cam: Points | None, truth: SourceSample, limit_m: float) -> Comparison:
@@ -474,22 +495,27 @@ def compare_sweep(found_cam: Points | None, truth: SourceSample, limit_m: float)
 
 
 def compare_boxes(
-    found: Iterable[tuple[str, Points3]], items: Sequence[ObjectLabel], b_from_cam: Matrix4, of: str, limit_m: float
-) -> tuple[Comparison, list[ObjectLabel | None]]:
-    """Corners in a frame by their tracks, each beside the nearest of our objects that is left, and these objects; `of`
-    says where tracks name one object."""
+    found: Iterable[tuple[str, Points3, Mapping[str, object]]],
+    items: Sequence[ObjectLabel],
+    expected: Callable[[ObjectLabel], Mapping[str, object]],
+    b_from_cam: Matrix4,
+    of: str,
+    limit_m: float,
+) -> Comparison:
+    """Boxes by their tracks, with their corners in a frame and what else they tell, each beside the nearest of our
+    objects that is left, of which as much is expected. `of` says where tracks name one object."""
     gaps, problems, tracks, left = list[Gap](), list[str](), dict[str, str](), {item.id: item for item in items}
-    matched = list[ObjectLabel | None]()
-    for name, corners in found:
+    for name, corners, told in found:
         if not left:
             problems.append(f"object {name}: expected one of the labels, got none left")
-            matched.append(None)
             continue
         ours = {key: transform(b_from_cam, item.corners_cam) for key, item in left.items()}
         middle = corners.mean(axis=0)
         nearest = min(ours, key=lambda key: float(np.linalg.norm(ours[key].mean(axis=0) - middle)))
-        matched.append(left.pop(nearest))
         gaps.append(Gap.of(f"object {nearest}", "m", np.linalg.norm(corners - ours[nearest], axis=1), "box"))
         tracks[name] = f"object {nearest} of {of}"
+        for what, wanted in expected(left.pop(nearest)).items():
+            if told[what] != wanted:
+                problems.append(f"object {nearest}: expected the {what} {wanted}, got {told[what]}")
     problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
-    return Comparison.within(gaps, {"m": limit_m}).because(problems) + Comparison(tracks=tracks), matched
+    return Comparison.within(gaps, {"m": limit_m}).because(problems) + Comparison(tracks=tracks)

@@ -16,7 +16,6 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, RootModel
 
-from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_camera, pinhole_pixels
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_pinhole
 from synth3dlanes.formats.comparing_maps import compare_map, half_widths, link_gaps, side_problems
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, lane_segments
@@ -37,7 +36,7 @@ from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import ElementKind, ElementState
 from synth3dlanes.system import schema
-from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.json_arrays import JsonMatrix3, JsonPoints, Row3
 from synth3dlanes.system.schema import Excerpt, Number, PathBelow
@@ -338,6 +337,8 @@ Row2 = tuple[Number, Number]
 
 
 class _Element(Excerpt):
+    """A traffic element: its codes, and its rectangle in the first image by two corners."""
+
     id: int
     category: Literal[1, 2]
     attribute: Annotated[int, Field(ge=0, le=12)]
@@ -348,12 +349,9 @@ class _Centerline(Excerpt):
     id: int
     points: JsonPoints
 
-
-class _Centerlines(Excerpt):
-    lane_centerline: list[_Centerline]
-    topology_lclc: list[list[Literal[0, 1]]]
-    traffic_element: list[_Element]
-    topology_lcte: list[list[Literal[0, 1]]]
+    @property
+    def lines(self) -> tuple[Points3, ...]:
+        return (self.points,)
 
 
 class _Segment(Excerpt):
@@ -362,107 +360,75 @@ class _Segment(Excerpt):
     left_laneline: JsonPoints
     right_laneline: JsonPoints
 
+    @property
+    def lines(self) -> tuple[Points3, ...]:
+        return self.centerline, self.left_laneline, self.right_laneline
+
+
+Topology = list[list[Literal[0, 1]]]
+
+
+class _Centerlines(Excerpt):
+    """Lanes; which lane (column) follows which (row); traffic elements, and which of them (column) governs which
+    lane (row)."""
+
+    lanes: list[_Centerline] = Field(alias="lane_centerline")
+    follows: Topology = Field(alias="topology_lclc")
+    elements: list[_Element] = Field(alias="traffic_element")
+    governs: Topology = Field(alias="topology_lcte")
+
 
 class _Segments(Excerpt):
-    lane_segment: list[_Segment]
-    topology_lsls: list[list[Literal[0, 1]]]
-    traffic_element: list[_Element]
-    topology_lste: list[list[Literal[0, 1]]]
+    """The same of lane segments."""
+
+    lanes: list[_Segment] = Field(alias="lane_segment")
+    follows: Topology = Field(alias="topology_lsls")
+    elements: list[_Element] = Field(alias="traffic_element")
+    governs: Topology = Field(alias="topology_lste")
 
 
 class _Pose(Excerpt):
     rotation: JsonMatrix3
     translation: Row3
 
+    @property
+    def matrix(self) -> Matrix4:
+        return np.vstack([np.column_stack([self.rotation, self.translation]), [0, 0, 0, 1]])
+
 
 class _Intrinsic(Excerpt):
     K: JsonMatrix3
 
 
-class _Sensor(Excerpt):
-    image_path: PathBelow
+class _Camera(Excerpt):
+    """A camera: its image, its place in the vehicle frame with the axes of OpenCV, and its matrix K."""
+
+    image: PathBelow = Field(alias="image_path")
     extrinsic: _Pose
     intrinsic: _Intrinsic
 
 
-class _Frame(Excerpt):
+class TopologyFrame(Excerpt):
+    """One label file: the vehicle's pose, the cameras by name, and the lanes, whose lines (the centre line, and in
+    `-ls` files left and right boundary) are in the vehicle frame."""
+
     pose: _Pose
-    sensor: dict[str, _Sensor]
+    cameras: dict[str, _Camera] = Field(alias="sensor")
     annotation: _Segments | _Centerlines
-
-
-@dataclass(frozen=True, eq=False)
-class FoundElement:
-    """A traffic element of a label file: its codes, and left, top, right and bottom in the first image."""
-
-    id: int
-    category: int
-    attribute: int
-    box_px: Float[np.ndarray, "4"]
-
-
-@dataclass(frozen=True, eq=False)
-class FoundCamera:
-    """A camera of a label file: its image, its place in the vehicle frame with the axes of OpenCV, and its matrix K."""
-
-    image: str
-    ego_from_cv: Float[np.ndarray, "4 4"]
-    img_from_cv: Float[np.ndarray, "3 3"]
-
-
-@dataclass(frozen=True, eq=False)
-class TopologyFrame:
-    """One label file: the cameras by name, the ids of the lanes, the polylines of each (the centre line, and in `-ls`
-    files left and right boundary) in the vehicle frame, which lane (column) follows which (row), the vehicle's pose;
-    the traffic elements, and which of them (column) governs which lane (row).
-    """
-
-    cameras: dict[str, FoundCamera]
-    ids: tuple[int, ...]
-    lanes_ego: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
-    follows: Float[np.ndarray, "n n"]
-    world_from_ego: Float[np.ndarray, "4 4"]
-    elements: tuple[FoundElement, ...]
-    governs: Float[np.ndarray, "n t"]
 
 
 def parse(text: str, where: str) -> TopologyFrame:
     """One label file, of centre lines or of lane segments; FormatErrors begin with `where`."""
-    found = schema.parse(_Frame, text, where, "a frame of OpenLane-V2")
-    annotation = found.annotation
-    lanes: tuple[tuple[Float[np.ndarray, "_ 3"], ...], ...]
-    ids: tuple[int, ...]
-    if isinstance(annotation, _Segments):
-        ids = tuple(lane.id for lane in annotation.lane_segment)
-        lanes = tuple((lane.centerline, lane.left_laneline, lane.right_laneline) for lane in annotation.lane_segment)
-        follows, governs = annotation.topology_lsls, annotation.topology_lste
-    else:
-        ids = tuple(lane.id for lane in annotation.lane_centerline)
-        lanes = tuple((lane.points,) for lane in annotation.lane_centerline)
-        follows, governs = annotation.topology_lclc, annotation.topology_lcte
+    found = schema.parse(TopologyFrame, text, where, "a frame of OpenLane-V2")
+    lanes, follows, governs = found.annotation.lanes, found.annotation.follows, found.annotation.governs
+    n_elements = len(found.annotation.elements)
     if {len(lanes)} != {len(follows), *map(len, follows)} and (lanes or follows):
         raise FormatError(f"{where}: topology: expected a row and a column for each of {len(lanes)} lanes, got others")
-    if any(len(line) < LEAST_POINTS for lane in lanes for line in lane):
+    if any(len(line) < LEAST_POINTS for lane in lanes for line in lane.lines):
         raise FormatError(f"{where}: expected lanes of {LEAST_POINTS} points or more, got fewer")
-    elements = tuple(
-        FoundElement(item.id, item.category, item.attribute, np.array(item.points).ravel())
-        for item in annotation.traffic_element
-    )
-    if len(governs) != len(lanes) or any(len(row) != len(elements) for row in governs):
-        raise FormatError(
-            f"{where}: topology: expected {len(lanes)} rows of {len(elements)} traffic elements, got others"
-        )
-    cameras = {
-        name: FoundCamera(sensor.image_path, _matrix(sensor.extrinsic), np.array(sensor.intrinsic.K))
-        for name, sensor in found.sensor.items()
-    }
-    follows_of = np.array(follows, dtype=float).reshape(len(lanes), len(lanes))
-    governs_of = np.array(governs, dtype=float).reshape(len(lanes), len(elements))
-    return TopologyFrame(cameras, ids, lanes, follows_of, _matrix(found.pose), elements, governs_of)
-
-
-def _matrix(pose: _Pose) -> Float[np.ndarray, "4 4"]:
-    return np.vstack([np.column_stack([pose.rotation, pose.translation]), [0, 0, 0, 1]])
+    if len(governs) != len(lanes) or any(len(row) != n_elements for row in governs):
+        raise FormatError(f"{where}: topology: expected {len(lanes)} rows of {n_elements} traffic elements, got others")
+    return found
 
 
 def frames(out: Path) -> dict[str, list[Path]]:
@@ -506,18 +472,20 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     what."""
     found, problems = frame.content
     graph = truth.labels.graph
-    numbers = [i % NEXT_PART for i in found.ids]
-    if any(i >= len(graph.segments) for i in numbers) or len({*found.ids}) < len(found.ids):
-        text = f"expected ids of their own, those of {len(graph.segments)} segments, got {list(found.ids)}"
+    found_lanes = found.annotation.lanes
+    ids, world_from_ego = [lane.id for lane in found_lanes], found.pose.matrix
+    numbers = [i % NEXT_PART for i in ids]
+    if any(i >= len(graph.segments) for i in numbers) or len({*ids}) < len(ids):
+        text = f"expected ids of their own, those of {len(graph.segments)} segments, got {ids}"
         return Comparison(problems=(*problems, text))
     names = [graph.segments[i].id for i in numbers]
-    lanes = [[transform(found.world_from_ego, line) for line in lines] for lines in found.lanes_ego]
+    lanes = [[transform(world_from_ego, line) for line in lane.lines] for lane in found_lanes]
     cameras = (picture.labels.camera for picture in truth.moment)
     by_name = {name: camera for camera in cameras if (name := _name(camera)) in found.cameras}
-    behind_m = AHEAD_M if any(_looks_back(camera, found.world_from_ego) for camera in by_name.values()) else 0.0
+    behind_m = AHEAD_M if any(_looks_back(camera, world_from_ego) for camera in by_name.values()) else 0.0
 
     def is_in_area(points_world: Float[np.ndarray, "n 3"]) -> np.ndarray:
-        x, y, _ = transform(invert(found.world_from_ego), points_world).T
+        x, y, _ = transform(invert(world_from_ego), points_world).T
         return np.asarray((x > BORDER_M - behind_m) & (x < AHEAD_M - BORDER_M) & (np.abs(y) < ASIDE_M - BORDER_M))
 
     middles = [(name, lines[0]) for name, lines in zip(names, lanes, strict=True)]
@@ -538,8 +506,8 @@ def _compared_cameras(found: TopologyFrame, cameras: dict[str, CameraLabel]) -> 
     compared = Comparison()
     for name, camera in cameras.items():
         theirs = found.cameras[name]
-        cv_from_cam = invert(found.world_from_ego @ theirs.ego_from_cv) @ camera.world_from_cam
-        compared += compare_camera(name, camera, partial(pinhole_pixels, theirs.img_from_cv, cv_from_cam), LIMIT_PX)
+        cv_from_cam = invert(found.pose.matrix @ theirs.extrinsic.matrix) @ camera.world_from_cam
+        compared += compare_pinhole(name, camera, theirs.intrinsic.K, cv_from_cam, LIMIT_PX)
     unknown = (f"camera {name}: expected one of the labels, got none" for name in found.cameras if name not in cameras)
     return compared.because(unknown)
 
@@ -547,27 +515,29 @@ def _compared_cameras(found: TopologyFrame, cameras: dict[str, CameraLabel]) -> 
 def _topology_problems(
     found: TopologyFrame, names: list[str], successors: dict[str, tuple[str, ...]], scene: Scene
 ) -> Iterator[str]:
+    lines, follow = [lane.lines[0] for lane in found.annotation.lanes], found.annotation.follows
     gaps_m = link_gaps(scene, [(a, b) for a in {*names} for b in successors.get(a, ()) if b in names])
     for i, lane in enumerate(names):
         for j, other in enumerate(names):
-            gap_m = float(np.linalg.norm(found.lanes_ego[i][0][-1] - found.lanes_ego[j][0][0]))
+            gap_m = float(np.linalg.norm(lines[i][-1] - lines[j][0]))
             follows = other in successors.get(lane, ())
             is_near = gap_m <= GAP_M + gaps_m.get((lane, other), 0.0)
-            if found.follows[i, j] and not (follows and is_near):
+            if follow[i][j] and not (follows and is_near):
                 yield f"lane {other}: expected it not to follow {lane}, got it {gap_m:.3f} m from its end"
-            if not found.follows[i, j] and follows and gap_m <= GAP_M:
+            if not follow[i][j] and follows and gap_m <= GAP_M:
                 yield f"lane {other}: expected it to follow {lane}, whose end it touches, got it not to"
 
 
 def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[ObjectLabel]) -> Iterator[str]:
     """Findings about traffic elements that are not those of the labels, or govern other lanes than these say."""
-    ours, there = {item.id: item for item in items}, [element.id for element in found.elements]
-    if len({*there, *found.ids}) < len(there) + len(found.ids):
+    elements, ids = found.annotation.elements, [lane.id for lane in found.annotation.lanes]
+    ours, there = {item.id: item for item in items}, [element.id for element in elements]
+    if len({*there, *ids}) < len(there) + len(ids):
         yield f"traffic elements: expected ids of their own, got {there}"
     for id_, item in ours.items():
         if is_clear(item) and id_ not in there:
             yield f"traffic element {id_}: expected it, because {item.visible_fraction:.0%} of it are seen, got none"
-    for j, element in enumerate(found.elements):
+    for j, element in enumerate(elements):
         own = ours.get(element.id)
         if own is None or own.box_px is None:
             yield f"traffic element {element.id}: expected one of the labels in the image, got another"
@@ -575,11 +545,11 @@ def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[Ob
         codes, expected = (element.category, element.attribute), category_and_attribute(own)
         if codes != expected:
             yield f"traffic element {element.id}: expected category and attribute {expected}, got {codes}"
-        off_px = float(np.abs(element.box_px - own.box_px).max())
+        off_px = float(np.abs(np.ravel(element.points) - own.box_px).max())
         if not off_px <= BOX_PX:
             yield f"traffic element {element.id}: expected its rectangle within {BOX_PX} px, got it {off_px:.1f} px off"
         for i, lane in enumerate(names):
-            if bool(found.governs[i, j]) != (lane in own.lanes):
+            if bool(found.annotation.governs[i][j]) != (lane in own.lanes):
                 words = ("it to govern", "got it not to") if lane in own.lanes else ("it not to govern", "got it to")
                 yield f"traffic element {element.id}: expected {words[0]} {lane}, {words[1]}"
 

@@ -14,8 +14,9 @@ from PIL import Image
 from pydantic import TypeAdapter, ValidationError
 
 from synth3dlanes.dataset.format import decode_image
-from synth3dlanes.geometry.frames import inside_image, project, road_from_cam
+from synth3dlanes.geometry.frames import from_axes, inside_image, project, road_from_cam, rotation
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor, Pair
+from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.files import open_regular, read_bounded
 from synth3dlanes.system.schema import PathBelow, shown
@@ -202,6 +203,13 @@ def read_file(path: Path, most: int = MAX_FILE_BYTES) -> bytes:
         raise
     except (OSError, ValueError) as error:
         raise FormatError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+
+
+def pose_of(place: Sequence[float] | Float[np.ndarray, "3"], wxyz: Sequence[float] | Float[np.ndarray, "4"]) -> Matrix4:
+    """The pose of a place and a quaternion; NaN where that is none."""
+    is_turn = bool(np.isfinite(wxyz).all() and np.any(wxyz))
+    x, y, z = rotation(np.array(wxyz, float)).T if is_turn else np.full((3, 3), np.nan)
+    return from_axes(x, y, z, np.array(place, float))
 
 
 def json_lines(path: Path) -> list[bytes]:

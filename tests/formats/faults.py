@@ -3,7 +3,7 @@
 | fault | what it is |
 |---|---|
 | mirrored | x of all points changes its sign, or in pixels counts from the right |
-| shifted | all points move 0.3 m or 5 px to the right |
+| shifted | all points move 0.3 m or 4 px to the right |
 | swapped | two lines exchange their points; where lines have no name or number, two frames do |
 | dropped | the first line is missing |
 | reordered | the points of a line come in another order; in OpenDRIVE, two lanes |
@@ -86,7 +86,7 @@ def tusimple(out, fault):
     if fault == "mirrored":
         lanes[there] = 1280 - lanes[there]
     elif fault == "shifted":
-        lanes[there] += 5
+        lanes[there] += 4
     elif fault == "swapped":
         lanes[:2] = lanes[1::-1]
     elif fault == "dropped":
@@ -103,7 +103,7 @@ def texts(pattern, width):
     def plant(out, fault):
         path = sorted(out.glob(pattern))[0]
         lines = [np.array(text.split(), dtype=float).reshape(-1, 2) for text in path.read_text().splitlines()]
-        lines = moved(lines, fault, step=5.0, width=width)
+        lines = moved(lines, fault, step=4.0, width=width)
         path.write_text("".join(" ".join(str(n) for point in line for n in point) + "\n" for line in lines))
         told = path.with_name(path.name.replace(".lines.txt", ".json"))
         if fault == "dropped" and told.exists():
@@ -115,7 +115,7 @@ def texts(pattern, width):
 def curvelanes(out, fault):
     path = next(out.glob("valid/labels/*.json"))
     lines = [[(float(p["x"]), float(p["y"])) for p in line] for line in json.loads(path.read_text())["Lines"]]
-    lines = moved(lines, fault, step=5.0, width=2560.0)
+    lines = moved(lines, fault, step=4.0, width=2560.0)
     path.write_text(json.dumps({"Lines": [[{"x": str(x), "y": str(y)} for x, y in line] for line in lines]}))
 
 
@@ -242,7 +242,7 @@ def coco(out, fault):
             height, width = runs["size"]
             flat = np.repeat(np.arange(len(runs["counts"])) % 2, runs["counts"])
             mask = flat.reshape(height, width, order="F")
-            mask = mask[:, ::-1] if fault == "mirrored" else np.roll(mask, 5, axis=1)
+            mask = mask[:, ::-1] if fault == "mirrored" else np.roll(mask, 4, axis=1)
             flat = mask.ravel(order="F")
             ends = [0, *(np.flatnonzero(np.diff(flat)) + 1).tolist(), len(flat)]
             runs["counts"] = ([0] if flat[0] else []) + np.diff(ends).tolist()
@@ -257,7 +257,7 @@ def yolo(out, fault):
     if fault == "mirrored":
         objects = [(name, np.column_stack([1 - corners[:, 0], corners[:, 1]])) for name, corners in objects]
     elif fault == "shifted":
-        objects = [(name, np.clip(corners + np.array([5 / 480, 0]), 0, 1)) for name, corners in objects]
+        objects = [(name, np.clip(corners + np.array([4 / 480, 0]), 0, 1)) for name, corners in objects]
     elif fault == "dropped":
         objects = objects[1:]
     elif fault == "reordered":

@@ -226,7 +226,7 @@ FAULTS = {
     "a box is missing": (rows(BOXES, lambda rows: rows[1:]), "got it in no row"),
     "points on a box": (
         rows(BOXES, each(num_interior_pts=lambda row: 7)),
-        "expected 0 points of the lidar on it, got 7",
+        "expected the number of points 0, got 7",
     ),
     "swapped tracks": (rows(BOXES, swap_tracks), "as before, got object"),
     "no poses": (rows(POSES, lambda rows: []), "expected a pose at"),

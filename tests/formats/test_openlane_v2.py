@@ -1,4 +1,4 @@
-"""OpenLane-V2: the devkit's rules, the map behind the labels, the score."""
+"""OpenLane-V2: the devkit's rules, the map behind the labels."""
 
 import json
 from dataclasses import replace
@@ -20,8 +20,6 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.places import MapStation
 from synth3dlanes.truth.ground_truth import ground_truth
-from tests.formats import openlane_v2_score as scoring
-from tests.formats.openlane_v2_score import LaneTopology, score
 from tests.maps.files import opendrive, plan, road
 
 FLIPS = [(a, b) for a in ("true", "false") for b in ("true", "false")]
@@ -200,36 +198,6 @@ def test_the_pictures_of_a_rig_are_one_frame_with_lanes_all_around():
     assert alone.image == "OpenLane-V2/train/00000100/image/CAM_BACK/200000000.jpg"
     assert (alone.files, alone.shared) == ({}, ())
     assert alone.image.removeprefix("OpenLane-V2/") == centers["sensor"]["CAM_BACK"]["image_path"]
-
-
-def line(y_m, x_m=(0.0, 40.0), n=11):
-    return np.column_stack([np.linspace(*x_m, n), np.full(n, float(y_m)), np.zeros(n)])
-
-
-def test_the_score_by_hand():
-    follows = np.array([[0.0, 1.0], [0.0, 0.0]])
-    true = LaneTopology(((line(0, (0, 20)),), (line(0, (20, 40)),)), follows)
-    assert score([(true, true)]) == scoring.LaneScore(1.0, 1.0)
-    # 1.5 m aside: beyond the first of three thresholds.
-    aside = LaneTopology(tuple((points + np.array([0, 1.5, 0]),) for (points,) in true.lanes), follows)
-    assert score([(true, aside)]).det_l == pytest.approx(2 / 3)
-    # Lanes are directed, and the Frechet distance keeps the order.
-    turned = LaneTopology(tuple((points[::-1],) for (points,) in true.lanes), follows)
-    assert score([(true, turned)]).det_l == 0
-    assert scoring.frechet_m(line(0), line(0)[::-1]) == 40
-    # One of two lanes: recall 0.5 at precision 1, so 6 of the 11 recalls.
-    half = LaneTopology(true.lanes[:1], np.zeros((1, 1)))
-    assert score([(true, half)]).det_l == pytest.approx(6 / 11)
-    # A connection that is predicted the wrong way round.
-    assert score([(true, LaneTopology(true.lanes, follows.T))]) == scoring.LaneScore(1.0, 0.0)
-    # Lanes far away may be up to 6 m off: 5 m count as 2.5 m from 100 m on.
-    far = LaneTopology(((line(0, (120, 140)),),), np.zeros((1, 1)))
-    moved = LaneTopology(((line(5, (120, 140)),),), np.zeros((1, 1)))
-    assert score([(far, moved)]).det_l == pytest.approx(1 / 3)
-    # Segments: half the sum of the centre line's and both boundaries' distances.
-    segment = LaneTopology(((line(0), line(2), line(-2)),), np.zeros((1, 1)))
-    wider = LaneTopology(((line(0), line(3.5), line(-3.5)),), np.zeros((1, 1)))
-    assert score([(segment, wider)]).det_l == pytest.approx(2 / 3)
 
 
 def test_an_export_verifies_and_names_what_is_wrong(dataset, tmp_path):

@@ -1,4 +1,4 @@
-"""Traffic elements in OpenLane-V2: attributes, links to lanes, ids through a clip, score, faults that verify finds."""
+"""Traffic elements in OpenLane-V2: attributes, links to lanes, ids through a clip, faults that verify finds."""
 
 import json
 from dataclasses import replace
@@ -11,7 +11,6 @@ from synth3dlanes.formats.format import ReadFrame, SampleFrame
 from synth3dlanes.formats.openlane_v2 import parse, verify
 from synth3dlanes.formats.openlane_v2 import write as annotate
 from synth3dlanes.truth.ground_truth import ground_truth
-from tests.formats.element_score import MapFrame, map_score
 from tests.signals import signals_scene
 
 
@@ -84,40 +83,6 @@ def test_what_shows_its_back_or_is_hidden_is_left_out():
     found = documents(replace(frame, labels=labels))[0]["annotation"]
     assert {element["id"] for element in found["traffic_element"]} == {item.id for item in others}
     assert {len(row) for row in found["topology_lcte"]} == {len(others)}
-
-
-def map_frame(document) -> MapFrame:
-    """Every 20th point, as the devkit takes."""
-    annotation = document["annotation"]
-    lanes = tuple((np.array(lane["points"])[::20],) for lane in annotation["lane_centerline"])
-    elements = tuple((item["attribute"], np.ravel(item["points"])) for item in annotation["traffic_element"])
-    return MapFrame(lanes, *(
-        np.array(part, float) if index else part
-        for index, part in enumerate((annotation["topology_lclc"],), start=1)
-    ), elements, np.array(annotation["topology_lcte"], float).reshape(len(lanes), len(elements)))  # fmt: skip
-
-
-def test_ground_truth_scores_one_and_dropped_or_mislinked_elements_less():
-    true = [map_frame(documents(frame_at(number))[0]) for number in (0, 3)]
-    perfect = map_score([(one, one) for one in true])
-    # The road has no junction, so no lane follows another, and all of that is right.
-    assert perfect.ols == pytest.approx(1.0)
-    dropped = [replace(one, elements=one.elements[1:], governs=one.governs[:, 1:]) for one in true]
-    found = map_score(list(zip(true, dropped, strict=True)))
-    assert found.det_t < 1
-    assert found.top_lt < 0.9
-    assert found.ols < 0.98
-    mislinked = [replace(one, governs=np.roll(one.governs, 1, axis=0)) for one in true]
-    found = map_score(list(zip(true, mislinked, strict=True)))
-    assert found.det_t == 1
-    assert found.top_lt < 0.5
-    assert found.ols < 0.95
-    renamed = [replace(one, elements=tuple(((of + 1) % 13, box) for of, box in one.elements)) for one in true]
-    assert map_score(list(zip(true, renamed, strict=True))).det_t < 0.7
-    aside = [
-        replace(one, elements=tuple((of, box + [box[2] - box[0], 0] * 2) for of, box in one.elements)) for one in true
-    ]
-    assert map_score(list(zip(true, aside, strict=True))).top_lt < 0.2
 
 
 def drop(annotation):

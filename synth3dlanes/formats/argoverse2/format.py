@@ -18,7 +18,7 @@ import re
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -30,15 +30,15 @@ from pyarrow import feather
 from synth3dlanes.formats.argoverse2.maps import PIECE_M, RULE, LogMap, compare_log_map, map_files, read_map
 from synth3dlanes.formats.comparing import (
     FLU_CORNERS,
+    FROM_MIDDLE,
     Comparison,
     SourceSample,
     compare_boxes,
-    compare_camera,
+    compare_pinhole,
     compare_sweep,
-    pinhole_pixels,
 )
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
-from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.reading import pose_of, read_file
 from synth3dlanes.formats.writing import (
     PARTS,
     FrameAnnotation,
@@ -50,7 +50,7 @@ from synth3dlanes.formats.writing import (
     with_flu_axes,
     world_from_vehicle,
 )
-from synth3dlanes.geometry.frames import invert, quaternion, rotation, transform
+from synth3dlanes.geometry.frames import invert, quaternion, transform
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.things import classes_in
@@ -70,7 +70,6 @@ LIDARS = ("up_lidar", "down_lidar")
 HOST_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
 """The rear axle in our host's road frame, as in the rig argoverse2."""
 _LIDAR_FROM_AV2 = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-HALF_PX = 0.5
 CATEGORIES = classes_in("argoverse2")
 START_NS, ROOM_NS = 10**18, 4 * 10**9
 """The first timestamp of an export, and how much later the next picture's log begins at least: tools name frames by
@@ -333,12 +332,9 @@ class Log:
 
 def matrices(table: Columns) -> Float[np.ndarray, "n 4 4"]:
     """Poses of a table's rows."""
-    found = np.tile(np.eye(4), (len(table["qw"]), 1, 1))
     wxyz = np.column_stack([table[key] for key in ("qw", "qx", "qy", "qz")])
-    found[:, :3, 3] = np.column_stack([table[key] for key in ("tx_m", "ty_m", "tz_m")])
-    for pose, row in zip(found, wxyz, strict=True):
-        pose[:3, :3] = rotation(row) if np.isfinite(row).all() and row.any() else np.nan
-    return found
+    places = np.column_stack([table[key] for key in ("tx_m", "ty_m", "tz_m")])
+    return np.array([pose_of(*row) for row in zip(places, wxyz, strict=True)]).reshape(-1, 4, 4)
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -380,12 +376,8 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 def _camera(log: Log, name: str, cam_from_ego: Matrix4, camera: CameraLabel) -> Comparison:
     """How far places that a camera sees are from their pixels."""
     k, size_px = log.lenses[name]
-    if size_px != (camera.width_px, camera.height_px):
-        text = f"camera {name}: expected a size of {camera.width_px}x{camera.height_px}, got {size_px[0]}x{size_px[1]}"
-        return Comparison(problems=(text,))
-    img_from_cv = k + np.array([[0, 0, HALF_PX], [0, 0, HALF_PX], [0, 0, 0]])
     cv_from_cam = invert(cam_from_ego @ log.sensors[name])
-    return compare_camera(name, camera, partial(pinhole_pixels, img_from_cv, cv_from_cam), LIMIT_PX)
+    return compare_pinhole(name, camera, k + FROM_MIDDLE, cv_from_cam, LIMIT_PX, size_px)
 
 
 def _boxes(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSample) -> Comparison:
@@ -395,16 +387,16 @@ def _boxes(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSamp
     sizes_m = np.column_stack([table[key] for key in ("length_m", "width_m", "height_m")])
     placed = zip(matrices(table), sizes_m, strict=True)
     corners = (transform(cam_from_ego @ pose, FLU_CORNERS * size_m / 2) for pose, size_m in placed)
-    boxes, items = zip(map(str, table["track_uuid"]), corners, strict=True), objects_of(truth.labels, CATEGORIES)
-    compared, matched = compare_boxes(boxes, items, np.eye(4), str(log.files), BOX_M)
-    problems = list[str]()
-    for item, category, points in zip(matched, table["category"], table["num_interior_pts"], strict=True):
-        if item is not None and category != CATEGORIES[item.category]:
-            problems.append(f"object {item.id}: expected {CATEGORIES[item.category]}, got {category}")
-        if item is not None and points != (item.lidar_points or 0):
-            expected = item.lidar_points or 0
-            problems.append(f"object {item.id}: expected {expected} points of the lidar on it, got {points}")
-    return compared.because(problems)
+    told = ({"class": category, "number of points": points}
+            for category, points in zip(table["category"], table["num_interior_pts"], strict=True))  # fmt: skip
+    return compare_boxes(
+        zip(map(str, table["track_uuid"]), corners, told, strict=True),
+        objects_of(truth.labels, CATEGORIES),
+        lambda item: {"class": CATEGORIES[item.category], "number of points": item.lidar_points or 0},
+        np.eye(4),
+        str(log.files),
+        BOX_M,
+    )
 
 
 def _lidar(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSample) -> Comparison:

@@ -19,8 +19,7 @@ from pydantic import RootModel
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
-from synth3dlanes.formats.reading import json_object, read_file
-from synth3dlanes.geometry.frames import rotation
+from synth3dlanes.formats.reading import json_object, pose_of, read_file
 from synth3dlanes.imaging.video import open_video
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.labels.object_labels import ObjectLabel
@@ -314,12 +313,7 @@ def _box(row: dict[str, Any], name: str, size: str) -> Box:
 
 
 def _pose(row: dict[str, Any], place: str) -> Matrix4:
-    pose, (*xyz, w) = np.full((4, 4), np.nan), (row["orientation"][axis] or 0.0 for axis in "xyzw")
-    if np.isfinite([*xyz, w]).all() and any((*xyz, w)):
-        pose[:3, :3] = rotation(np.array([w, *xyz]))
-        pose[:3, 3] = _xyz(row[place])
-        pose[3] = 0, 0, 0, 1
-    return pose
+    return pose_of(_xyz(row[place]), [row["orientation"][axis] or 0.0 for axis in "wxyz"])
 
 
 def _points(points: list[dict[str, float]]) -> Points3:

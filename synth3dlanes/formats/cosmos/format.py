@@ -413,15 +413,11 @@ def _compared_view(clip: CosmosClip, name: str, view: CosmosView, pictures: list
 
 
 def _lens(name: str, view: CosmosView, picture: SourceSample) -> Comparison:
-    camera = picture.labels.camera
-    if view.size_px != (camera.width_px, camera.height_px):
-        text = f"{name}: expected a size of {camera.width_px}x{camera.height_px}, got {view.size_px}"
-        return Comparison(problems=(text,))
 
     def project(points_cam: Points3) -> Float[np.ndarray, "n 2"]:
         return view.project(points_cam @ CAM_FROM_FLU)
 
-    return compare_camera(name, camera, project, LIMIT_PX, SHARES)
+    return compare_camera(name, picture.labels.camera, project, LIMIT_PX, SHARES, view.size_px)
 
 
 def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:

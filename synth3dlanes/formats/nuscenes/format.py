@@ -49,7 +49,6 @@ from synth3dlanes.formats.nuscenes.tables import (
     attribute_of,
     map_file,
     mask_file,
-    matrix,
     parked_of,
     points_of,
     table_file,
@@ -57,7 +56,7 @@ from synth3dlanes.formats.nuscenes.tables import (
     visibility_of,
 )
 from synth3dlanes.formats.nuscenes.verify import LIMIT_PX, RULE, verify
-from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.reading import pose_of, read_file
 from synth3dlanes.formats.writing import (
     PARTS,
     FrameAnnotation,
@@ -430,7 +429,7 @@ def _of_boxes(clip: _Clip) -> Iterator[tuple[str, JsonRow]]:
                     "instance_token": instance,
                     "visibility_token": visibility_of(share),
                     "attribute_tokens": [] if attribute is None else [token("attribute", attribute)],
-                    **clip.placed(box["from"], matrix(box["pose"]["translation"], box["pose"]["rotation"])),
+                    **clip.placed(box["from"], pose_of(box["pose"]["translation"], box["pose"]["rotation"])),
                     "size": box["size"],
                     "prev": before,
                     "next": after,

@@ -18,9 +18,8 @@ import numpy as np
 import shapely
 from pydantic import Field, TypeAdapter, ValidationError, create_model
 
-from synth3dlanes.formats.reading import read_file
+from synth3dlanes.formats.reading import pose_of, read_file
 from synth3dlanes.formats.writing import Part
-from synth3dlanes.geometry.frames import from_axes, rotation
 from synth3dlanes.labels.labels import Marking, PaintColor, Pair
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.scene import Scene
@@ -159,12 +158,6 @@ def segment_type(marking: Marking, color: PaintColor | None, double: bool | None
     return f"{stripes}_{color or 'white'}".upper()
 
 
-def matrix(translation: Sequence[float], wxyz: Sequence[float]) -> Matrix4:
-    """The pose of a record; NaN where its rotation is none."""
-    x, y, z = rotation(np.array(wxyz, float)).T if any(wxyz) else np.full((3, 3), np.nan)
-    return from_axes(x, y, z, np.array(translation))
-
-
 def parked_of(scene: Scene, objects: Sequence[ObjectLabel]) -> set[int]:
     """The ids of parked cars, which stand beside their lanes. Cars come first among the objects."""
     return {item.id for item, car in zip(objects, scene.cars, strict=False) if car.offset_m and not car.track}
@@ -222,7 +215,7 @@ _MAP = TypeAdapter[Any](
 
 def matrix_of(row: Row) -> Matrix4:
     """The pose of a row."""
-    return matrix(row.translation, row.rotation)
+    return pose_of(row.translation, row.rotation)
 
 
 @dataclass(frozen=True, eq=False)
