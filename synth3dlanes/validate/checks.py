@@ -62,7 +62,7 @@ CHECKS = (
         "user's own values",
         _needs("origin"),
     ),
-    Check("frame", check_frame, "black, white or pink images", _needs("image")),
+    Check("frame", check_frame, "black, white or pink images", frozenset({"image"})),
     Check(
         "standing",
         check_standing,
@@ -146,8 +146,9 @@ CHECKS = (
     Check(
         "moving",
         instant,
-        "from picture to picture of a clip or rig: objects that do not move as the velocities of their labels say, or "
-        "that cameras have in different places",
+        "from picture to picture of a clip, rig or drive: lines that are elsewhere, objects that do not move as the "
+        "velocities of their labels say, or that cameras have in different places",
+        frozenset(),
     ),
     Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim depth instance")),
 )

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from synth3dlanes.system.arrays import Points3
+
 # The guarantees of docs/validate.md hold up to this distance ahead of the camera.
 PROOF_M = 40.0
 
@@ -71,12 +73,13 @@ class MovingObject(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """The objects of a picture by their numbers, its scene, and its time in the clip. Pictures of one scene are
-    compared with each other (`moving.between`)."""
+    """The objects of a picture by their numbers, the points of its lines by their ids in the world frame, its scene or
+    drive, and its time in the clip. Pictures of one scene are compared with each other (`moving.between`)."""
 
     scene: str
     time_s: float
     objects: Mapping[int, MovingObject]
+    lines: Mapping[str, Points3]
 
 
 # What a check of a sample yields.

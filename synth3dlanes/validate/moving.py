@@ -1,5 +1,5 @@
-"""Check that objects move from picture to picture of a scene as the velocities of their labels say. Labels alone are
-compared."""
+"""Check that from picture to picture of a scene or drive objects move as the velocities of their labels say, and that
+lines stay. Labels alone are compared."""
 
 from collections.abc import Iterator
 
@@ -19,15 +19,22 @@ PLACE_M, SPEED = 0.002, 0.005
 # A velocity is along the axis of a body, whose axles stand on ground of different slopes where ramps begin: its middle
 # goes another way, by 0.1 radians in one of 350 cars, by 0.0003 in most.
 OFF_AXIS = 0.15
+# Every LINE_STEP-th point of a line is compared. In 34 pictures of clips and rigs no line is farther than 0.6 mm away.
+LINE_STEP, LINE_M = 5, 0.02
 
 
 def instant(evidence: Evidence) -> Iterator[Instant]:
-    """What a picture of a clip or a rig tells of its objects."""
-    scene, items = evidence.scene, evidence.labels.objects
-    if items and scene.shot.n_frames * scene.shot.n_cameras * scene.shot.n_views > 1:
-        world_from_cam = evidence.camera.world_from_cam
-        objects = {item.id: _object(world_from_cam, item) for item in items}
-        yield Instant(f"{scene.split}:{scene.index}", scene.shot.time_s, objects)
+    """What a picture of a clip or a rig tells of its objects and lines."""
+    labels, world_from_cam = evidence.labels, evidence.camera.world_from_cam
+    lines = {lane.id: transform(world_from_cam, lane.xyz_cam) for lane in labels.lanes}
+    if evidence.known_world is None:
+        if evidence.entry is not None and evidence.numbers is not None:
+            yield Instant(f"{evidence.entry.split}:{evidence.numbers[0]}", labels.time_s or 0.0, {}, lines)
+        return
+    scene = evidence.scene
+    if scene.shot.n_frames * scene.shot.n_cameras * scene.shot.n_views > 1:
+        objects = {item.id: _object(world_from_cam, item) for item in labels.objects or ()}
+        yield Instant(f"{scene.split}:{scene.index}", scene.shot.time_s, objects, lines)
 
 
 def _object(world_from_cam: Float[np.ndarray, "4 4"], item: ObjectLabel) -> MovingObject:
@@ -38,10 +45,15 @@ def _object(world_from_cam: Float[np.ndarray, "4 4"], item: ObjectLabel) -> Movi
 
 
 def between(before: Instant, after: Instant) -> Iterator[Finding]:
-    """Findings where an object is not where both of its velocities lead to."""
+    """Findings where an object is not where both of its velocities lead to, or a line not where it was."""
     step_s = after.time_s - before.time_s
     if before.scene != after.scene or step_s < 0:
         return
+    for id_, points_world in after.lines.items():
+        away_m = _from_line(before.lines[id_], points_world[::LINE_STEP]) if id_ in before.lines else np.zeros(0)
+        if away_m.max(initial=0) > LINE_M:
+            reason = f"expected it where the picture before has this line, got it up to {away_m.max():.2f} m away"
+            yield Finding(id_, reason)
     least_m = PLACE_M + SPEED * step_s + MOST_ACCELERATION * step_s**2 / 4
     for number, now in after.objects.items():
         then = before.objects.get(number)
@@ -60,6 +72,17 @@ def between(before: Instant, after: Instant) -> Iterator[Finding]:
                 f"objects.{number}: expected it moved by {_text(expected_m)} m in the {step_s:.3g} s since the picture "
                 f"before, as its velocities say, got {_text(moved_m)} m",
             )
+
+
+def _from_line(line: Float[np.ndarray, "m 3"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " _"]:
+    """Distances of the points that are beside a line, not beyond its ends."""
+    starts, ways = line[:-1], np.diff(line, axis=0)
+    to = points[:, None] - starts
+    share = np.clip((to * ways).sum(axis=2) / np.maximum((ways**2).sum(axis=1), 1e-12), 0, 1)
+    away_m = np.linalg.norm(to - share[..., None] * ways, axis=2)
+    nearest = away_m.argmin(axis=1)
+    at = nearest + share[np.arange(len(points)), nearest]
+    return away_m.min(axis=1)[(at > 0) & (at < len(ways))]
 
 
 def _text(vector: Float[np.ndarray, "3"]) -> str:

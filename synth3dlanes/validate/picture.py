@@ -86,7 +86,7 @@ def check_frame(evidence: Evidence) -> Iterator[Result]:
         pink = pink[np.isin(passes["semantic"], [SEMANTIC_IDS[name] for name in GROUND])]
         limit = MAX_PINK_OF_GROUND
     share = float(pink.mean()) if pink.size else 0.0
-    if share > limit and "semantic" not in passes:
+    if share > limit and "semantic" not in passes and evidence.known_world is not None:
         far = evidence.world.view.eye_world + FAR_M * evidence.rays_world(*np.nonzero(pink))
         share -= float(before(evidence.world, far).sum()) / pink.size
     reason = f"image: expected textures, got {100 * share:.0f} % of the ground pink"

@@ -1,7 +1,7 @@
 """The report of a validation: problems, numbers beside their limits, means; as text, as JSON, and as pictures of
 samples."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -26,6 +26,8 @@ from synth3dlanes.validate.findings import Bounded, Finding, Instant, Problem, R
 from synth3dlanes.validate.moving import between
 
 FOLDER = "validation"
+# Which parts of evidence each check lacked for a sample, by its name; None where no check was asked.
+Lacks = Mapping[str, frozenset[str]] | None
 # No lanes are drawn if a line extends farther than this outside the image.
 MAX_PX = 1e5
 # Of samples made again.
@@ -53,7 +55,8 @@ class Worst(NamedTuple):
 @dataclass
 class ValidationReport:
     """Collects samples one by one; samples without faults leave only counts, a few numbers and a digest each. `notes`
-    say what is no fault, but may be unexpected."""
+    say what is no fault, but may be unexpected; `asked` in how many samples each check was asked, `lacking` for lack of
+    what it was not."""
 
     n_samples: int = 0
     problems: list[Problem] = field(default_factory=list)
@@ -61,13 +64,18 @@ class ValidationReport:
     signed: dict[str, list[float]] = field(default_factory=dict)
     made_again: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    asked: dict[str, int] = field(default_factory=dict)
+    lacking: dict[str, set[str]] = field(default_factory=dict)
     _worlds: dict[str, str] = field(default_factory=dict)
     _before: Instant | None = None
 
-    def sample(self, name: str, digest: str, results: Iterable[Result]) -> None:
+    def sample(self, name: str, digest: str, results: Iterable[Result], lacks: Lacks = None) -> None:
         """Add one sample, in the order of its split. A world that occurred before is a problem of the sample that
         repeats it; objects that do not move as their velocities say are one of the later picture."""
         self.n_samples += 1
+        for check, parts in (lacks or {}).items():
+            self.asked[check] = self.asked.get(check, 0) + (not parts)
+            self.lacking.setdefault(check, set()).update(parts)
         for result in results:
             if isinstance(result, Finding):
                 self.problems.append(Problem(name, result.lane, result.reason))
@@ -110,6 +118,7 @@ class ValidationReport:
             "samples": self.n_samples,
             "failed": self.failed,
             "problems": [problem._asdict() for problem in self.in_order()],
+            "checks": {name: {"samples": n, "lacks": sorted(self.lacking[name])} for name, n in self.asked.items()},
             "numbers": {name: found.summary() for name, found in sorted(self.numbers.items())},
             "made_again": self.made_again,
             "notes": self.notes,
@@ -125,10 +134,21 @@ class ValidationReport:
         if tested:
             parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
         parts += made_again_text(self.made_again)
+        parts += [*self._not_asked()]
         parts += ["", *(f"[yellow]{escape(note)}[/yellow]" for note in self.notes)]
         parts += [*(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
         verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else self._praise()
         return Group(*parts, f"{counted(self.n_samples, 'sample')} checked: {verdict}")
+
+    def _not_asked(self) -> Iterator[str]:
+        """Lines that name the checks that no sample was asked, by what all samples lack."""
+        by_lack: dict[str, list[str]] = {}
+        for name in (name for name, n in self.asked.items() if not n):
+            lacks = ["scene"] if "scene" in self.lacking[name] else sorted(self.lacking[name])
+            by_lack.setdefault(" and ".join(lacks), []).append(name)
+        if by_lack:
+            yield "\n[bold]not asked[/bold]  what these checks need is not there"
+        yield from (f"  no {lack}: {', '.join(names)}" for lack, names in by_lack.items())
 
     def _praise(self) -> str:
         if self.n_samples == 0:

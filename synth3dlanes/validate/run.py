@@ -40,7 +40,7 @@ from synth3dlanes.validate.integrity import Entry, check_companions, check_prese
 from synth3dlanes.validate.labels import check_shape
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
-from synth3dlanes.validate.report import ValidationReport, draw, remove_pictures, save_picture
+from synth3dlanes.validate.report import Lacks, ValidationReport, draw, remove_pictures, save_picture
 from synth3dlanes.world import height_map
 from synth3dlanes.world.camera import rays_of_pixels
 from synth3dlanes.world.world import resolve
@@ -58,12 +58,14 @@ Map = Callable[..., Iterator[Any]]
 
 class SampleCheck(NamedTuple):
     """The results of one sample. `digest` is that of its world, independent of split, seed and index; `redrawn` says
-    how the scene differs from the one that dataset.json draws ("" if it does not)."""
+    how the scene differs from the one that dataset.json draws ("" if it does not), `lacks` which parts of evidence each
+    check lacked; None where no check was asked."""
 
     name: str
     digest: str
     redrawn: str
     results: Sequence[Result]
+    lacks: Lacks = None
 
 
 def validate(
@@ -112,7 +114,7 @@ def validate(
         total = len(todo) + len(chosen)
         progress(0, total)
         for done, checked in enumerate(run(partial(check_sample, place, origin, description), todo), start=1):
-            report.sample(checked.name, checked.digest, checked.results)
+            report.sample(checked.name, checked.digest, checked.results, checked.lacks)
             redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
             progress(done, total)
     if making is not None:
@@ -195,6 +197,7 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     if labels is None or image is None or passes is None or (scene is None and SCENE in description.names):
         return SampleCheck(entry.name, digest, redrawn, results)
     camera = labels.camera if scene is None else scene.camera
+    lacks: Lacks = None
     misshapen = [*_sizes({"image": image}, camera), *check_shape(labels, scene)]
     misshapen += [] if scene is None else _passes(scene, description, passes)
     results += misshapen
@@ -202,10 +205,12 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
         world = None if scene is None else resolve(scene)
         follows = None if scene is None or origin is None else origin.follows(scene.weather, entry.split)
         numbers = None if scene else numbers_of_lifted(pictures_per_scene(description.model_dump()), entry.index)
-        results += _examine(Evidence(world, labels, image, passes, sweep, entry, follows, numbers))
+        evidence = Evidence(world, labels, image, passes, sweep, entry, follows, numbers)
+        results += _examine(evidence)
+        lacks = {check.name: check.needs - evidence.has for check in CHECKS}
     if findings_of(results):
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
-    return SampleCheck(entry.name, digest, redrawn, results)
+    return SampleCheck(entry.name, digest, redrawn, results, lacks)
 
 
 def _examine(evidence: Evidence) -> list[Result]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 from synth3dlanes_cli.main import main
 
 from synth3dlanes.dataset.read import Reader
@@ -24,11 +25,13 @@ from synth3dlanes.recorded.lift.write import LiftReport, lift_to
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.labels import check_shape
+from synth3dlanes.validate.report import ValidationReport
 from synth3dlanes.validate.run import validate
 from tests.drives.road import road, write_described
 from tests.lift import hill
-from tests.validate.examining import findings
+from tests.validate.examining import examine, findings
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +73,35 @@ def test_it_passes_validate(made: tuple[Path, LiftReport]) -> None:
     assert not report.problems
     with pytest.raises(InputError, match="rerender: expected a data set of scenes, got one lifted"):
         validate(made[0], 1, None, lambda done, total: None, rerender=1)
+
+
+def test_validate_says_what_it_could_not_ask_of_a_drive(made: tuple[Path, LiftReport]) -> None:
+    report = validate(made[0], 1, None, lambda done, total: None)
+    asked = {name: check["samples"] for name, check in report.document()["checks"].items()}
+    assert {name for name, n in asked.items() if n} == {"index", "form", "frame", "moving"}
+    assert all("scene" in check["lacks"] for name, check in report.document()["checks"].items() if not asked[name])
+    console = Console(width=200, record=True)
+    console.print(report.text())
+    assert "no scene: labels, bonnet, " in console.export_text()
+
+
+def test_a_pose_that_is_off_and_a_black_picture_are_found_in_their_frame(made: tuple[Path, LiftReport]) -> None:
+    def evidence(i: int, aside_m: float = 0.0) -> Evidence:
+        sample = Reader(f"{made[0]}/train")[i]
+        pose = sample.labels.camera.world_from_cam + np.pad([[aside_m]], ((0, 3), (3, 0)))
+        camera = replace(sample.labels.camera, world_from_cam=pose)
+        entry = Entry("train", i, "", i, {}, "")
+        return Evidence(None, replace(sample.labels, camera=camera), sample.image, entry=entry, numbers=(0, i, 0))
+
+    def problems(*pictures: Evidence) -> list[str]:
+        report = ValidationReport()
+        for number, picture in enumerate(pictures):
+            report.sample(f"train:{number}", "", examine(picture, "moving", "frame"))
+        return [problem.where for problem in report.problems]
+
+    assert problems(*(evidence(i) for i in range(4))) == []
+    assert set(problems(evidence(0), evidence(1, 0.3), evidence(2))) == {"train:1", "train:2"}
+    assert problems(evidence(0), replace(evidence(1), image=np.zeros((720, 1280, 3), np.uint8))) == ["train:1"]
 
 
 def test_it_is_split(made: tuple[Path, LiftReport], tmp_path: Path) -> None:

@@ -90,6 +90,18 @@ def test_an_object_that_jumps_and_numbers_that_are_swapped_are_found(on_hills: C
     assert {line.split(":")[2].split()[0] for line in problems(edited(on_hills, swapped))} == {"objects.1", "objects.2"}
 
 
+def test_a_line_that_is_elsewhere_in_one_picture_is_named(on_hills: Clip) -> None:
+    def aside(evidence: Evidence) -> Evidence:
+        first, *others = evidence.labels.lanes
+        moved = replace(first, xyz_cam=first.xyz_cam + np.array([0.2, 0, 0]))
+        return replace(evidence, labels=replace(evidence.labels, lanes=(moved, *others)))
+
+    lane = on_hills[0].labels.lanes[0].id
+    found = problems([on_hills[0], aside(on_hills[1]), on_hills[2]])
+    assert [line.split(": ")[:2] for line in found] == [[f"train:{i:08d}", lane] for i in (1, 2)]
+    assert all("expected it where the picture before has this line, got it up to 0.2" in line for line in found)
+
+
 def test_cameras_of_a_rig_have_objects_in_one_place() -> None:
     frames = clip("appendix_i", HILLY, Shots(cameras=load_rig("nuscenes")[:3]))
     assert problems(frames) == []
