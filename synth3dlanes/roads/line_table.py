@@ -161,9 +161,9 @@ class LineTable:
         number = np.repeat(np.array([self.numbers[curve.id] for curve in curves], dtype=int), counts)
         of, on = self._pieces, np.zeros(len(s))
         piece = of.of_line.at(number, s)
-        order = np.argsort(piece, kind="stable")
-        for some in np.split(order, np.flatnonzero(np.diff(piece[order])) + 1) if len(order) else ():
-            at = of.all[piece[some[0]]]
+        asked, each = np.unique(piece, return_counts=True)
+        for i, some in zip(asked.tolist(), parted(np.argsort(piece, kind="stable"), each), strict=True):
+            at = of.all[i]
             on[some] = at.on(np.minimum(s[some], at.end_m))
         return piece, on, counts
 

@@ -3,7 +3,7 @@
 A road is known by its number. What a call tells of a place is what the `Road` of that number tells of it.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import accumulate
@@ -14,7 +14,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.polylines import parted, spaced
-from synth3dlanes.roads.cross_section import CrossSection, Profile, Shapes
+from synth3dlanes.roads.cross_section import KERB_M, SEAM_M, CrossSection, Profile, Shapes
 from synth3dlanes.roads.lane_curves import TableLine, n_knots
 from synth3dlanes.roads.line_forms import Spiral, spiral_frames
 from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, LineFrames, dot
@@ -103,6 +103,10 @@ class _Cubics:
         first, counts = self._rows.first[:-1], np.diff(self._rows.first)
         self._varies = (counts > 1) | self._numbers[1:, first].any(axis=0)
 
+    def same(self, profile: Indices) -> Scalars:
+        """The value of a profile that is the same everywhere, else NaN."""
+        return np.where(self._varies.take(profile), np.nan, self._numbers[0].take(self._rows.first.take(profile)))
+
     def __call__(self, profile: Indices, s: Scalars) -> Scalars:
         """The value of a profile at each station."""
         # Most are constant.
@@ -157,7 +161,16 @@ class _SectionTable:
         self._n_left = np.array([at.n_left for at in sections])
         self._paved = np.array([at.paved for at in sections]).T
         self._first_lane = np.array([*accumulate((len(at.lanes) for at in sections), initial=0)])
+        # Runs of raised lanes by their inner and outer edges.
+        runs = [[(low, high) if low >= at.n_left else (high, low) for low, high in at.raised] for at in sections]
+        self._first_run = np.array([*accumulate(map(len, runs), initial=0)])
+        self._runs = np.array([run for own in runs for run in own], dtype=int).reshape(-1, 2)
         self._widths = _Cubics([width for at in sections for width in at.widths])
+        # Edges by section, and the offsets of those that are the same everywhere, as most are; else NaN.
+        counts = np.diff(self._first_lane) + 1
+        section, self._first_edge = np.repeat(np.arange(len(counts)), counts), np.cumsum(counts) - counts
+        edge = np.arange(len(section)) - self._first_edge.take(section)
+        self._same_across = self._summed(section, edge, lambda lane, _: self._widths.same(lane))
         self._offsets = _Cubics([at.offset for at in sections])
         self._heights = _Cubics([at.heights or nothing for at in sections])
         self._banks = _Cubics([at.banks or nothing for at in sections])
@@ -179,13 +192,39 @@ class _SectionTable:
 
     def _across(self, section: Indices, edge: Indices, s: Scalars) -> Scalars:
         """The offset of an edge from the one on the line."""
-        middle, x = self._n_left.take(section), s - self._start_m.take(section)
+        across = self._same_across.take(self._first_edge.take(section) + edge)
+        varying = np.flatnonzero(np.isnan(across))
+        if varying.size:
+            section, edge, s = (values.take(varying) for values in (section, edge, s))
+            x = s - self._start_m.take(section)
+            across[varying] = self._summed(section, edge, lambda lane, at: self._widths(lane, x.take(at)))
+        return across
+
+    def _summed(self, section: Indices, edge: Indices, width: Callable[[Indices, Indices], Scalars]) -> Scalars:
+        """The widths of the lanes between edges and those on the line, by a function of the numbers of lanes and of
+        these edges; negative left of the line."""
+        middle = self._n_left.take(section)
         low, high = np.minimum(edge, middle), np.maximum(edge, middle)
-        across, lane = np.zeros(len(s)), self._first_lane.take(section) + low
+        across, lane = np.zeros(len(edge)), self._first_lane.take(section) + low
         for i in range(int((high - low).max(initial=0))):
             at = np.flatnonzero(low + i < high)
-            across[at] += np.maximum(self._widths(lane.take(at) + i, x.take(at)), 0.0)
+            across[at] += np.maximum(width(lane.take(at) + i, at), 0.0)
         return np.where(edge > middle, across, -across)
+
+    def kerb(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
+        """The height of raised lanes over the pavement at places."""
+        found, first = np.zeros(len(s)), self._first_run.take(section)
+        counts = self._first_run.take(section + 1) - first
+        for i in range(int(counts.max(initial=0))):
+            at = np.flatnonzero(counts > i)
+            inner, outer = self._runs.take(first.take(at) + i, axis=0).T
+            out = np.sign(outer - inner)
+            # Most places lie on the road's side of the inner edge.
+            beyond = out * (t.take(at) - self.edge(section.take(at), inner, s.take(at))) > SEAM_M
+            at, outer, out = at[beyond], outer[beyond], out[beyond]
+            within = out * (self.edge(section.take(at), outer, s.take(at)) - t.take(at)) > SEAM_M
+            found[at[within]] = KERB_M
+        return found
 
     def height(self, section: Indices, s: Scalars, t: Scalars) -> Scalars:
         """The height of the surface without raised lanes at places; 0 in sections without heights."""
@@ -299,10 +338,7 @@ class RoadTable:
         road, t = self.on_lines(lines, which, s)
         t = t + aside_m
         points = self.base_points(road, s, t)
-        for i in np.unique(road):
-            if self.roads[i].has_kerbs:
-                at = np.flatnonzero(road == i)
-                points[at, 2] += self.roads[i].kerb(s[at], t[at])
+        points[:, 2] += self._sections.kerb(self.section(road, s), s, t)
         return points
 
     def on_lines(self, lines: Sequence[TableLine], which: Indices, s: Scalars) -> tuple[Indices, Scalars]:
@@ -396,7 +432,7 @@ class RoadIndex:
         above = np.column_stack([xy_world[point], APART_M * road])
         away_m, place = index.tree.query(above, distance_upper_bound=max(from_line_m.max(initial=0.0), 0.0))
         found = np.flatnonzero(away_m < from_line_m[road])
-        found = found[np.lexsort((point[found], road[found]))]
+        found = found[np.argsort(road[found] * len(xy_world) + point[found])]
         point, road = point.take(found), road.take(found)
         guesses = index.places.take(np.asarray(place).take(found))
         s, t, is_foot = self.table.project(road, xy_world.take(point, axis=0), guesses)

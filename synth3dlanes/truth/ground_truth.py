@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LidarLabel, RoadPlane, SymbolLabel
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.scene.host import HostCamera
@@ -54,8 +55,8 @@ def label(world: World, view: View) -> Labels:
     points_cam = transform(invert(view.world_from_cam), points_world)
     in_image = camera.shows(points_cam)
     seen = seen_over_ground(world.ground, view.eye_world, points_world)
-    ends = np.cumsum([len(points) for points in (*sampled.values(), *outlines)])[:-1]
-    parts = list(zip(np.split(points_cam, ends), np.split(in_image, ends), np.split(seen, ends), strict=True))
+    counts = [len(points) for points in (*sampled.values(), *outlines)]
+    parts = list(zip(*(parted(values, counts) for values in (points_cam, in_image, seen)), strict=True))
     lanes = tuple(
         Lane(
             id=curve.id,

@@ -9,6 +9,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry.base import BaseGeometry
 
+from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference
 
@@ -178,8 +179,8 @@ def _odd_parts(
     odd = odd[:, np.lexsort(odd[1::-1])]
     of, column, row = odd
     cells, parts = shapely.box(xs[column], ys[row], xs[column + 1], ys[row + 1]), list[BaseGeometry]()
-    ends = np.flatnonzero(np.diff(of) | np.diff(column)) + 1
-    for number, i, j in zip(*(np.split(values, ends) for values in odd), strict=True):
+    counts = np.diff(np.flatnonzero(np.diff(of) | np.diff(column)) + 1, prepend=0, append=len(of))
+    for number, i, j in zip(*(parted(values, counts) for values in odd), strict=True):
         if len(j):
             # A little wider, so that cells do not touch its sides: these are slow to ask about.
             x0, x1 = xs[i[0]], xs[i[0] + 1]

@@ -139,9 +139,9 @@ class GradedGround:
         # On pavement, where most places are, only the roads there are asked.
         paved, own_reach_m = np.full(len(xy_world), -np.inf), np.where(self._has_heights, 0.0, -np.inf)
         found_there = self.network.index.places(xy_world, own_reach_m)
-        places, away_m, raised_m = self._beside(xy_world, found_there, on_ground=True)
+        places, away_m = self._nearest(found_there, on_ground=True)
         is_on = away_m < EDGE_M
-        np.maximum.at(paved, places.point[is_on], raised_m[is_on])
+        np.maximum.at(paved, places.point[is_on], self._raised(xy_world, places.of(is_on), away_m[is_on]))
         is_paved = np.isfinite(paved) & ~covered
         found[is_paved], rest = paved[is_paved], ~is_paved
         found[rest] = self._between_roads(xy_world[rest], covered[rest])
@@ -159,7 +159,8 @@ class GradedGround:
     def _near_roads(self, xy_world: Points2, covered: Bool[np.ndarray, " n"], found: OnRoads) -> Scalars:
         """What `_between_roads` says of places that are found to be near roads."""
         bounds, paved = _Bounds.of(len(xy_world)), np.full(len(xy_world), -np.inf)
-        places, away_m, raised_m = self._beside(xy_world, found, on_ground=True)
+        places, away_m = self._nearest(found, on_ground=True)
+        raised_m = self._raised(xy_world, places, away_m)
         is_off = away_m >= EDGE_M
         bounds.beside(places.point[is_off], away_m[is_off], raised_m[is_off])
         np.maximum.at(paved, places.point[~is_off], raised_m[~is_off])
@@ -185,17 +186,15 @@ class GradedGround:
         if junction is not None:
             own, of_road = junction[places.point], self.junction_numbers([road.junction for road in self.network.roads])
             places = places.of((own < 0) | (own == of_road[places.road]))
-        places, away_m, raised_m = self._beside(xy_world, places, on_ground)
+        places, away_m = self._nearest(places, on_ground)
         weight, n = 1 / (0.05 + away_m) ** 2, len(xy_world)
-        total = np.bincount(places.point, weight * raised_m, n)
+        total = np.bincount(places.point, weight * self._raised(xy_world, places, away_m), n)
         return np.asarray(total / np.maximum(np.bincount(places.point, weight, n), 1e-12))
 
-    def _beside(
-        self, xy_world: Points2, places: OnRoads, on_ground: bool
-    ) -> tuple[OnRoads, Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-        """Of places of points how far they are from the pavement of their roads, and how high that is there; of places
-        of roads that are nowhere on the ground none, if they are to be `on_ground`."""
-        table, terrain = self.network.index.table, self.network.terrain
+    def _nearest(self, places: OnRoads, on_ground: bool) -> tuple[OnRoads, Float[np.ndarray, " m"]]:
+        """The places on the pavement of roads that are nearest to places of points, and how far away they are; of roads
+        that are nowhere on the ground none, if they are to be `on_ground`."""
+        table = self.network.index.table
         on = np.clip(places.s, table.start_m[places.road], table.end_m[places.road])
         if on_ground and self.spans:
             near = set(places.road.tolist())
@@ -206,15 +205,18 @@ class GradedGround:
             known = np.isfinite(on)
             places, on = places.of(known), on[known]
         across = np.clip(places.t, *table.edges(places.road, on))
-        # Most places are on the pavement themselves.
+        return places._replace(s=on, t=across), np.hypot(places.s - on, places.t - across)
+
+    def _raised(self, xy_world: Points2, places: OnRoads, away_m: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        """How high the pavement is over the terrain at places on it that are this far from their points."""
+        table, terrain = self.network.index.table, self.network.terrain
+        # Most points are on the pavement themselves.
         is_near, terrain_m = _mask(len(xy_world), places.point), np.zeros(len(xy_world))
         terrain_m[is_near] = height_at(terrain, xy_world[is_near])
         terrain_m = terrain_m[places.point]
-        is_off = (on != places.s) | (across != places.t)
-        off = places.road[is_off], on[is_off], across[is_off]
-        terrain_m[is_off] = height_at(terrain, table.xy(*off))
-        raised_m = table.over_terrain(places.road, on, across, terrain_m)
-        return places, np.hypot(places.s - on, places.t - across), raised_m
+        off = places.of(away_m > 0)
+        terrain_m[away_m > 0] = height_at(terrain, table.xy(off.road, off.s, off.t))
+        return table.over_terrain(places.road, places.s, places.t, terrain_m)
 
     @cached_property
     def _has_heights(self) -> Bool[np.ndarray, " r"]:

@@ -1,6 +1,7 @@
 """Places of heads of signals and of boards, and the bodies of boards. World frame, metres."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from synth3dlanes.geometry.frames import from_axes
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.sign_faces import Patch
-from synth3dlanes.world.solids import METAL, SHEETING_GLOSS, Body, GroundFrame, Quads
+from synth3dlanes.world.solids import METAL, SHEETING_GLOSS, Body, GroundFrame, QuadCorners, Quads
 
 # A board: its depth, and where its back and the first layer of its face are in it; each further layer is nearer. All
 # are close together: a rim of the face that shows beside the back would shine in headlights.
@@ -37,17 +38,26 @@ def board_size(layers: Sequence[Patch]) -> Float[np.ndarray, "3"]:
     return np.array([width_m, BOARD_M, height_m])
 
 
-def board_body(place: Mounted, layers: Sequence[Patch]) -> Body:
-    """A board's gray back and the layers of its face, towards its traffic. Consecutive shapes of one colour are one
-    layer: thick faces would cast shadows on themselves."""
-    quads, outline = Quads("face", "sign"), layers[0].outline
-    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
-    level, before = 0, METAL[:3]
-    for i, layer in enumerate([Patch(outline, METAL[:3]), *layers]):
-        corners = layer.quads()
-        level, before = level + (layer.color != before), layer.color
-        x, up = np.moveaxis(corners[..., :2] - middle, -1, 0)
-        depth = np.full(x.shape, BACK_M if i == 0 else FACE_M - LAYER_M * level)
-        gloss = METAL[3] if i == 0 else SHEETING_GLOSS
-        quads.add(place.frame.world(place.middle + np.stack([x, depth, up], -1)), (*layer.color, gloss))
+def board_body(place: Mounted, layers: tuple[Patch, ...]) -> Body:
+    """A board's gray back and the layers of its face, towards its traffic."""
+    corners, colors = _board(layers)
+    quads = Quads("face", "sign")
+    quads.add(place.frame.world(place.middle + corners), colors)
     return quads.body()
+
+
+@lru_cache(maxsize=64)
+def _board(layers: tuple[Patch, ...]) -> tuple[QuadCorners, Float[np.ndarray, "f 4"]]:
+    """The quads of a board around its middle, and their colours with gloss. Consecutive shapes of one colour are one
+    layer: thick faces would cast shadows on themselves."""
+    outline = layers[0].outline
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    level, before, found, colors = 0, METAL[:3], list[QuadCorners](), list[tuple[float, ...]]()
+    for i, layer in enumerate([Patch(outline, METAL[:3]), *layers]):
+        quads = layer.quads()
+        level, before = level + (layer.color != before), layer.color
+        x, up = np.moveaxis(quads[..., :2] - middle, -1, 0)
+        depth = np.full(x.shape, BACK_M if i == 0 else FACE_M - LAYER_M * level)
+        found.append(np.stack([x, depth, up], -1))
+        colors += [(*layer.color, METAL[3] if i == 0 else SHEETING_GLOSS)] * len(quads)
+    return np.concatenate(found), np.array(colors)

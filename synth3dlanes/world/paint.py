@@ -263,9 +263,9 @@ def _within(curve: LaneCurve, rows: Scalars) -> Float[np.ndarray, " m"]:
 
 def _near(rows: Scalars, away_m: Scalars) -> _NearRows:
     is_near = away_m <= DASHES_M
-    near = np.flatnonzero(is_near)[[0, -1]] + [0, 1] if is_near.any() else np.array([0, len(rows)])
-    (before, own, behind), (_, own_away_m, _) = np.split(rows, near), np.split(away_m, near)
-    return _NearRows(own, own_away_m, before, behind)
+    first, last = np.flatnonzero(is_near)[[0, -1]].tolist() if is_near.any() else (0, len(rows) - 1)
+    own = slice(first, last + 1)
+    return _NearRows(rows[own], away_m[own], rows[:first], rows[last + 1 :])
 
 
 def _painted(

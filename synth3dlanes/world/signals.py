@@ -18,6 +18,10 @@ RED_LIGHT, AMBER_LIGHT, GREEN_LIGHT = (1.0, 0.02, 0.012), (1.0, 0.36, 0.01), (0.
 # A head with three lights: its size with the hoods of its lenses, their radius, how far apart they are, and the depth
 # of the hoods.
 HEAD_M, LENS_M, LENSES_APART_M, HOOD_M = np.array([0.42, 0.42, 1.24]), 0.15, 0.39, 0.2
+# Both around the middle of a light.
+LENS = Patch(disc(12, LENS_M), DARK_LENS[:3]).quads()[..., [0, 2, 1]] - [0, 0.004, 0]
+HOOD = (LENS_M + 0.02) * np.array([(np.sin(at), 0.0, np.cos(at)) for at in np.linspace(-0.6 * np.pi, 0.6 * np.pi, 7)])
+HOOD = np.stack([HOOD, HOOD - [0, HOOD_M, 0]])
 # A signal over a lane, and how far the pole is behind what it carries.
 LANE_HEAD_M, BEHIND_M = np.array([0.95, 0.2, 0.95]), 0.1
 BESIDE_POLE_M = 0.05
@@ -74,11 +78,10 @@ def head_body(place: Mounted) -> Body:
     quads, (frame, middle, size_m) = Quads("head", "signal"), place
     low = middle - size_m / 2 + [0, HOOD_M, 0]
     quads.box(frame, low.tolist(), (middle + size_m / 2).tolist(), HOUSING)
-    for at in _lenses(place):
-        _add_patch(quads, frame, Patch(disc(12, LENS_M), DARK_LENS[:3]), at - [0, 0.004, 0], DARK_LENS[3])
-        angles = np.linspace(-0.6 * np.pi, 0.6 * np.pi, 7)
-        ring = (LENS_M + 0.02) * np.stack([np.sin(angles), np.zeros(7), np.cos(angles)], -1)
-        quads.sweep(frame.world(at + np.stack([ring, ring - [0, HOOD_M, 0]])), HOUSING)
+    lenses = _lenses(place)[:, None, None]
+    for lens, hood in zip(frame.world(lenses + LENS), frame.world(lenses + HOOD), strict=True):
+        quads.add(lens, DARK_LENS)
+        quads.sweep(hood, HOUSING)
     return quads.body()
 
 

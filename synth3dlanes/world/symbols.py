@@ -8,7 +8,6 @@ of one road (0) to that of the road that parts from it (1), and the station.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -135,8 +134,7 @@ def symbol_meshes(
     if not drawn:
         return meshes
     shown = [forms[i] for i in drawn]
-    places = [np.concatenate([_quads(polygon, form.column) for polygon in form.polygons]) for form in shown]
-    places = [quads.reshape(-1, 2) for quads in places]
+    places = [_quads(np.stack(form.polygons), form.column).reshape(-1, 2) for form in shown]
     vertices = towards_eye(ground, np.concatenate(symbol_points(shown, places)), eye_world)
     parts = np.split(vertices, np.cumsum(list(map(len, places)))[:-1])
     for i, own, uv in zip(drawn, parts, places, strict=True):
@@ -246,24 +244,26 @@ def _gore(ground: Ground, s_m: float) -> SymbolShape:
     return SymbolShape("gore", polygons, outline, points_world, COLUMN_M / float(width_m(s).max()))
 
 
-def _quads(polygon: Polygon, column: float) -> Float[np.ndarray, "k 4 2"]:
-    """A polygon as quads whose front and back are level in the second coordinate, no wider than `column` and no longer
+def _quads(polygons: Float[np.ndarray, "p n 2"], column: float) -> Float[np.ndarray, "k 4 2"]:
+    """Polygons as quads whose front and back are level in the second coordinate, no wider than `column` and no longer
     than ROW_M."""
-    y = polygon[:, 1]
-    breaks = np.unique(np.concatenate([y, np.arange(y.min(), y.max(), ROW_M)]))
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    quads = []
-    for low, high in pairwise(breaks):
-        across = (np.minimum(a[:, 1], b[:, 1]) <= low) & (np.maximum(a[:, 1], b[:, 1]) >= high)
-        start, step = a[across], (b - a)[across]
-        at = start[:, :1] + step[:, :1] * ((np.array([low, high]) - start[:, 1:]) / step[:, 1:])
-        at = at[np.argsort(at.sum(axis=1))]
-        for left, right in zip(at[::2], at[1::2], strict=True):
-            n = max(1, int(np.ceil(np.max(right - left) / column)))
-            x = left + (right - left) * (np.arange(n + 1) / n)[:, None]
-            corners = np.stack([x[:-1, 0], x[1:, 0], x[1:, 1], x[:-1, 1]], axis=1)
-            quads.append(np.stack([corners, np.tile([low, low, high, high], (n, 1))], axis=-1))
-    return np.concatenate(quads)
+    y, to = polygons[..., 1], np.roll(polygons, -1, axis=1)
+    breaks = [np.unique(np.concatenate([own, np.arange(own.min(), own.max(), ROW_M)])) for own in y]
+    ends = np.concatenate([np.stack([own[:-1], own[1:]], axis=1) for own in breaks])
+    of = np.repeat(np.arange(len(polygons)), [len(own) - 1 for own in breaks])
+    # The sides that cross each row, from the left.
+    low, high = (end(y, to[..., 1])[of] for end in (np.minimum, np.maximum))
+    row, side = np.nonzero((low <= ends[:, :1]) & (high >= ends[:, 1:]))
+    start, step = (values[of[row], side] for values in (polygons, to - polygons))
+    at = start[:, :1] + step[:, :1] * ((ends[row] - start[:, 1:]) / step[:, 1:])
+    at = at[np.lexsort((at.sum(axis=1), row))]
+    left, wide = at[::2], at[1::2] - at[::2]
+    n = np.maximum(np.ceil(wide.max(axis=1) / column), 1).astype(int)
+    quad = np.repeat(np.arange(len(n)), n)
+    number = np.arange(len(quad)) - np.repeat(np.cumsum(n) - n, n)
+    x0, x1 = (left[quad] + wide[quad] * ((number + i) / n[quad])[:, None] for i in (0, 1))
+    corners = np.stack([x0[:, 0], x1[:, 0], x1[:, 1], x0[:, 1]], axis=1)
+    return np.stack([corners, ends[row[::2]][quad][:, [0, 0, 1, 1]]], axis=-1)
 
 
 def dense(polygon: Polygon, step: float) -> Polygon:

@@ -1,5 +1,7 @@
 """Which lane points a camera sees over the ground. World frame."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -27,8 +29,7 @@ def seen_over_ground(
         least_m, most_m = (at[asked] for at in limits_m)
         hidden = ground.is_in(sight[asked] + np.array([0.0, 0.0, TOLERANCE_M]), (least_m, most_m))
         seen[ray[asked[hidden]]] = False
-    for crest in ground.paved.crests():
-        seen[seen] = ~_behind_crest(eye_world, to[seen], crest)
+    seen[seen] = ~_behind_crests(eye_world, to[seen], ground.paved.crests())
     return seen
 
 
@@ -43,21 +44,23 @@ def along_sights(
     return ray, step, eye_world + to[ray] * (step / n_steps[ray])[:, None]
 
 
-def _behind_crest(
-    eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], crest_world: Float[np.ndarray, "m 3"]
+def _behind_crests(
+    eye_world: Float[np.ndarray, "3"], to: Float[np.ndarray, "n 3"], crests_world: Sequence[Float[np.ndarray, "_ 3"]]
 ) -> Bool[np.ndarray, " n"]:
-    """Which lines of sight (vectors from the eye to their ends) pass below a crest before they end. A crest is narrower
-    than SIGHT_STEP_M, so its crossing seen from above is computed instead of sampled."""
-    toward = crest_world - eye_world
-    turned = np.unwrap(np.arctan2(toward[:, 1], toward[:, 0]))
-    after = (np.arctan2(to[:, 1], to[:, 0]) - turned.min() + TOLERANCE_RAD) % (2 * np.pi)
-    found = after < np.ptp(turned) + 2 * TOLERANCE_RAD
-    start, along = toward[:-1], np.diff(crest_world, axis=0)
-    x, y, z = to[found].T[..., None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        across = x * along[:, 1] - y * along[:, 0]
-        share = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / across
-        place = (start[:, 0] * y - start[:, 1] * x) / across
-        below = share * z < start[:, 2] + place * along[:, 2] - TOLERANCE_M
-    found[found] = ((share > 0) & (share < 1) & (place >= 0) & (place <= 1) & below).any(axis=1)
-    return np.asarray(found)
+    """Which lines of sight (vectors from the eye to their ends) pass below a crest before they end. Crests are narrower
+    than SIGHT_STEP_M, so that crossings seen from above are computed instead of sampled."""
+    hidden, to_rad = np.zeros(len(to), dtype=bool), np.arctan2(to[:, 1], to[:, 0])
+    for crest_world in crests_world:
+        toward = crest_world - eye_world
+        turned = np.unwrap(np.arctan2(toward[:, 1], toward[:, 0]))
+        after = (to_rad - turned.min() + TOLERANCE_RAD) % (2 * np.pi)
+        asked = np.flatnonzero((after < np.ptp(turned) + 2 * TOLERANCE_RAD) & ~hidden)
+        start, along = toward[:-1], np.diff(crest_world, axis=0)
+        x, y, z = to[asked].T[..., None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            across = x * along[:, 1] - y * along[:, 0]
+            share = (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]) / across
+            place = (start[:, 0] * y - start[:, 1] * x) / across
+            below = share * z < start[:, 2] + place * along[:, 2] - TOLERANCE_M
+        hidden[asked] = ((share > 0) & (share < 1) & (place >= 0) & (place <= 1) & below).any(axis=1)
+    return hidden

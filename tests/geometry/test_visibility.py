@@ -16,7 +16,7 @@ from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.world.height_map import cells_road, height_map
 from synth3dlanes.world.horizon import DAM_FROM_M
 from synth3dlanes.world.meshes import Mesh
-from synth3dlanes.world.visibility import TOLERANCE_M, _behind_crest, seen_over_ground
+from synth3dlanes.world.visibility import TOLERANCE_M, _behind_crests, seen_over_ground
 from synth3dlanes.world.world import World, resolve
 from tests.scenes import changed, hill
 
@@ -81,7 +81,7 @@ def test_a_crest_hides_the_same_whatever_its_direction_even_all_around(seed, fir
     eye = np.array([3.0, -7.0, 1.5])
     crest = np.column_stack([eye[0] + away_m * np.cos(angle), eye[1] + away_m * np.sin(angle), rng.uniform(0, 2, 12)])
     to = np.column_stack([rng.uniform(-60, 60, (80, 2)), rng.uniform(-1.5, 0, 80)])
-    assert _behind_crest(eye, to, crest).tolist() == [is_below(eye, way, crest) for way in to]
+    assert _behind_crests(eye, to, [crest]).tolist() == [is_below(eye, way, crest) for way in to]
 
 
 def map_of(scene):
