@@ -125,7 +125,7 @@ def flat_scene() -> Any:
     return FLAT
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def hilly_scene() -> Any:
     """Scene 17 of Appendix I: hills, an exit, cars and trees."""
     from synth3dlanes.draw.sample import Scenes, sample_scene

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,30 +27,36 @@ def test_importing_does_not_load(modules: tuple[str, ...], allowed: set[str]) ->
     assert set(loaded) <= allowed
 
 
+ROOT = Path(__file__).parents[1]
 MOST_ARGUMENTS = 6
 
 
+def programs() -> list[str]:
+    folders = ("synth3dlanes", "cli", "baseline_model")
+    return sorted(str(path.relative_to(ROOT)) for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+@cache
+def parsed(program: str) -> ast.Module:
+    return ast.parse((ROOT / program).read_text(encoding="utf-8"))
+
+
 def test_no_function_of_the_library_takes_more_than_six_arguments():
-    root, found = Path(__file__).parents[1], set()
-    for package in ("synth3dlanes", "baseline_model"):
-        for path in (root / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
-                    named = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
-                    if sum(one.arg not in ("self", "cls") for one in named) > MOST_ARGUMENTS:
-                        name = getattr(node, "name", "lambda")
-                        found.add(f"{path.relative_to(root / package).as_posix()}: {name}")
+    found = set()
+    for name in programs():
+        for node in ast.walk(parsed(name)) if not name.startswith("cli/") else ():
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+                named = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                if sum(one.arg not in ("self", "cls") for one in named) > MOST_ARGUMENTS:
+                    found.add(f"{name}: {getattr(node, 'name', 'lambda')}")
     assert found == set()
 
 
-ROOT = Path(__file__).parents[1]
-
-
-def _types(path):
+def _types(program):
     """The public classes and type aliases of a module, with what they stand for; type variables are local."""
-    for node in ast.parse(path.read_text()).body:
+    for node in parsed(program).body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-            yield node.name, f"class in {path.relative_to(ROOT)}"
+            yield node.name, f"class in {program}"
         elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             name, value = node.targets[0].id, ast.unparse(node.value)
             if re.fullmatch(r"[A-Z]\w*[a-z]\w*", name) and not value.startswith("TypeVar("):
@@ -58,10 +65,9 @@ def _types(path):
 
 def test_no_two_classes_or_types_share_a_name():
     meanings = defaultdict(set)
-    for package in ("synth3dlanes", "cli", "baseline_model"):
-        for path in (ROOT / package).rglob("*.py"):
-            for name, meaning in _types(path):
-                meanings[name].add(meaning)
+    for path in programs():
+        for name, meaning in _types(path):
+            meanings[name].add(meaning)
     assert {name: found for name, found in meanings.items() if len(found) > 1} == {}
 
 
@@ -98,10 +104,10 @@ ALLOWED = {
 }
 
 
-def writing_calls(source: str) -> list[str]:
+def writing_calls(program: str) -> list[str]:
     """The calls in a program that write by a path, as "LINE: CALL"."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(program)):
         if isinstance(node, ast.Call):
             attribute = node.func.attr if isinstance(node.func, ast.Attribute) else ""
             name = attribute or (node.func.id if isinstance(node.func, ast.Name) else "")
@@ -115,12 +121,13 @@ def writing_calls(source: str) -> list[str]:
     return found
 
 
-def library_calls(source: str) -> list[str]:
+def library_calls(program: str) -> list[str]:
     """The calls of libraries that may write to a file, as "LINE: CALL": all but those into a `BytesIO` of the same
     function, and those in an argument of `encoded`."""
+    source = (ROOT / program).read_text(encoding="utf-8")
     if not any(f"{word}(" in source for word in OF_LIBRARIES):
         return []
-    tree, found = ast.parse(source), []
+    tree, found = parsed(program), []
     safe = {id(node) for call in _calls(tree) if _name(call) == "encoded" for node in ast.walk(call)}
     for scope in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
         streams = {
@@ -145,24 +152,15 @@ def _name(call: ast.Call) -> str:
     return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
 
 
-def programs() -> list[str]:
-    folders = ("synth3dlanes", "cli", "baseline_model")
-    return sorted(str(path.relative_to(ROOT)) for folder in folders for path in (ROOT / folder).rglob("*.py"))
-
-
 def test_nothing_else_writes_by_a_path() -> None:
-    found = {name: writing_calls((ROOT / name).read_text(encoding="utf-8")) for name in programs()}
+    found = {name: writing_calls(name) for name in programs()}
     assert {name: calls for name, calls in found.items() if calls and name not in ALLOWED} == {}
     assert [name for name in ALLOWED if not found[name]] == []
 
 
 def test_libraries_write_into_memory() -> None:
     found = {
-        name: [
-            call
-            for call in library_calls((ROOT / name).read_text(encoding="utf-8"))
-            if call.partition(": ")[2] not in OWN.get(name, ())
-        ]
+        name: [call for call in library_calls(name) if call.partition(": ")[2] not in OWN.get(name, ())]
         for name in programs()
     }
     assert {name: calls for name, calls in found.items() if calls} == {}

@@ -4,7 +4,6 @@ import functools
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import threading
@@ -15,10 +14,11 @@ from pathlib import Path
 
 import click
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser
 
 import synth3dlanes
 from synth3dlanes.formats.format import format_names
+from tests.browser import browser as browser
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -160,9 +160,6 @@ def test_the_table_of_speed_has_the_rows_of_the_bench() -> None:
 pytestmark = pytest.mark.thorough
 
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-
-
 def build(source: Path, out: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "mkdocs", "build", "--site-dir", str(out)]
     environment = {**os.environ, "PYTHONPATH": str(source), "NO_MKDOCS_2_WARNING": "1"}
@@ -198,17 +195,6 @@ def address(site: Path) -> Iterator[str]:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    path = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if path is None:
-        pytest.fail(f"expected one of {', '.join(BROWSERS)} on the PATH, got none: sudo apt-get install chromium")
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.mark.parametrize("width", [390, 1440])

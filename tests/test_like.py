@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,9 +35,10 @@ def like(index, *spreads):
     return sample_scene(Scenes(PARAMS, 7, "hard", like=read_like(GIVEN, spreads)), index)
 
 
-def original(index):
-    seed, split, number = GIVEN[index % 3]
-    return sample_scene(Scenes(PARAMS, seed, split), number)
+@cache
+def original(number):
+    seed, split, index = GIVEN[number]
+    return sample_scene(Scenes(PARAMS, seed, split), index)
 
 
 @given(st.floats(0, 1, exclude_max=True), st.floats(0, 1), st.floats(0, 1, exclude_max=True))
@@ -51,7 +53,7 @@ def test_numbers_stay_in_a_window_around_the_given_one(u, spread, moved):
 @pytest.mark.parametrize("index", range(5))
 def test_without_spread_the_given_scenes_come_back_one_after_the_other(index):
     fields = {"seed": 7, "split": "hard", "index": index}
-    assert like(index, "0") == original(index).model_copy(update=fields)
+    assert like(index, "0") == original(index % 3).model_copy(update=fields)
 
 
 def test_real_parameters_are_within_half_their_spread_and_all_others_as_given():
@@ -65,7 +67,7 @@ def test_real_parameters_are_within_half_their_spread_and_all_others_as_given():
 
     pitches, widths = [], []
     for index in range(30):
-        one, other = original(index), like(index, "0.1", "camera.pitch_deg=0.4")
+        one, other = original(index % 3), like(index, "0.1", "camera.pitch_deg=0.4")
         assert (other.road.topology, other.road.n_lanes) == (one.road.topology, one.road.n_lanes)
         for flip in ("flip_lateral", "flip_longitudinal"):
             assert getattr(other.road, flip) == getattr(one.road, flip)
@@ -81,7 +83,7 @@ def test_real_parameters_are_within_half_their_spread_and_all_others_as_given():
 
 
 def test_a_full_spread_is_the_whole_range():
-    heights = [like(index, "1").camera.height_m for index in range(60)]
+    heights = [like(index, "1").camera.height_m for index in range(30)]
     low, high = PARAMS.camera.height_m.low, PARAMS.camera.height_m.high
     assert min(heights) < low + 0.15 * (high - low)
     assert max(heights) > high - 0.15 * (high - low)

@@ -63,7 +63,7 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     venv.create(folder)
     python = folder / "bin" / "python"
     pip = [sys.executable, "-m", "pip", "--python", python, "--disable-pip-version-check"]
-    output([*pip, "install", "--quiet", "--no-index", "--no-deps", wheel], folder)
+    output([*pip, "install", "--quiet", "--no-index", "--no-deps", "--no-compile", wheel], folder)
     (site_packages,) = folder.glob("lib/*/site-packages")
     (site_packages / "dependencies.pth").write_text(f"{Path(numpy.__file__).parents[1]}\n")
     return python
@@ -101,6 +101,7 @@ def test_commands_run(python: Path, tmp_path: Path) -> None:
     assert output([python.with_name("synth3dlanes"), "params", "show"], tmp_path) == shown
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_the_ten_lines_run(python: Path, tmp_path: Path) -> None:
     """Those of docs/api.md; Blender is in the process that renders and in no other."""

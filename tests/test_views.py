@@ -159,15 +159,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Reader:
 def test_the_bytes_depend_on_nothing_but_the_recipe(data: Reader, tmp_path: Path) -> None:
     """Not on workers, on parts, nor on where an earlier run ended, within a world too."""
     whole = samples(data)
-    assert samples(made(tmp_path / "a", 7, workers=2)) == whole
-    made(tmp_path / "b", 2)
-    made(tmp_path / "b", 5)
-    assert samples(made(tmp_path / "b", 7)) == whole
+    made(tmp_path / "a", 2)
+    made(tmp_path / "a", 5, workers=2)
+    assert samples(made(tmp_path / "a", 7)) == whole
     for part in (1, 2):
         made(tmp_path / f"part{part}", 7, part=(part, 2))
-    merge([str(tmp_path / "part1"), str(tmp_path / "part2")], str(tmp_path / "c"))
-    assert samples(Reader(f"{tmp_path}/c/train")) == whole
-    assert made(tmp_path / "b", 9).raw(0) == whole[0]
+    merge([str(tmp_path / "part1"), str(tmp_path / "part2")], str(tmp_path / "b"))
+    assert samples(Reader(f"{tmp_path}/b/train")) == whole
 
 
 def test_the_index_counts_views_as_it_counts_frames(data: Reader) -> None:
@@ -207,7 +205,7 @@ def test_scenes_near_a_view_and_twins_of_it_are_drawn_from_its_world(data: Reade
     assert (other.scene(4).road.n_lanes, other.scene(4).shot.view) == (4, 1)
 
 
-@pytest.mark.parametrize("name", first(2, ["openlane", "opendrive", "apollo", "openlane_v2"]))
+@pytest.mark.parametrize("name", first(1, ["openlane", "opendrive", "apollo", "openlane_v2"]))
 def test_exports_take_every_view_as_a_picture_of_its_own(name: str, data: Reader, tmp_path: Path) -> None:
     export = Export(data.url, tmp_path / "out", name)
     assert export.write().n_frames.total() == (3 if name == "opendrive" else 7)
@@ -218,9 +216,9 @@ def test_exports_take_every_view_as_a_picture_of_its_own(name: str, data: Reader
 @pytest.mark.parametrize("name", first(1, ["argoverse2", "nuscenes"]))
 def test_every_view_is_a_log_with_its_map(name: str, tmp_path: Path) -> None:
     how = {"lidar": "hdl_32e", "maker": fake_samples.make_with_passes, "rig": load_rig("nuscenes")[:1]}
-    generate(small(tmp_path / "d", 4, **how), lambda event: None)
+    generate(small(tmp_path / "d", 2, **how), lambda event: None)
     export = Export(str(tmp_path / "d"), tmp_path / "out", name)
-    assert export.write().n_frames.total() == 4
+    assert export.write().n_frames.total() == 2
     for verified in verify(export, 100):
         assert (verified.problems, verified.n_matched) == ((), verified.n)
 

@@ -120,7 +120,8 @@ def test_several_data_sets_follow_one_another_each_with_its_own_validation(split
 
 def test_held_out_clips_are_whole(tmp_path):
     def held_out(n):
-        plan = Plan(tmp_path / "data", n, fake_samples.recipe(shots=clips(3, 10)), maker=fake_samples.make)
+        recipe = fake_samples.recipe(shots=clips(3, 10))
+        plan = Plan(tmp_path / "data", n, recipe, workers=1, maker=fake_samples.make)
         assert not generate(plan, lambda event: None).problem
         return [list(part.index) for part in training_and_validation([str(tmp_path / "data")], "train", "val", None)]
 

@@ -31,6 +31,7 @@ pytestmark = pytest.mark.render
 BARE = load_params("appendix_i", ["trees.n=40", "cars.n=1"])
 # For what holds of pixels of any size.
 SMALL = ("camera.width_px=160", "camera.height_px=120")
+SMALL_CAMERA = {"width_px": 160, "height_px": 120, "fx_px": 138.6, "fy_px": 138.6, "cx_px": 80, "cy_px": 60}
 ONE_SAMPLE = RenderSettings(samples=1, passes=("depth", "semantic", "instance"))
 
 
@@ -304,7 +305,7 @@ def test_seen_share_of_cars():
     car = {"model": 1, "scale": 1.0, "color": (1, 0, 0), "gloss": 0.5, "lane": "main_2"}
     ahead, behind = Car(**car, s_m=-20), Car(**car, s_m=-90)
     truck = Car(**{**car, "model": 6}, s_m=-32)
-    scene = changed()
+    scene = changed(camera=SMALL_CAMERA)
 
     def shares(*cars):
         return rendered(scene.model_copy(update={"cars": cars}), RenderSettings(samples=1)).labels.car_visible_fraction
@@ -349,7 +350,7 @@ def test_leaves_let_the_sun_through():
 
 
 def test_the_height_map_comes_with_the_passes():
-    scene = changed(terrain={"gaussians": (hill(0, 60, 6, 50),)})
+    scene = changed(terrain={"gaussians": (hill(0, 60, 6, 50),)}, camera=SMALL_CAMERA)
     height = rendered(scene, RenderSettings(samples=1, passes=("height",))).passes["height"]
     assert height.shape == (200, 100)
     assert height[0, 50] > 1 > abs(height[-1, 50]), "row 0 is farthest, on the hill; the last is at the foot"

@@ -17,6 +17,7 @@ from synth3dlanes.truth.ground_truth import ground_truth
 from tests.drives import road as made
 from tests.figures.test_browser import CONTRASTS
 from tests.scenes import FLAT
+from tests.thorough import first
 
 ORIGIN_M = np.array([512_000.0, 5_402_000.0])
 
@@ -56,6 +57,13 @@ def screen(page: Page, x: float, y: float) -> tuple[float, float]:
             [x, y],
         )
     )
+
+
+BAD_FILES = {
+    "{": "JSON",
+    '{"type": "Feature"}': "expected a FeatureCollection",
+    '{"type": "FeatureCollection", "features": [{"geometry": {"type": "Point"}}]}': "feature 0: expected a Line",
+}
 
 
 def test_lines_are_drawn_moved_deleted_saved_and_loaded(open_page, page_text, tmp_path):
@@ -106,6 +114,15 @@ def test_lines_are_drawn_moved_deleted_saved_and_loaded(open_page, page_text, tm
     assert (tmp_path / "third.geojson").read_text() == (tmp_path / "first.geojson").read_text()
     assert len(third) == 2
 
+    # Bad files are told and change nothing.
+    for number, (text, message) in enumerate(BAD_FILES.items()):
+        bad = tmp_path / f"{number}.geojson"
+        bad.write_text(text)
+        page.locator("#file").set_input_files(bad)
+        expect(told).to_contain_text(f"{bad.name}: ")
+        expect(told).to_contain_text(message)
+        assert page.evaluate("lines.length") == 2
+
 
 def test_a_line_is_drawn_and_moved_by_the_keyboard_alone(open_page, page_text, tmp_path):
     page = open_page(page_text, width=1200)
@@ -127,36 +144,21 @@ def test_a_line_is_drawn_and_moved_by_the_keyboard_alone(open_page, page_text, t
     assert lanes[1].xy_world == pytest.approx(expected, abs=2e-3)
 
 
-BAD_FILES = {
-    "{": "JSON",
-    '{"type": "Feature"}': "expected a FeatureCollection",
-    '{"type": "FeatureCollection", "features": [{"geometry": {"type": "Point"}}]}': "feature 0: expected a Line",
-}
+@pytest.mark.parametrize("scheme", first(1, ["dark", "light"]))
+def test_the_marking_page_fits_a_small_screen_and_can_be_read(open_page, page_text, scheme):
+    page = open_page(page_text, width=700, scheme=scheme)
+    contrasts = page.evaluate(CONTRASTS)
+    assert [text for ratio, text in contrasts if ratio < 4.5] == []
+    assert page.evaluate("document.documentElement.scrollWidth") <= 700
 
 
-def test_a_bad_file_is_told_and_changes_nothing(open_page, page_text, tmp_path):
-    page = open_page(page_text)
-    for number, (text, message) in enumerate(BAD_FILES.items()):
-        bad = tmp_path / f"{number}.geojson"
-        bad.write_text(text)
-        page.locator("#file").set_input_files(bad)
-        expect(page.locator("#told")).to_contain_text(f"{bad.name}: ")
-        expect(page.locator("#told")).to_contain_text(message)
-        assert page.evaluate("lines.length") == 1
-
-
-def test_the_pages_can_be_read(open_page, page_text):
-    for scheme in ("light", "dark"):
-        page = open_page(page_text, width=700, scheme=scheme)
-        contrasts = page.evaluate(CONTRASTS)
-        assert [text for ratio, text in contrasts if ratio < 4.5] == []
-        assert page.evaluate("document.documentElement.scrollWidth") <= 700
-        page.close()
+@pytest.mark.parametrize("kind", first(1, ["marking", "review"]))
+def test_axe_finds_no_fault(open_page, page_text, kind):
     frames = [ReviewedFrame("00000000", "", ground_truth(FLAT), None)]
-    for text in (page_text, review_page(ReviewedSplit("monday"), frames)):
-        found = Axe().run(open_page(text, 1400)).response
-        assert len(found["passes"]) > 15, "rules that apply and hold"
-        assert [(rule["id"], rule["impact"], len(rule["nodes"])) for rule in found["violations"]] == []
+    text = page_text if kind == "marking" else review_page(ReviewedSplit("monday"), frames)
+    found = Axe().run(open_page(text, 1400)).response
+    assert len(found["passes"]) > 15, "rules that apply and hold"
+    assert [(rule["id"], rule["impact"], len(rule["nodes"])) for rule in found["violations"]] == []
 
 
 def test_frames_are_accepted_and_rejected(open_page, tmp_path):

@@ -16,6 +16,7 @@ from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params
 from synth3dlanes.scene.host import Shot
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.thorough import first
 
@@ -107,28 +108,6 @@ def test_the_page_of_a_scene(open_page, exit_scene, gray_image):
     assert differ(start, picture(canvas)) < 20
 
 
-def test_a_slider_and_a_button_go_through_a_clip(open_page, flat_scene, gray_image):
-    shots = [Shot(frame=frame, n_frames=3, fps=10, speed_m_s=30) for frame in range(3)]
-    scenes = [flat_scene.model_copy(update={"shot": shot}) for shot in shots]
-    clip = [(ground_truth(scene), gray_image) for scene in scenes]
-    page = open_page(scene_page(ShownScene(scenes[1], clip[1][0], gray_image, clip=clip)))
-    slider, frames = page.locator("#frames"), page.locator(".frame")
-
-    def shown() -> list[bool]:
-        """At one instant: the clip may be playing."""
-        return frames.evaluate_all("frames => frames.map(frame => frame.checkVisibility())")
-
-    assert shown() == [False, True, False]
-    slider.focus()
-    page.keyboard.press("ArrowRight")
-    assert shown() == [False, False, True]
-    assert page.locator("output[for=frames]").inner_text() == "frame 2, 0.20 s"
-    assert slider.get_attribute("aria-valuetext") == "frame 2, 0.20 s"
-    page.locator("#play").click()
-    expect(page.locator("output[for=frames]")).not_to_have_text("frame 2, 0.20 s")
-    assert sum(shown()) == 1
-
-
 @pytest.mark.thorough
 def test_the_mouse_turns_moves_and_zooms_space(open_page, exit_scene):
     page = open_page(scene_page(ShownScene(exit_scene, ground_truth(exit_scene), None)))
@@ -161,7 +140,8 @@ def test_the_mouse_turns_moves_and_zooms_space(open_page, exit_scene):
 
 
 def test_the_driver_sees_the_lanes_where_the_image_has_them(open_page, hilly_scene):
-    page = open_page(scene_page(ShownScene(hilly_scene, ground_truth(hilly_scene), None)))
+    bare = hilly_scene.model_copy(update={"trees": (), "cars": ()})
+    page = open_page(scene_page(ShownScene(bare, ground_truth(bare), None)))
     for group in page.locator("#space-bar label").all():
         if group.inner_text().strip() != "delimiters":
             group.click()
@@ -181,8 +161,18 @@ def test_the_driver_sees_the_lanes_where_the_image_has_them(open_page, hilly_sce
     assert is_line.mean() < 0.1, "lines, and not a screen full of them"
 
 
-def test_the_keyboard_turns_moves_and_zooms_space(open_page, exit_scene):
-    page = open_page(scene_page(ShownScene(exit_scene, ground_truth(exit_scene), None)))
+def clip_of(scene: Scene, image: np.ndarray) -> str:
+    """The page of the second of three frames."""
+    shots = [Shot(frame=frame, n_frames=3, fps=10, speed_m_s=30) for frame in range(3)]
+    scenes = [scene.model_copy(update={"shot": shot}) for shot in shots]
+    clip = [(ground_truth(one), image) for one in scenes]
+    return scene_page(ShownScene(scenes[1], clip[1][0], image, clip=clip))
+
+
+def test_the_keyboard_turns_moves_and_zooms_space_lights_lanes_up_and_goes_through_a_clip(
+    open_page, exit_scene, gray_image
+):
+    page = open_page(clip_of(exit_scene, gray_image))
     canvas = page.locator("#space")
     canvas.focus()
     start = picture(canvas)
@@ -193,13 +183,26 @@ def test_the_keyboard_turns_moves_and_zooms_space(open_page, exit_scene):
         page.keyboard.press(back)
         assert differ(start, picture(canvas)) < 20, back
 
+    image = page.locator("svg:visible")
+    start = picture(image)
+    page.locator("svg:visible .lane").first.focus()
+    assert differ(start, picture(image)) > 100
 
-def test_lanes_light_up_where_the_keyboard_goes(open_page, exit_scene):
-    page = open_page(scene_page(ShownScene(exit_scene, ground_truth(exit_scene), None)))
-    lane = page.locator("svg .lane").first
-    start = picture(page.locator("svg"))
-    lane.focus()
-    assert differ(start, picture(page.locator("svg"))) > 100
+    slider, frames = page.locator("#frames"), page.locator(".frame")
+
+    def shown() -> list[bool]:
+        """At one instant: the clip may be playing."""
+        return frames.evaluate_all("frames => frames.map(frame => frame.checkVisibility())")
+
+    assert shown() == [False, True, False]
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    assert shown() == [False, False, True]
+    assert page.locator("output[for=frames]").inner_text() == "frame 2, 0.20 s"
+    assert slider.get_attribute("aria-valuetext") == "frame 2, 0.20 s"
+    page.locator("#play").click()
+    expect(page.locator("output[for=frames]")).not_to_have_text("frame 2, 0.20 s")
+    assert sum(shown()) == 1
 
 
 @pytest.fixture(scope="module")
@@ -213,17 +216,19 @@ def report() -> str:
     return report_page("a set", samples, scene_statistics(scenes, declared), label_statistics(labels))
 
 
-QUICK_FITS = [("scene", 390, "dark"), ("report", 1400, "light")]
-FITS = [(kind, width, scheme) for kind in ("scene", "report") for width in (390, 1400) for scheme in ("light", "dark")]
+QUICK_FITS = [("clip", 390, "dark"), ("report", 1400, "light")]
+FITS = [(kind, width, scheme) for kind in ("clip", "report") for width in (390, 1400) for scheme in ("light", "dark")]
 
 
 @pytest.mark.parametrize(("kind", "width", "scheme"), first(2, sorted(FITS, key=lambda fit: fit not in QUICK_FITS)))
 def test_pages_fit_their_screen_and_can_be_read_and_operated_by_everybody(
     open_page, exit_scene, gray_image, report, kind, width, scheme
 ):
-    text = report if kind == "report" else scene_page(ShownScene(exit_scene, ground_truth(exit_scene), gray_image))
-    page = open_page(text, width, scheme)
+    page = open_page(report if kind == "report" else clip_of(exit_scene, gray_image), width, scheme)
     assert page.evaluate("document.documentElement.scrollWidth") == width
+    found = Axe().run(page).response
+    assert len(found["passes"]) > 15, "rules that apply and hold"
+    assert [(rule["id"], rule["impact"], len(rule["nodes"])) for rule in found["violations"]] == []
     page.locator("details").evaluate_all("all => all.forEach(one => one.open = true)")
     contrasts = page.evaluate(CONTRASTS)
     assert len(contrasts) > 60
@@ -234,18 +239,6 @@ def test_pages_fit_their_screen_and_can_be_read_and_operated_by_everybody(
     for one in pictures:
         assert one.get_attribute("role") in ("img", "group", "application")
         assert one.get_attribute("aria-label")
-    operated = page.locator("canvas, .lane" if kind == "scene" else "figure a[href^='#train']")
+    operated = page.locator("canvas, .lane" if kind == "clip" else "figure a[href^='#train']")
     assert operated.count() >= 2
     assert all(operated.evaluate_all("all => all.map(one => one.tabIndex == 0)"))
-
-
-@pytest.mark.parametrize(
-    ("kind", "scheme"), first(1, [("clip", "dark"), ("report", "light"), ("clip", "light"), ("report", "dark")])
-)
-def test_axe_finds_no_fault(open_page, exit_scene, gray_image, report, kind, scheme):
-    frame = (ground_truth(exit_scene), gray_image)
-    text = report if kind == "report" else scene_page(ShownScene(exit_scene, *frame, clip=[frame] * 2))
-    page = open_page(text, 1400, scheme)
-    found = Axe().run(page).response
-    assert len(found["passes"]) > 15, "rules that apply and hold"
-    assert [(rule["id"], rule["impact"], len(rule["nodes"])) for rule in found["violations"]] == []

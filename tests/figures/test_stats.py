@@ -14,9 +14,8 @@ from synth3dlanes.figures.stats import Statistics, declared_shares, is_fine, lab
 from synth3dlanes.figures.stats_views import statistics_table
 from synth3dlanes.params.distributions import Choice, Integers, Uniform
 from synth3dlanes.params.groups import DAYTIMES, KINDS
-from synth3dlanes.params.params import forms, load_params
+from synth3dlanes.params.params import forms, load_params, preset_names
 from synth3dlanes.truth.ground_truth import ground_truth
-from tests.thorough import presets
 
 # Groups of roads that are not the paper's.
 ROADS = ("town", "town_streets", "mountain")
@@ -59,7 +58,8 @@ FEW = {
 }
 
 
-@pytest.mark.parametrize("name", presets("appendix_i"))
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", [name for name in preset_names() if name != "appendix_i"])
 def test_every_preset_draws_what_it_declares(name):
     params = load_params(name, FEW.get(name, ["trees.n=0"]))
     statistics = scene_statistics([sample_scene(Scenes(params, 11, "train"), index) for index in range(60)], params)
@@ -83,14 +83,6 @@ def test_three_per_cent_of_the_roads_with_other_lanes_are_found():
     assert [fine[f"road.{key}"] for key in ("n_lanes", "n_oncoming", "median_m")] == [True] * 3
     moved = load_params("streets", ["road.n_lanes={1: 2, 2: 4.33, 3: 2.67, 4: 2}"])
     assert not {row.key: is_fine(row) for row in scene_statistics(scenes, moved).parameters}["road.n_lanes"]
-
-
-def test_weather_is_held_against_the_tables_that_replace_the_parameters():
-    params = load_params("streets", [*FEW["streets"], "weather.kind={rain: 1, snow: 1}", "cars.n=0"])
-    scenes = [sample_scene(Scenes(params, 4, "train"), index) for index in range(40)]
-    assert all(is_fine(row) for row in scene_statistics(scenes, params).parameters)
-    dry = [scene.model_copy(update={"surface": scene.surface.model_copy(update={"wetness": 0.3})}) for scene in scenes]
-    assert [row.key for row in scene_statistics(dry, params).parameters if not is_fine(row)] == ["surface.wetness"]
 
 
 def test_labels_of_a_climb_show_its_grade(exit_scene):

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import label as clusters
 from scipy.spatial import cKDTree
 
-from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.params.params import load_params
 from synth3dlanes.scene import scene as scene_module
@@ -389,10 +389,11 @@ def test_a_gore_is_hatched_between_its_lines_before_the_ramp_rises(topology, acr
     assert (branch_t < -scene.road.n_exit_lanes * scene.road.lane_width_m / 2 - half_m).all(), "left of the exit's line"
 
 
-def test_symbols_do_not_overlap_and_stand_clear_of_the_split():
+@pytest.mark.parametrize("n", first(1, [20, 60]))
+def test_symbols_do_not_overlap_and_stand_clear_of_the_split(n):
     counts, params = [], streets(*MANY)
-    for index in range(60):
-        world = resolve(sample_scene(Scenes(params), index))
+    for index in range(n):
+        world = sample_world(Scenes(params), index)
         scene, network = world.scene, world.network
         counts.append(len(scene.symbols))
         rows = {
