@@ -116,14 +116,9 @@ def table(rows: list[dict[str, Any]], recipe: str = "") -> pa.Table:
 
 
 def _topology(scene: Scene, labels: Labels) -> dict[str, Any]:
-    if scene.road is None or scene.road.topology == 1:
-        is_crossing = any(lane.connector for lane in labels.lanes)
-        return {"junction": "crossing" if is_crossing else "none", "exit_side": "none", "ramp_used": False}
-    return {
-        "junction": "merge" if scene.road.flip_lateral else "split",
-        "exit_side": "left" if scene.road.flip_longitudinal else "right",
-        "ramp_used": labels.graph.ramp_start_s_m is not None,
-    }
+    roads, is_crossing = scene.roads, any(lane.connector for lane in labels.lanes)
+    junction = roads.junction_kind if not is_crossing else "crossing"
+    return {"junction": junction, "exit_side": roads.exit_side, "ramp_used": labels.graph.ramp_start_s_m is not None}
 
 
 def _summary(labels: Labels) -> dict[str, Any]:

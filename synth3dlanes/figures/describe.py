@@ -15,7 +15,7 @@ from synth3dlanes.geometry.lens import Lens, width_rad
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.host import Bonnet, HostCamera
-from synth3dlanes.scene.scene import PaperRoad, Scene, Weather
+from synth3dlanes.scene.scene import Scene, Weather
 from synth3dlanes.system.words import counted
 from synth3dlanes.world.motion import host_driven, host_speed
 
@@ -42,8 +42,8 @@ def shown_title(shown: ShownScene) -> str:
     scene = shown.scene
     if scene is None:
         return f"sample {shown.name}, lifted from a real drive"
-    lanes = f"{counted(scene.road.n_lanes, 'lane')}, " if scene.road else ""
-    return f"seed {scene.seed}, {scene.split} {scene.index}: {lanes}{road_words(scene)}"
+    lanes = f"{counted(scene.roads.n_lanes, 'lane')}, " if scene.roads.n_lanes else ""
+    return f"seed {scene.seed}, {scene.split} {scene.index}: {lanes}{scene.roads.words}"
 
 
 def describe(shown: ShownScene) -> dict[str, Facts]:
@@ -87,7 +87,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
             "width": f"{100 * scene.markings.width_m:.1f} cm",
             "gray, gloss": f"{scene.markings.grayscale:.2f}, {scene.markings.gloss:.2f}",
             "inner line"
-            if scene.road is not None and scene.road.n_oncoming
+            if scene.roads.n_oncoming
             else "leftmost line": f"{'double' if scene.markings.left_double else 'single'}, "
             f"{'yellow' if scene.markings.left_yellow else 'white'}",
             "rubbed off, missing": f"{100 * scene.markings.wear:.0f} %, {100 * scene.markings.missing:.0f} %",
@@ -118,31 +118,6 @@ def _weather(scene: Scene) -> Facts:
         "headlights": "on" if weather.headlights else "off",
         "host's bonnet": f"{100 * host.bonnet:.0f} % of the image's height" if host.bonnet else "not seen",
     }
-
-
-def road_words(scene: Scene) -> str:
-    """The roads of a scene in a few words."""
-    if scene.map is None:
-        return topology_words(scene.paper_road)
-    return f"map {scene.map.source}" if scene.map.source else "town"
-
-
-def topology_words(road: PaperRoad) -> str:
-    """The road's topology after its flips, as the host sees it: "merge from the left, two-lane exit"."""
-    if road.topology == 1:
-        return "one road, no exit"
-    junction = "merge from" if road.flip_lateral else "split to"
-    side = "left" if road.flip_longitudinal else "right"
-    kinds = {
-        2: "one-lane exit, its lane also stays on the main road",
-        3: "one-lane exit, the main road opens a new lane",
-        4: "two-lane exit, the main road keeps one of the two lanes",
-    }
-    if road.flip_lateral:
-        kinds[3] = "one-lane exit, the main road loses a lane"
-        kinds[4] = "two-lane exit, one of its lanes joins the main road's"
-        kinds[2] = "one-lane exit, it joins the main road's outer lane"
-    return f"{junction} the {side}, {kinds[road.topology]}"
 
 
 def lane_row(lane: Lane) -> tuple[str, ...]:
@@ -236,38 +211,12 @@ def heights_over_road_plane(labels: Labels) -> tuple[float, float]:
 
 
 def _road(scene: Scene, labels: Labels) -> Facts:
-    if scene.map is not None:
-        connectors = sum(lane.connector is True for lane in labels.lanes)
-        return {
-            "map": road_words(scene),
-            "roads, junctions": f"{len(scene.map.roads)}, {len(scene.map.junctions)}",
-            "connectors in range": str(connectors),
-        }
-    road = scene.paper_road
-    facts = {
-        "topology": f"{road.topology}: {topology_words(road)}",
-        "lanes": f"{road.n_lanes}, each {road.lane_width_m:.2f} m wide",
-        "shoulder": f"{road.shoulder_factor * road.lane_width_m:.2f} m",
-    }
-    if road.n_oncoming:
-        between = f"beyond a median of {road.median_m:.1f} m" if road.median_m else "without a median"
-        facts["oncoming lanes"] = f"{road.n_oncoming}, {between}"
-    if road.works is not None:
-        works = road.works
-        lines = "the lines as before" if works.lines == "as_before" else f"{works.lines} temporary lines"
-        side = "inner" if works.inner else "outer"
-        facts["road works"] = (
-            f"{works.kind.replace('_', ' ')} on the {side} side, from y = {works.start_m:.0f} m to "
-            f"{works.end_m:.0f} m, {lines}"
-        )
-    if road.topology > 1:
-        start_m = labels.graph.ramp_start_s_m
-        facts["exit"] = (
-            f"leaves at {math.degrees(road.exit_angle_rad):.1f}°, {road.exit_offset_m:.1f} m of bend over 60 m"
-        )
-        size = f"{road.ramp_height_m:.1f} m high over {road.ramp_height_m * road.ramp_slope:.1f} m"
-        facts["ramp"] = "unused: the roads part too late" if start_m is None else f"{size} from y = {start_m:.0f} m"
-    return facts
+    facts, start_m = dict(scene.roads.facts), labels.graph.ramp_start_s_m
+    if "ramp" in facts:
+        is_used = start_m is not None
+        facts["ramp"] = f"{facts['ramp']} from y = {start_m:.0f} m" if is_used else "unused: the roads part too late"
+    connectors = [lane.connector for lane in labels.lanes if lane.connector is not None]
+    return facts | ({"connectors in range": str(sum(connectors))} if connectors else {})
 
 
 def _shape(labels: Labels) -> Facts:

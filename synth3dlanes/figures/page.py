@@ -21,7 +21,6 @@ from synth3dlanes.figures.describe import (
     element_row,
     lane_row,
     object_tables,
-    road_words,
     shown_title,
 )
 from synth3dlanes.figures.overlay import color_of, objects_in_image, stretches_img
@@ -154,7 +153,7 @@ def report_page(
         n_scenes=scenes.n_scenes,
         switches=_switches(sample for _, _, sample, _ in samples),
         cards=[
-            Card(name, road_words(scene) if scene else "", drawing(sample, image))
+            Card(name, scene.roads.words if scene else "", drawing(sample, image))
             for name, scene, sample, image in samples
         ],
         topologies=scenes.topologies.items(),

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from synth3dlanes.draw.rules import CONDITIONED, ParameterRules
-from synth3dlanes.figures.describe import bends, grades, road_words
+from synth3dlanes.figures.describe import bends, grades
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.distributions import Choice, Distribution, Integers, Uniform
 from synth3dlanes.params.groups import NO_JUNCTION, OPTIONAL
@@ -121,7 +121,7 @@ def scene_statistics(scenes: Iterable[Scene], params: Params, own_camera: bool =
     topologies: Counter[str] = Counter()
     drawn: dict[str, dict[Distribution | None, list[float]]] = defaultdict(lambda: defaultdict(list))
     for scene in scenes:
-        topologies[road_words(scene)] += 1
+        topologies[scene.roads.words] += 1
         of_scene = rules.of(scene)
         for key, values in drawn_values(scene, params).items():
             if key in of_scene:
@@ -170,7 +170,7 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
         }
     if scene.town is not None:
         values |= _town_values(scene.town, params)
-    elif scene.road is not None and params.is_town and NO_JUNCTION in params.town.junction.values:
+    elif not scene.roads.source and params.is_town and NO_JUNCTION in params.town.junction.values:
         values["town.junction"] = [params.town.junction.values.index(NO_JUNCTION)]
     values["camera.horizontal_fov_deg"] = [math.degrees(horizontal_fov_rad(scene.camera))]
     offsets_px = scene.camera.cx_px - scene.camera.width_px / 2, scene.camera.cy_px - scene.camera.height_px / 2
@@ -184,10 +184,10 @@ def drawn_values(scene: Scene, params: Params) -> dict[str, list[float]]:
     for group, parts in (("terrain", scene.terrain.gaussians), ("cars", scene.cars), ("trees", scene.trees)):
         for part in parts:
             for field, value in part:
-                if isinstance(value, str):
-                    continue
                 several = value if isinstance(value, tuple) else (value,)
-                values.setdefault(_key(group, field), []).extend(_declared_unit(field, one) for one in several)
+                numbers = [_declared_unit(field, one) for one in several if isinstance(one, int | float)]
+                if numbers:
+                    values.setdefault(_key(group, field), []).extend(numbers)
     return values
 
 

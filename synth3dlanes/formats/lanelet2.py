@@ -36,8 +36,8 @@ from synth3dlanes.formats.lanelet_map import (
     painted_along,
     painted_lines,
 )
-from synth3dlanes.formats.opendrive.maps import NONE
-from synth3dlanes.formats.opendrive.maps import SIGNS as GERMAN_SIGNS
+from synth3dlanes.formats.opendrive.things import NONE
+from synth3dlanes.formats.opendrive.things import SIGNS as GERMAN_SIGNS
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.geometry.frames import invert, transform

@@ -167,15 +167,16 @@ class _Reading:
 def route_way(roads: RoadMap) -> LaneCurve:
     """The centre line of the host's route of a map, from above."""
     names, flat = {name.rsplit(".", 2)[0] for name in roads.route}, Terrain(gaussians=())
-    return _Reading(roads, [_bare(road, flat) for road in roads.roads if road.id in names], flat).way
+    return _Reading(roads, [bare_road(road, flat) for road in roads.roads if road.id in names], flat).way
 
 
 def bare_roads(roads: RoadMap, terrain: Terrain) -> list[Road]:
     """All roads of a map without their lanes of traffic."""
-    return [_bare(road, terrain) for road in roads.roads]
+    return [bare_road(road, terrain) for road in roads.roads]
 
 
-def _bare(road: MapRoad, terrain: Terrain) -> Road:
+def bare_road(road: MapRoad, terrain: Terrain) -> Road:
+    """A road of a map without its lanes of traffic."""
     line = plan_line(road.plan)
     return Road(
         road.id,
@@ -191,6 +192,7 @@ def _bare(road: MapRoad, terrain: Terrain) -> Road:
         bridges=road.bridges,
         tunnels=road.tunnels,
         junction=road.junction,
+        given=road,
     ).with_edges()
 
 

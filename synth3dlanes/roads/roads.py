@@ -18,7 +18,7 @@ from synth3dlanes.labels.labels import Direction
 from synth3dlanes.roads.cross_section import KERB_M, SEAM_M, CrossSection
 from synth3dlanes.roads.reference_line import GUESS_STEP_M, Offset, ReferenceLine
 from synth3dlanes.roads.terrain import height_at
-from synth3dlanes.scene.road_map import MapSpan
+from synth3dlanes.scene.road_map import MapRoad, MapSpan
 from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Spread
 
@@ -112,7 +112,8 @@ class Road:
     """A road on its reference line over the stations [start_m, end_m]. Its cross-section, as t grows: the left edge of
     its pavement, a shoulder, lanes and perhaps a median between them, a shoulder, and the right edge. It lies on the
     terrain, or on a `ramp` over it. With `sections` these say what lies across it and, where they have heights, how
-    high (world z of its line) and how far turned about that: then `left` and `right` are theirs (`with_edges`)."""
+    high (world z of its line) and how far turned about that: then `left` and `right` are theirs (`with_edges`). `given`
+    is the road of a map that it is."""
 
     id: str
     line: ReferenceLine
@@ -129,6 +130,7 @@ class Road:
     bridges: tuple[MapSpan, ...] = ()
     tunnels: tuple[MapSpan, ...] = ()
     junction: str | None = None
+    given: MapRoad | None = None
 
     # -- its lanes and sections
 

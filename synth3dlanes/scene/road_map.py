@@ -197,12 +197,26 @@ class RoadMap(DocumentPart):
     source: str = ""
     digest: str = ""
     given_frame: tuple[Coordinate, Coordinate, Number, Number] | None = None
-    # As the paper's numbers have them: there are no works and no flips, and left and right in the lane graph are those
-    # of each lane's own traffic.
+    # As the paper's numbers have them: there is no one number of lanes, no exit, no works and no flips, and left and
+    # right in the lane graph are those of each lane's own traffic.
+    n_lanes: ClassVar[int] = 0
+    n_oncoming: ClassVar[int] = 0
+    junction_kind: ClassVar[str] = "none"
+    exit_side: ClassVar[str] = "none"
     works: ClassVar[None] = None
     flip_lateral: ClassVar[bool] = False
     location: ClassVar[Literal["urban", "nonurban"]] = "urban"
     sides_are_hosts: ClassVar[bool] = False
+
+    @property
+    def words(self) -> str:
+        """The roads in a few words."""
+        return f"map {self.source}" if self.source else "town"
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What a summary says of the roads."""
+        return {"map": self.words, "roads, junctions": f"{len(self.roads)}, {len(self.junctions)}"}
 
     @cached_property
     def road_ids(self) -> frozenset[str]:

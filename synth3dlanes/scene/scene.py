@@ -5,6 +5,7 @@ added later; older scenes can still be read and render as before. A field that i
 default, so that scenes of equal recipes keep their bytes.
 """
 
+import math
 import operator
 from collections.abc import Callable
 from functools import cached_property
@@ -123,6 +124,7 @@ class PaperRoad(DocumentPart):
     divider_dashed: bool = False
     works: Annotated[RoadWorks | None, Field(exclude_if=_is_none)] = None
     # Only maps have these.
+    source: ClassVar[str] = ""
     digest: ClassVar[str] = "none"
     paint: ClassVar[tuple[MapPaint, ...]] = ()
     junctions: ClassVar[tuple[MapJunction, ...]] = ()
@@ -164,6 +166,57 @@ class PaperRoad(DocumentPart):
         if works.shift_m > shoulder_m:
             raise ValueError(f"works.shift_m: expected at most the shoulder's {shoulder_m:g} m, got {works.shift_m:g}")
         return self
+
+    @property
+    def junction_kind(self) -> str:
+        """Where its exit is, as the host sees it: a split, a merge, or none."""
+        return "none" if self.topology == 1 else "merge" if self.flip_lateral else "split"
+
+    @property
+    def exit_side(self) -> str:
+        """The side of its exit as the host sees it."""
+        return "none" if self.topology == 1 else "left" if self.flip_longitudinal else "right"
+
+    @property
+    def words(self) -> str:
+        """Its topology as the host sees it: "merge from the left, two-lane exit"."""
+        if self.topology == 1:
+            return "one road, no exit"
+        split, merge = {
+            2: (
+                "one-lane exit, its lane also stays on the main road",
+                "one-lane exit, it joins the main road's outer lane",
+            ),
+            3: ("one-lane exit, the main road opens a new lane", "one-lane exit, the main road loses a lane"),
+            4: (
+                "two-lane exit, the main road keeps one of the two lanes",
+                "two-lane exit, one of its lanes joins the main road's",
+            ),
+        }[self.topology]
+        return (
+            f"merge from the {self.exit_side}, {merge}"
+            if self.flip_lateral
+            else f"split to the {self.exit_side}, {split}"
+        )
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What a summary says of the road."""
+        facts = {
+            "topology": f"{self.topology}: {self.words}",
+            "lanes": f"{self.n_lanes}, each {self.lane_width_m:.2f} m wide",
+            "shoulder": f"{self.shoulder_factor * self.lane_width_m:.2f} m",
+        }
+        if self.n_oncoming:
+            between = f"beyond a median of {self.median_m:.1f} m" if self.median_m else "without a median"
+            facts["oncoming lanes"] = f"{self.n_oncoming}, {between}"
+        if self.works is not None:
+            facts["road works"] = self.works.words
+        if self.topology > 1:
+            angle, bend = f"{math.degrees(self.exit_angle_rad):.1f}°", f"{self.exit_offset_m:.1f} m of bend over 60 m"
+            facts["exit"] = f"leaves at {angle}, {bend}"
+            facts["ramp"] = f"{self.ramp_height_m:.1f} m high over {self.ramp_height_m * self.ramp_slope:.1f} m"
+        return facts
 
     @property
     def is_divided_by_line(self) -> bool:

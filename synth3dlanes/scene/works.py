@@ -50,3 +50,11 @@ class RoadWorks(DocumentPart):
         if self.shift_m:
             return "lanes_shifted"
         return "lanes_narrowed" if self.taken_m else "shoulder_closed"
+
+    @property
+    def words(self) -> str:
+        """What they are, in a line."""
+        lines = "the lines as before" if self.lines == "as_before" else f"{self.lines} temporary lines"
+        side = "inner" if self.inner else "outer"
+        stations = f"from y = {self.start_m:.0f} m to {self.end_m:.0f} m"
+        return f"{self.kind.replace('_', ' ')} on the {side} side, {stations}, {lines}"

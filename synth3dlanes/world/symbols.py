@@ -92,13 +92,17 @@ def symbol_points(forms: Sequence[SymbolShape], places: Sequence[Polygon]) -> li
     return found
 
 
+def symbol_items(network: Network, scene: Scene) -> list[Symbol | MapPaint]:
+    """All paint of a scene that bounds no lane, in the order of its labels. Paint of a map on lanes that are not near
+    is left out."""
+    lanes, paint = network.lanes, scene.roads.paint
+    near = (at for at in paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in lanes))
+    return [*scene.symbols, *near]
+
+
 def symbol_shapes(ground: Ground, scene: Scene) -> list[SymbolShape]:
-    """The shapes of all paint of a scene that bounds no lane, in the order of its labels. Paint of a map on lanes that
-    are not near is left out."""
-    lanes = ground.network.lanes
-    near = (at for at in scene.roads.paint if (len(at.outline) == 4 if at.kind == "crosswalk" else at.lane in lanes))
-    items: list[Symbol | MapPaint] = [*scene.symbols, *near]
-    return [shape(ground, item) for item in items]
+    """The shapes of these."""
+    return [shape(ground, item) for item in symbol_items(ground.network, scene)]
 
 
 def shape(ground: Ground, item: Symbol | MapPaint) -> SymbolShape:

@@ -1,30 +1,28 @@
 """Write OpenDRIVE: one file a scene, with its roads, their lanes and paint, and what stands beside them."""
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Collection, Iterable, Mapping
+from itertools import count
 from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
 from synth3dlanes.formats.format import SampleFormat, SampleFrame
-from synth3dlanes.formats.opendrive.described import (
-    MAJOR,
-    MINOR,
-    NO_NUMBER,
-    USER_DATA,
-    Element,
-    PaintedMark,
-    add,
-    lane_ascends,
-    lane_key,
-    numbered,
-)
-from synth3dlanes.formats.opendrive.maps import described_map
-from synth3dlanes.formats.opendrive.paper import described_paper
-from synth3dlanes.formats.opendrive.verify import RULE, read, verify
+from synth3dlanes.formats.opendrive.elements import Element, add
+from synth3dlanes.formats.opendrive.file_roads import FileRoad, lane_ascends, lane_key, on_planes
+from synth3dlanes.formats.opendrive.marks import PaintedMark
+from synth3dlanes.formats.opendrive.parts import part_links, parts
+from synth3dlanes.formats.opendrive.things import add_things
+from synth3dlanes.formats.opendrive.verify import RULE, USER_DATA, read, verify
 from synth3dlanes.formats.writing import FrameAnnotation
-from synth3dlanes.scene.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial, RoadMap
+from synth3dlanes.scene.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial
 from synth3dlanes.world.world import World, resolve
+
+MAJOR, MINOR = "1", "7"
+NO_NUMBER = "-1"
+# CARLA and others read ids as whole numbers of 32 bits.
+NUMBER = re.compile(r"0|[1-9]\d{0,8}")
 
 KINDS: dict[MapLaneKind, str] = {
     "driving": "driving",
@@ -83,19 +81,20 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
 
 def opendrive(world: World, name: str) -> str:
     """The OpenDRIVE file of a world; its inertial frame is the world frame."""
-    described = described_paper(world) if world.scene.map is None else described_map(world)
-    roads, found = described.map, described.roads
-    touches = list(_touches(roads, found))
+    roads, links = _file_roads(world)
+    found = {road.told.id: road.told for road in roads}
+    touches = list(_touches(links, found))
     root = ElementTree.Element("OpenDRIVE")
-    (west, south), (east, north) = described.xy_world.min(axis=0), described.xy_world.max(axis=0)
+    xy_world = np.concatenate([road.line_world for road in roads])
+    (west, south), (east, north) = xy_world.min(axis=0), xy_world.max(axis=0)
     header = {"revMajor": MAJOR, "revMinor": MINOR, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
     add(root, "header", **header, north=north, south=south, east=east, west=west)
     direct = _direct_junctions(found, touches)
     # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.
-    roads_by = numbered(found)
-    ids = FileIds(roads_by, numbered([*(at.id for at in roads.junctions), *direct.values()], roads_by.values()))
+    roads_by, junctions = numbered(found), [at.junction for at in found.values() if at.junction is not None]
+    ids = FileIds(roads_by, numbered(dict.fromkeys([*junctions, *direct.values()]), roads_by.values()))
     elements = {}
-    for road in found.values():
+    for road, segments in ((at.told, at.segments) for at in roads):
         element = add(root, "road", name=road.id, length=road.length_m, id=ids.roads[road.id])
         element.set("junction", ids.junctions[road.junction] if road.junction else NO_NUMBER)
         element.set("rule", "LHT" if road.keeps_left else "RHT")
@@ -111,19 +110,48 @@ def opendrive(world: World, name: str) -> str:
             add(lateral, "shape", s=shape.s_m, t=shape.t_m, a=shape.a, b=shape.b, c=shape.c, d=shape.d)
         # At a junction the lanes of its arms have no links: the connections of the junction tell them.
         own = [touch for touch in touches if road.junction is not None or not _enters_junction(touch, found)]
-        _add_lanes(add(element, "lanes"), road, own, described.segments)
+        _add_lanes(add(element, "lanes"), road, own, segments)
         elements[road.id] = element
-    described.add_things(elements)
-    _add_junctions(root, roads, found, touches, direct, ids)
+    add_things(world, roads, elements)
+    _add_junctions(root, world.network.yields or (), found, touches, direct, ids)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _file_roads(world: World) -> tuple[list[FileRoad], Iterable[tuple[LaneName, LaneName]]]:
+    """The roads of a world as its file tells them, and the links of their lanes: those with sections of their own as
+    they are, others in parts."""
+    network, found = world.network, list[FileRoad]()
+    for road in network.roads:
+        if road.given is not None:
+            segments = {name: name for name in _driving_lanes(road.given)}
+            told = on_planes(road.given, road, np.zeros_like)
+            found.append(FileRoad(told, segments, road.id, (road.start_m, road.end_m)))
+    if found:
+        return found, network.links
+    parted = parts(network)
+    return [part.told(world) for part in parted], part_links(network, parted)
+
+
+def _driving_lanes(road: MapRoad) -> Iterable[LaneName]:
+    for i, section in enumerate(road.sections):
+        yield from (f"{road.id}.{i}.{lane.number}" for lane in section.lanes if lane.kind == "driving" and lane.number)
+
+
+def numbered(names: Collection[str], taken: Collection[str] = ()) -> dict[str, str]:
+    """A number for each name, which is none of those taken: the name itself if it is one, else the next that is
+    free."""
+    found = {name: name for name in names if NUMBER.fullmatch(name) and name not in taken}
+    used = {*found, *taken}
+    free = (str(n) for n in count(1) if str(n) not in used)
+    return {name: found.get(name) or next(free) for name in names}
 
 
 # -- links
 
 
-def _touches(roads: RoadMap, found: Mapping[str, MapRoad]) -> Iterable[LaneJoint]:
-    for a, b in roads.links:
+def _touches(links: Iterable[tuple[LaneName, LaneName]], found: Mapping[str, MapRoad]) -> Iterable[LaneJoint]:
+    for a, b in links:
         (one, i, m), (other, j, n) = (lane_key(name) for name in (a, b))
         if one in found and other in found:
             ends = [lane_ascends(found[one], i, m), lane_ascends(found[other], j, n)]
@@ -200,24 +228,22 @@ def _linked(road: str, i: int, number: int, end: str, touches: list[LaneJoint]) 
 
 def _add_junctions(
     root: Element,
-    roads: RoadMap,
+    yields: Iterable[tuple[LaneName, LaneName]],
     found: Mapping[str, MapRoad],
     touches: list[LaneJoint],
     direct: Mapping[tuple[str, str], str],
     ids: FileIds,
 ) -> None:
-    for at in roads.junctions:
-        if not any(road.junction == at.id for road in found.values()):
-            continue
-        junction = add(root, "junction", name=at.id, id=ids.junctions[at.id], type="default")
+    for name in dict.fromkeys(road.junction for road in found.values() if road.junction is not None):
+        junction = add(root, "junction", name=name, id=ids.junctions[name], type="default")
         entered: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
         for touch in touches:
             (one, _, m), (other, _, n) = touch.one, touch.other
-            if found[other].junction == at.id and found[one].junction != at.id:
+            if found[other].junction == name and found[one].junction != name:
                 entered.setdefault((one, other, touch.enters), []).append((m, n))
         _add_connections(junction, entered, "connectingRoad", ids)
-        pairs = {(lane_key(low)[0], lane_key(high)[0]) for low, high in at.yields}
-        for low, high in sorted(pairs):
+        pairs = {(lane_key(low)[0], lane_key(high)[0]) for low, high in yields}
+        for low, high in sorted(pair for pair in pairs if all(found[road].junction == name for road in pair)):
             add(junction, "priority", high=ids.roads[high], low=ids.roads[low])
     for name in dict.fromkeys(direct.values()):
         junction = add(root, "junction", name=name, id=ids.junctions[name], type="direct")
@@ -234,8 +260,8 @@ def _add_junctions(
 def _add_connections(
     junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str, ids: FileIds
 ) -> None:
-    for count, ((one, other, contact), lanes) in enumerate(entered.items()):
-        connection = add(junction, "connection", id=str(count), incomingRoad=ids.roads[one], contactPoint=contact)
+    for number, ((one, other, contact), lanes) in enumerate(entered.items()):
+        connection = add(junction, "connection", id=str(number), incomingRoad=ids.roads[one], contactPoint=contact)
         connection.set(key, ids.roads[other])
         for m, n in lanes:
             add(connection, "laneLink", **{"from": str(m), "to": str(n)})
@@ -296,8 +322,7 @@ def _add_lane(
     for mark in lane.marks:
         _add_mark(element, mark)
     if lane.kind == "driving" and lane.number:
-        name = f"{road.id}.{i}.{lane.number}"
-        add(element, "userData", code=USER_DATA, value=segments.get(name, name))
+        add(element, "userData", code=USER_DATA, value=segments[f"{road.id}.{i}.{lane.number}"])
 
 
 def _add_mark(element: Element, mark: MapMark) -> None:

@@ -1,7 +1,7 @@
 """Read an export of maps back: its lanes are those of the labels, roads have no gaps, links lead somewhere."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,16 +10,19 @@ import numpy as np
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample
 from synth3dlanes.formats.comparing_maps import compare_map
 from synth3dlanes.formats.format import FrameList, ReadFrame, maps_of
-from synth3dlanes.formats.opendrive.described import USER_DATA, Element
+from synth3dlanes.formats.opendrive.elements import Element
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.line_forms import plan_points
+from synth3dlanes.roads.maps.cubics import values
 from synth3dlanes.roads.maps.document import parse_xml
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
 from synth3dlanes.roads.maps.plan import places
-from synth3dlanes.scene.road_map import MapRoad, Polynomial
-from synth3dlanes.system.arrays import Points3, Scalars
+from synth3dlanes.scene.road_map import MapRoad
+from synth3dlanes.system.arrays import Points3
 
+USER_DATA = "synth3dlanes.segment"
+"""The code of the user data that names a lane's segment in our lane graph."""
 # Shapes are heights square to the banked plane, so where the ground bends they move points aside.
 RULE = Rule("m", 0.15, name="lane", slack=0.3)
 # The cubics of lines, heights and widths are within a millimetre of the same functions.
@@ -77,16 +80,6 @@ def _middle(place: LanePlace) -> Points3:
     return np.column_stack([places(road.plan, s, -t), z])[:: 1 if place.ascends else -1]
 
 
-def _values(cubics: Sequence[Polynomial], s: Scalars) -> Scalars:
-    """Values of a profile at stations; 0 without one."""
-    if not cubics:
-        return np.zeros(s.shape)
-    rows = np.array([[piece.s_m, piece.a, piece.b, piece.c, piece.d] for piece in cubics])
-    start, a, b, c, d = rows[np.clip(np.searchsorted(rows[:, 0], s, side="right") - 1, 0, None)].T
-    x = s - start
-    return np.asarray(a + x * (b + x * (c + x * d)))
-
-
 def _gaps(road: MapRoad) -> Iterator[float]:
     """The jumps of a road's reference line, its heights and its widths."""
     for one, other in pairwise(road.plan):
@@ -95,7 +88,7 @@ def _gaps(road: MapRoad) -> Iterator[float]:
     widths = (lane.widths for section in road.sections for lane in section.lanes)
     for cubics in (road.heights, road.banks, road.lane_offsets, *widths):
         for k in range(1, len(cubics)):
-            yield abs(float(_values(cubics[:k], np.array([cubics[k].s_m]))[0]) - cubics[k].a)
+            yield abs(float(values(cubics[:k], np.array([cubics[k].s_m]))[0]) - cubics[k].a)
     yield 0.0
 
 

@@ -18,7 +18,8 @@ from synth3dlanes.system.arrays import Scalars
 Cubics = tuple[Polynomial, ...]
 # Stations within this distance are one, because files round them.
 SAME_M = 1e-3
-# A product is split into cubics until they are this exact, measured at SHARES of them, or shorter than SHORT_M.
+# A product is split into cubics until they are this exact unless told, measured at SHARES of them, or shorter than
+# SHORT_M.
 EXACT, SHORT_M, SHARES = 1e-7, 5.0, (0.25, 0.5, 0.75)
 # What holds from a station on.
 Begun = TypeVar("Begun", Polynomial, MapMark)
@@ -119,7 +120,11 @@ def part(cubics: Sequence[Polynomial], from_m: float, to_m: float) -> Cubics:
 
 
 def times(
-    cubics: Sequence[Polynomial], factor: Callable[[float, float], float], to_m: float, breaks: Iterable[float] = ()
+    cubics: Sequence[Polynomial],
+    factor: Callable[[float, float], float],
+    to_m: float,
+    breaks: Iterable[float] = (),
+    exact: float = EXACT,
 ) -> Cubics:
     """A value times another that changes slowly but at its `breaks`, from station 0 to `to_m`: cubics with its values
     and slopes at their ends, as few as it takes. `factor` takes a station, and where the cubic ends: there it is from
@@ -145,7 +150,7 @@ def times(
         piece = Polynomial(s_m=low, a=a, b=b, c=c, d=d)
         places = (low + share * h for share in SHARES)
         if h <= SHORT_M or all(
-            abs(value([piece], s_m) - value(cubics, s_m, high) * factor(s_m, high)) <= EXACT for s_m in places
+            abs(value([piece], s_m) - value(cubics, s_m, high) * factor(s_m, high)) <= exact for s_m in places
         ):
             found.append(piece)
         else:
