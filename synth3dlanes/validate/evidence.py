@@ -1,7 +1,7 @@
 """Evidence: all that checks of a sample may ask for, each computed once."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -56,9 +56,9 @@ class Seen:
     def at(self, which: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> "Seen":
         """Some of the points."""
         ids = {name: values[which] for name, values in self.ids.items()}
-        return Seen(
-            self.world, self.eye_world, self.points_world[which], self.range_m[which], ids, self.pixels_at(which)
-        )
+        pixels = None if self.pixels is None else self.pixels[which]
+        points_world, range_m = self.points_world[which], self.range_m[which]
+        return replace(self, points_world=points_world, range_m=range_m, ids=ids, pixels=pixels)
 
     @cached_property
     def places(self) -> Places:
@@ -84,18 +84,12 @@ class Seen:
         with np.errstate(divide="ignore", invalid="ignore"):
             way_m = -self.pavement.above_m / (sight * self.pavement.up_world).sum(axis=1)
         on = (np.abs(way_m) < MAX_FLOAT_M) & (self.pavement.up_world[:, 2] > LEVEL)
-        moved = self.points_world[on] + way_m[on, None] * sight[on]
-        ids = {name: values[on] for name, values in self.ids.items()}
-        return Seen(self.world, self.eye_world, moved, self.range_m[on], ids, self.pixels_at(on))
+        return replace(self.at(on), points_world=self.points_world[on] + way_m[on, None] * sight[on])
 
     @cached_property
     def beyond_symbols_m(self) -> Float[np.ndarray, "m n"]:
         """Distances of points on the road outside the paint of each symbol, negative inside."""
         return beyond_symbols(self.world, self.points_world[:, :2])
-
-    def pixels_at(self, which: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"]) -> Int[np.ndarray, "k 2"] | None:
-        """The rows and columns of some of the points."""
-        return None if self.pixels is None else self.pixels[which]
 
     def number(self, kind: str) -> Int[np.ndarray, " n"]:
         """The number of the thing of a kind that each point is of; -1 of none, and without instance ids."""

@@ -71,15 +71,21 @@ class Detail(NamedTuple):
         return self.width / (self.fineness * self.evenness)
 
 
+def _judged(
+    name: str, value: float, words: str, least: float = -np.inf, most: float = np.inf, lane: str = ""
+) -> Iterator[Result]:
+    """A number of the image; `words` say what is expected, and what it is instead, with a place for the number."""
+    yield from judged(name, value, f"image: expected {words.format(value)}", least, most, lane)
+
+
 def check_frame(evidence: Evidence) -> Iterator[Result]:
     """Findings about exposure and textures."""
     image, passes = evidence.picture, evidence.passes
     red, green, blue = np.moveaxis(image, -1, 0)
     white = float((np.minimum(np.minimum(red, green), blue) == 255).mean())
     mean = float(image.mean())
-    yield from judged("picture.mean", mean, f"image: expected a picture, got black (mean {mean:.1f} of 255)", MIN_MEAN)
-    reason = f"image: expected a picture, got {100 * white:.0f} % of it white"
-    yield from judged("picture.white", white, reason, most=MAX_CLIPPED)
+    yield from _judged("picture.mean", mean, "a picture, got black (mean {:.1f} of 255)", MIN_MEAN)
+    yield from _judged("picture.white", white, "a picture, got {:.0%} of it white", most=MAX_CLIPPED)
     pink = (np.minimum(red, blue) > 100) & (np.minimum(red, blue) // 2 > green)
     limit = MAX_PINK
     if "semantic" in passes:
@@ -89,8 +95,7 @@ def check_frame(evidence: Evidence) -> Iterator[Result]:
     if share > limit and "semantic" not in passes and evidence.known_world is not None:
         far = evidence.world.view.eye_world + FAR_M * evidence.rays_world(*np.nonzero(pink))
         share -= float(before(evidence.world, far).sum()) / pink.size
-    reason = f"image: expected textures, got {100 * share:.0f} % of the ground pink"
-    yield from judged("picture.pink", share, reason, most=limit)
+    yield from _judged("picture.pink", share, "textures, got {:.0%} of the ground pink", most=limit)
 
 
 def check_colours(evidence: Evidence) -> Iterator[Result]:
@@ -108,8 +113,8 @@ def check_colours(evidence: Evidence) -> Iterator[Result]:
         return
     red, _, blue = pixels.astype(float).T
     warmth = float(np.percentile(red - blue, WARMEST))
-    reason = f"image: expected red, green and blue in this order, got terrain with {-warmth:.0f} more blue than red"
-    yield from judged("picture.warmth", warmth, reason, MIN_WARMTH)
+    words = "red, green and blue in this order, got terrain with {:+.0f} of red over blue"
+    yield from _judged("picture.warmth", warmth, words, MIN_WARMTH)
 
 
 def check_sharpness(evidence: Evidence) -> Iterator[Result]:
@@ -124,11 +129,9 @@ def check_sharpness(evidence: Evidence) -> Iterator[Result]:
     detail = _detail(_middle(evidence.luma))
     if detail is None:
         return
-    expected = "image: expected detail of single pixels, got a blurred or blown-up picture"
-    words = f"{expected}, of coarseness {detail.coarseness:.2f}"
-    yield from judged("picture.coarseness", detail.coarseness, words, most=MAX_COARSENESS)
-    words = f"{expected}, of evenness {detail.evenness:.2f}"
-    yield from judged("picture.evenness", detail.evenness, words, MIN_EVENNESS)
+    words = "detail of single pixels, got a blurred or blown-up picture, of "
+    yield from _judged("picture.coarseness", detail.coarseness, words + "coarseness {:.2f}", most=MAX_COARSENESS)
+    yield from _judged("picture.evenness", detail.evenness, words + "evenness {:.2f}", MIN_EVENNESS)
 
 
 def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
@@ -229,12 +232,10 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     if road.sum() < MIN_PIXELS:
         return
     black = float(((evidence.picture.max(axis=2) <= BLACK) & (semantic != SEMANTIC_IDS["sky"])).mean())
-    reason = f"image: expected light everywhere by day, got {100 * black:.1f} % of the picture black"
-    yield from judged("appearance.black", black, reason, most=MAX_BLACK)
+    yield from _judged("appearance.black", black, "light by day, got {:.1%} of the picture black", most=MAX_BLACK)
     bright = float(np.quantile(evidence.luma, 0.9))
     if (semantic == SEMANTIC_IDS["sky"]).mean() > MIN_SKY:
-        reason = f"image: expected daylight, got {bright:.0f} of 255 in its brighter parts"
-        yield from judged("appearance.bright", bright, reason, BRIGHT)
+        yield from _judged("appearance.bright", bright, "daylight, got {:.0f} of 255 in its brighter parts", BRIGHT)
     linear = _linear(evidence)
     yield from _terrain(evidence, linear, _lit(linear[road]))
     if "instance" not in evidence.passes:
@@ -275,10 +276,10 @@ def _terrain(
         return
     red, green, blue = _chroma(linear[at]) - _chroma(road)
     low, high = RED_OVER_GREEN[texture]
-    reason = f"image: expected grass with at most {MAX_BLUE} of blue over the road's, got {blue:+.3f}"
-    yield from judged("appearance.blue", float(blue), reason, most=MAX_BLUE)
-    reason = f"image: expected grass with {low} to {high} of red over green, got {red - green:+.3f}"
-    yield from judged(f"appearance.red_over_green_{texture}", float(red - green), reason, low, high)
+    words = f"grass with at most {MAX_BLUE} of blue over the road's, got {{:+.3f}}"
+    yield from _judged("appearance.blue", float(blue), words, most=MAX_BLUE)
+    words = f"grass with {low} to {high} of red over green, got {{:+.3f}}"
+    yield from _judged(f"appearance.red_over_green_{texture}", float(red - green), words, low, high)
 
 
 def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[np.ndarray, "n 3"]) -> Iterator[Result]:
@@ -299,8 +300,8 @@ def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[
     if len(leaves) < MIN_PIXELS:
         return
     red, green, _ = _chroma(leaves) - _chroma(road)
-    reason = f"image: expected leaves with at most {LEAVES_OVER_GREEN} of red over green, got {red - green:+.3f}"
-    yield from judged("appearance.leaves", float(red - green), reason, most=LEAVES_OVER_GREEN)
+    words = f"leaves with at most {LEAVES_OVER_GREEN} of red over green, got {{:+.3f}}"
+    yield from _judged("appearance.leaves", float(red - green), words, most=LEAVES_OVER_GREEN)
 
 
 def _cars(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[np.ndarray, "n 3"]) -> Iterator[Result]:
@@ -317,8 +318,8 @@ def _cars(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[np
         if sizes[0] > MIN_HUE and sizes[1] > MIN_PAINT_HUE:
             like = float(shown @ paint / (sizes[0] * sizes[1]))
             number = numbers_of("car", np.array([item.id]))[0]
-            reason = f"image: expected car {number} in its own colour, got another (a cosine of {like:.2f} beside gray)"
-            yield from judged("appearance.car_hue", like, reason, LEAST_HUE)
+            words = f"car {number} in its own colour, got another (a cosine of {{:.2f}} beside gray)"
+            yield from _judged("appearance.car_hue", like, words, LEAST_HUE)
 
 
 def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[Result]:
@@ -336,15 +337,15 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
             continue
         red, _, blue = _chroma(linear[at]) - _chroma(beside)
         if color == "white":
-            reason = f"image: expected white paint, got yellow ({red - blue:+.2f} of red over blue)"
-            yield from judged("appearance.yellow", float(red - blue), reason, most=MAX_YELLOW, lane=lane.id)
+            words = "white paint, got yellow ({:+.2f} of red over blue)"
+            yield from _judged("appearance.yellow", float(red - blue), words, most=MAX_YELLOW, lane=lane.id)
         # In red, of which yellow paint has as much as white one.
         times = brighter(linear[at][:, 0], beside[:, 0], evidence.paint.contrast("white"))
-        if np.isinf(times):
-            continue
-        expected = f"its {at.sum()} pixels of paint brighter than the road around them"
-        reason = f"image: expected {expected}, got them {times:.2f} times as bright"
-        yield from judged("appearance.brighter", times, reason, BRIGHTER, lane=lane.id)
+        if np.isfinite(times):
+            words = (
+                f"its {at.sum()} pixels of paint brighter than the road around them, got them {{:.2f}} times as bright"
+            )
+            yield from _judged("appearance.brighter", times, words, BRIGHTER, lane=lane.id)
 
 
 def _pavement_beside(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

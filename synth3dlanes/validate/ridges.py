@@ -25,7 +25,6 @@ from synth3dlanes.validate.bias import PaintOffset, sides
 from synth3dlanes.validate.bodies import before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
-from synth3dlanes.validate.paint import Strip
 from synth3dlanes.world.world import World
 
 LEAST_PX_PER_M = 1e-3
@@ -68,14 +67,6 @@ MIN_CLEAR, MIN_MOVE_PX, MIN_MOVE_M = 0.95, 2.25, 0.04
 
 OFFSETS_M = np.arange(-REACH_M, REACH_M + PROFILE_STEP_M / 2, PROFILE_STEP_M)
 PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + PROFILE_STEP_M / 2]
-
-
-class Cut(NamedTuple):
-    """Profiles across one line, and their left ends, middles and right ends."""
-
-    lane: str
-    ends_cam: Float[np.ndarray, "n 3 3"]
-    profiles: Float[np.ndarray, "n k"]
 
 
 class LineProfiles(NamedTuple):
@@ -133,7 +124,7 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
         return
     lanes = [lane for lane in evidence.labels.lanes if lane.kind == "delimiter"]
     lanes = [lane for lane in lanes if paint.stands_out(lane.color or "white")]
-    lines = list(_lines(evidence, [cut for lane in lanes for cut in _cut(evidence, lane)]))
+    lines = list(_lines(evidence, lanes))
     contrasts = [_contrast(line) for line in lines]
     for line in contrasts:
         if line.verdict == "elsewhere":
@@ -161,49 +152,44 @@ def _offset(lane: Lane, line: LineProfiles) -> PaintOffset:
     return PaintOffset(lane, middle, np.array([n]), np.array([n * side * line.offset_m]))
 
 
-def _cut(evidence: Evidence, lane: Lane) -> Iterator[Cut]:
-    """Complete profiles across the line, if there are enough."""
-    points_cam = _every_pixel(evidence.camera, lane)
-    if len(points_cam) < MIN_PROFILES:
-        return
-    strip = evidence.paint.strip(evidence.camera, lane, points_cam)
-    profiles = _profiles(evidence.camera, strip, evidence.luma)
-    whole = np.isfinite(profiles).all(axis=1)
-    if whole.sum() >= MIN_PROFILES:
-        ends_m = np.array([-REACH_M, 0.0, REACH_M])[:, None]
-        ends_cam = strip.points_cam[strip.resolved, None] + ends_m * strip.across_cam[strip.resolved, None]
-        yield Cut(lane.id, ends_cam[whole], np.asarray(profiles[whole]))
-
-
-def _lines(evidence: Evidence, cuts: Sequence[Cut]) -> Iterator[LineProfiles]:
-    """Lines with enough profiles clear of cars and glare; ridges beyond the pavement are set to 0."""
-    if not cuts:
-        return
+def _lines(evidence: Evidence, lanes: Sequence[Lane]) -> Iterator[LineProfiles]:
+    """Lines with enough complete profiles clear of cars and glare; ridges beyond the pavement are set to 0."""
     paint, world, camera = evidence.paint, evidence.world, evidence.camera
-    ends_cam = np.concatenate([cut.ends_cam for cut in cuts])
-    uv, ends_world = camera.project(ends_cam.reshape(-1, 3)), transform(camera.world_from_cam, ends_cam)
-    hidden = before_or_shading(world, ends_world.reshape(-1, 3))
-    hidden |= meet(evidence.bodies["structure"], world.view.eye_world, ends_world.reshape(-1, 3), STRUCTURE_ROOM_M)
-    is_clear = ~hidden.reshape(-1, 3).any(axis=1) & ~_near_symbols(world, ends_world[:, 1])
-    some = np.arange(0, len(ends_cam), ROOM_EVERY)
-    outside_m = np.full((len(ends_cam), 3), np.nan)
-    ends = transform(camera.world_from_cam, ends_cam[some].reshape(-1, 3))
-    outside_m[some] = world.ground.clearance(ends[:, :2]).reshape(-1, 3)
-    at = np.cumsum([len(cut.profiles) for cut in cuts])[:-1]
-    of_cuts = (np.split(values, at) for values in (is_clear, outside_m, uv[:, 0].reshape(-1, 3)))
-    for cut, clear, beyond_m, u_px in zip(cuts, *of_cuts, strict=True):
-        width_m, stripes_m = paint.width_m(cut.lane), paint.stripes_m(cut.lane)
-        road = _beside(cut.profiles, width_m, stripes_m)
-        clear = clear & (road < WHITE).all(axis=1) & (road > DARK).all(axis=1)
-        reach_m = BESIDE[1] * width_m + max(stripes_m)
+    points_cam = {lane: _every_pixel(camera, lane) for lane in lanes}
+    strips = {
+        lane.id: paint.strip(camera, lane, points) for lane, points in points_cam.items() if len(points) >= MIN_PROFILES
+    }
+    if not strips:
+        return
+    number = np.repeat(np.arange(len(strips)), [strip.resolved.sum() for strip in strips.values()])
+    middle_cam, across_cam = (
+        np.concatenate([values[strip.resolved] for strip, values in of])
+        for of in zip(*(((s, s.points_cam), (s, s.across_cam)) for s in strips.values()), strict=True)
+    )
+    profiles = _profiles(camera, middle_cam, across_cam, evidence.luma)
+    whole = np.isfinite(profiles).all(axis=1)
+    number, middle_cam, across_cam, profiles = (of[whole] for of in (number, middle_cam, across_cam, profiles))
+    ends_cam = (middle_cam[:, None] + np.array([-REACH_M, 0.0, REACH_M])[:, None] * across_cam[:, None]).reshape(-1, 3)
+    ends_world, u_px = transform(camera.world_from_cam, ends_cam), camera.project(ends_cam)[:, 0].reshape(-1, 3)
+    hidden = before_or_shading(world, ends_world)
+    hidden |= meet(evidence.bodies["structure"], world.view.eye_world, ends_world, STRUCTURE_ROOM_M)
+    is_clear = ~hidden.reshape(-1, 3).any(axis=1) & ~_near_symbols(world, ends_world[1::3])
+    some = np.arange(0, len(number), ROOM_EVERY)
+    outside_m = world.ground.clearance(ends_world.reshape(-1, 3, 3)[some].reshape(-1, 3)[:, :2]).reshape(-1, 3)
+    for i, id_ in enumerate(strips):
+        width_m, stripes_m = paint.width_m(id_), paint.stripes_m(id_)
+        at = (number == i) & is_clear
+        road = _beside(profiles[at], width_m, stripes_m)
+        at[at] = (road < WHITE).all(axis=1) & (road > DARK).all(axis=1)
+        reach_m, beyond_m = BESIDE[1] * width_m + max(stripes_m), outside_m[number[some] == i]
         left_m, right_m = (_room(beyond_m[:, 1], beyond_m[:, side]) - reach_m for side in (0, 2))
-        if clear.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
-            over = _over(cut.profiles[clear], width_m, stripes_m)
+        if at.sum() >= MIN_PROFILES and min(left_m, right_m) > 0:
+            over = _over(profiles[at], width_m, stripes_m)
             over[..., (-left_m > PLACES_M) | (right_m < PLACES_M)] = 0.0
-            px_per_m = (u_px[clear, 2] - u_px[clear, 0]) / (2 * REACH_M)
+            px_per_m = (u_px[at, 2] - u_px[at, 0]) / (2 * REACH_M)
             # A line across the view, as cameras that look aside see it, has its profiles along columns.
             px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
-            yield LineProfiles(cut.lane, u_px[clear, 1], px_per_m, cut.ends_cam[clear, 1], over)
+            yield LineProfiles(id_, u_px[at, 1], px_per_m, middle_cam[at], over)
 
 
 def _beside(
@@ -225,9 +211,9 @@ def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[
 
 
 def _room(at_m: Float[np.ndarray, " n"], end_m: Float[np.ndarray, " n"]) -> float:
-    """How far the pavement extends to one side of a line, at most REACH_M, from the distances outside the pavement
-    (NaN: not computed) of points on the line and of the profiles' ends."""
-    return float(np.nanmin(REACH_M * at_m / (at_m - np.maximum(end_m, 0)), initial=REACH_M))
+    """How far the pavement extends to one side of a line, at most REACH_M, from the distances outside the pavement of
+    points on the line and of the profiles' ends."""
+    return float(np.min(REACH_M * at_m / (at_m - np.maximum(end_m, 0)), initial=REACH_M))
 
 
 def _contrast(line: LineProfiles) -> Contrast:
@@ -288,10 +274,11 @@ def _every_pixel(camera: CameraLabel, lane: Lane) -> Float[np.ndarray, "n 3"]:
     return np.concatenate(pieces)
 
 
-def _profiles(camera: CameraLabel, strip: Strip, luma: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "n k"]:
-    """Brightness profiles across the line at its resolved points; NaN outside the image."""
-    at = strip.resolved
-    points = strip.points_cam[at, None] + OFFSETS_M[:, None] * strip.across_cam[at, None]
+def _profiles(
+    camera: CameraLabel, middle_cam: Points3, across_cam: Points3, luma: Float[np.ndarray, "h w"]
+) -> Float[np.ndarray, "n k"]:
+    """Brightness profiles across lines; NaN outside the image."""
+    points = middle_cam[:, None] + OFFSETS_M[:, None] * across_cam[:, None]
     u, v = camera.project(points.reshape(-1, 3)).T
     height_px, width_px = luma.shape
     with np.errstate(invalid="ignore"):

@@ -298,20 +298,6 @@ def _gaps(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
         yield PartSeen(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
 
 
-def _of_body(kind: str, classes: tuple[str, ...]) -> SeenRow:
-    return SeenRow(
-        "ids",
-        f"ids.{kind}",
-        classes,
-        partial(_body, kind),
-        "{what} of {whose} within its body",
-        most=0,
-        share=0.05,
-        kind=kind,
-        of_beams=SINGLE,
-    )
-
-
 ROWS = (
     SeenRow(
         "pavement", "pavement.surface", PAVEMENT, _surface, f"{{whose}} within {MAX_OFF_M} m of the scene's",
@@ -342,7 +328,13 @@ ROWS = (
         "ids", "ids.bare", PAINTED, _bare, "{what} of {whose} in all of its paint",
         most=0, share=0.05, layer="semantic", within_m=PROOF_M, n=15_000,
     ),
-    *(_of_body(kind, classes_of(kind)) for kind in BODIES),
+    *(
+        SeenRow(
+            "ids", f"ids.{kind}", classes_of(kind), partial(_body, kind), "{what} of {whose} within its body",
+            most=0, share=0.05, kind=kind, of_beams=SINGLE,
+        )
+        for kind in BODIES
+    ),
     SeenRow(
         "ids", "ids.faces", SURFACES, _faces, "{whose} on faces of {whose}",
         most=0, share=0.05, layer="semantic", needs=_IDS_TOO,

@@ -40,6 +40,7 @@ MIN_PIXELS, MAX_FACE_OUTSIDE, MAX_FACE_GAP_M, MAX_FACE_PART = 60, 0.01, 0.03, 1.
 OF_CORNER = {"road_sign": 1.5}
 # The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
 BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
+SIDES = ((0, -1, "left"), (0, 1, "right"), (1, -1, "rear"), (1, 1, "front"), (2, -1, "lower"), (2, 1, "upper"))
 # The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. Wheels are at
 # least WHEELS_M behind: they are hidden as a whole by an end that is CLEARANCE_M over the ground, or higher.
 SET_BACK, WHEELS_M, CLEARANCE_M = 0.25, 1.1, 0.15
@@ -187,19 +188,16 @@ def _is_whole(item: ObjectLabel) -> bool:
 def _sides_of_face(item: ObjectLabel, apart_m: float) -> Iterator[SideLimit]:
     """The sides of an element's face."""
     most_m = MAX_FACE_GAP_M + (MAX_FACE_PART + OF_CORNER.get(item.category, 0.0)) * apart_m
-    for axis, name in ((0, "left right"), (2, "lower upper")):
-        for sign, side in zip((-1, 1), name.split(), strict=True):
-            yield SideLimit(axis, sign, side, most_m)
+    yield from (SideLimit(axis, sign, side, most_m) for axis, sign, side in SIDES if axis != ALONG)
 
 
 def _sides(half: Float[np.ndarray, "3"], seen: SeenPart, wheels_m: float) -> Iterator[SideLimit]:
     """The sides that are seen."""
-    for axis, name in enumerate(("left right", "rear front", "lower upper")):
-        for sign, side in zip((-1, 1), name.split(), strict=True):
-            has_outline = seen.source == "pixels" and axis != ALONG
-            if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
-                hidden_m = _hidden_m(half, seen.eye, (axis, sign), wheels_m) if has_outline else 0.0
-                yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
+    for axis, sign, side in SIDES:
+        has_outline = seen.source == "pixels" and axis != ALONG
+        if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
+            hidden_m = _hidden_m(half, seen.eye, (axis, sign), wheels_m) if has_outline else 0.0
+            yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
 
 
 def _hidden_m(
