@@ -10,12 +10,11 @@ from synth3dlanes.validate.findings import Finding, Result
 from synth3dlanes.validate.integrity import check_row
 from synth3dlanes.validate.labels import check_form, check_labels, check_objects
 from synth3dlanes.validate.moving import instant
-from synth3dlanes.validate.passes import check_bonnet, check_height, check_kinds, check_normals, check_sky
+from synth3dlanes.validate.passes import check_bonnet, check_kinds, check_normals, check_sky
 from synth3dlanes.validate.picture import check_alignment, check_appearance, check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.seen import check_lidar, check_seen
-from synth3dlanes.validate.standing import check_roadside, check_standing
 from synth3dlanes.validate.things import check_boxes, check_cars, check_elements
 from synth3dlanes.validate.weather import check_weather
 
@@ -54,7 +53,7 @@ CHECKS = (
         check_objects,
         "points labelled as hidden with nothing in front of them, or as visible behind the core of a car",
     ),
-    Check("roadside", check_roadside, "rails, posts and buildings on a pavement"),
+    Check("roadside", partial(check_seen, "roadside"), "rails, posts and buildings on a pavement"),
     Check(
         "weather",
         check_weather,
@@ -65,13 +64,13 @@ CHECKS = (
     Check("frame", check_frame, "black, white or pink images", frozenset({"image"})),
     Check(
         "standing",
-        check_standing,
+        partial(check_seen, "standing"),
         "wheels, trunks and structures that do not touch the ground",
     ),
     Check(
         "lidar",
         check_lidar,
-        "points that are not on the pavement or not where the passes have them, and their ids",
+        "points that are not on the ground, in the body or in the paint that their ids say, and beams through cars",
         _needs("lidar"),
     ),
     Check(
@@ -80,7 +79,12 @@ CHECKS = (
         "points off the ground, points labelled as visible that the passes show to be hidden; depth in another unit",
         _needs("aim"),
     ),
-    Check("height", check_height, "a height map that is too high or low, or some cells off", _needs("height")),
+    Check(
+        "height",
+        partial(check_seen, "height"),
+        "a height map that is too high or low, or some cells off",
+        _needs("height"),
+    ),
     Check("ridges", check_ridges, "paint in the image that is not where its delimiter is", _needs("aim image")),
     Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
     Check("colours", check_colours, "swapped colour channels", _needs("aim image")),

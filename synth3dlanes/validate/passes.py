@@ -1,18 +1,15 @@
-"""Check passes by themselves and against each other: the sky, normals, the bonnet, kinds of ids, and the height map,
-whose cells must be on the ground."""
+"""Check passes by themselves and against each other: the sky, normals, the bonnet, and kinds of ids."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Integer
 
-from synth3dlanes.geometry.frames import transform
 from synth3dlanes.scene.instance_ids import KINDS, kind_indices
 from synth3dlanes.scene.things import KINDS as SEMANTIC_KINDS
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Result, counted, judged
-from synth3dlanes.world.height_map import cells_road
 
 # Number of pixels that may be wrong, and at most about this many are asked for their normals.
 SINGLE, MAX_NORMALS = 3, 45_000
@@ -22,9 +19,6 @@ LENGTH = 0.005
 # pixels of a small car and 0.8 % of all others. Leaves and far hills are not checked.
 AWAY, MAX_AWAY, MIN_OF_KIND = 0.02, 0.25, 50
 FACING = ("road", "shoulder", "marking", "car")
-# One in MAP_STEP cells of the height map is asked; in 26 scenes with and without maps up to 0.0021 of them, at kerbs,
-# are farther from the ground.
-MAP_STEP, MAX_MAP_M, MAP_SHARE = 7, 0.002, 0.005
 # Of the image's height that the bonnet fills.
 MAX_BONNET = 0.03
 
@@ -109,14 +103,3 @@ def check_normals(evidence: Evidence) -> Iterator[Result]:
                 share = float(of_kind.mean())
                 reason = f"normal: expected it to face the camera, got {100 * share:.0f} % of {name} turned away"
                 yield from judged("normal.away", share, reason, most=MAX_AWAY)
-
-
-def check_height(evidence: Evidence) -> Iterator[Result]:
-    """Finding if cells of the height map are not on the ground of the scene, which says nothing about steep walls."""
-    points_road = cells_road(evidence.passes["height"].astype(float))[::MAP_STEP]
-    points_world = transform(evidence.world.view.world_from_road, points_road)
-    above_m = points_world[:, 2] - evidence.world.ground.height_near(points_world)
-    wrong = np.abs(above_m) > MAX_MAP_M
-    by = f"by {np.median(above_m[wrong]):+.3f} m in the median" if wrong.any() else ""
-    reason = f"height: expected cells on the scene's ground, got {{wrong}} of {{n}} elsewhere, {by}"
-    yield from counted("height", wrong, reason, SINGLE, MAP_SHARE)

@@ -1,5 +1,5 @@
-"""A table of what pixels and beams of the lidar must show where: their points, un-projected into the world, must lie on
-the surface, in the body or in the paint that the world has for what their ids say.
+"""A table of what must be where: points of pixels and of beams of the lidar, un-projected into the world, and of what
+the scene sets on the ground must lie on the surface, in the body or in the paint that the world has for them.
 
 A pass has one sample at each pixel's centre, so a pixel's point lies exactly on a mesh. A row says which points it is
 about and how to compute, for each thing among them, how far they are from where it is; one function judges all rows. A
@@ -8,29 +8,32 @@ new kind of thing that has a body needs an entry of `bodies.BODIES` and a row.
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Integer
 from scipy.spatial import cKDTree
 
-from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.roadside import Building, Crossing
 from synth3dlanes.scene.things import SEMANTIC_IDS
-from synth3dlanes.system.arrays import Scalars
-from synth3dlanes.validate.bodies import BODIES, grown, inside
+from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.validate.bodies import BODIES, cores, grown, inside, meet
 from synth3dlanes.validate.evidence import Evidence, Seen
-from synth3dlanes.validate.faces import ground_of
+from synth3dlanes.validate.faces import MeshFaces, ground_of, pavement_of
 from synth3dlanes.validate.findings import PROOF_M, Result, counted, judged
 from synth3dlanes.validate.paint import END_M
 from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
-from synth3dlanes.validate.pixels import around, depth_between
 from synth3dlanes.validate.places import is_single
-from synth3dlanes.world.camera import project
 from synth3dlanes.world.grass import BESIDE_M, LEAN, RADIUS_M
+from synth3dlanes.world.height_map import cells_road
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
 from synth3dlanes.world.paint import PAINT_LIFT_AT_M, PAINT_LIFT_M
-from synth3dlanes.world.solids import SURFACES
+from synth3dlanes.world.placement import TREE_SINK_M
+from synth3dlanes.world.solids import SURFACES, Body
+from synth3dlanes.world.spans import PASSAGE_M
+from synth3dlanes.world.world import World
 
 # Range of pavement and terrain, and how far they may be from their faces: in 108 samples one point in 4,000 of a sample
 # is farther, at the most.
@@ -47,9 +50,19 @@ BETWEEN_M = 0.9
 STEEP = 0.5
 # Pixels this close to an edge of a symbol may show either side of it; lines may lie this far over a gore's edges.
 MARGIN_M, LINE_M = 0.04, 0.15
-# Error of a beam's range; depth is interpolated where its error by the surface's bend is below a limit; surfaces whose
-# depths differ by a larger share are two. The number and share of beams that may be wrong.
-MAX_RANGE_M, MAX_BEND_M, ONE_SURFACE, BEAMS, BEAMS_SHARE = 0.01, 0.003, 0.02, 20, 0.02
+# The number of beams that may be wrong.
+BEAMS = 20
+# Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
+# 5 cm), and farther from the host the ground's faces are metres long. A tree's base is 0.1 m below the ground and its
+# root reaches 0.3 m deeper.
+MAX_WHEEL_M, MAX_TREE_M, STANDS_WITHIN_M = 0.25, 0.4, 100.0
+# Every eighth foot of a structure is checked; structures reach as deep into the ground as trees do.
+FEET_STEP = 8
+# Kerbs stand at the very edge. Edges of buildings this near to their lowest point are on the ground.
+ROOM_M, LOW_M = 0.05, 0.5
+# One in MAP_STEP cells of the height map is asked; in 26 scenes with and without maps up to 0.0021 of them, at kerbs,
+# are farther from the ground.
+MAP_STEP, MAX_MAP_M, MAP_SHARE = 7, 0.002, 0.005
 
 PAVEMENT = ("road", "shoulder")
 # Semantic ids of what the faces of the pavement are made of.
@@ -68,15 +81,16 @@ class PartSeen(NamedTuple):
 
 
 class SeenRow(NamedTuple):
-    """Points of some semantic classes (or of a kind of instance ids, where there are any) within a range: of each thing
-    among them all but `single` and a share must be within `most`, or, `in_median`, the median must. `expected` may
-    have places for {what} is seen and {whose} it is; `layer` is the pass that findings name, or else that of ids. Beams
-    are judged by rows with `of_beams`, which is the number of these that may be wrong."""
+    """Points of some semantic classes (or of a kind of instance ids, where there are any) within a range, or, without
+    classes, places that the row itself knows: of each thing among them all but `single` and a share must be within
+    `most`, or, `in_median`, the median must. `expected` may have places for {what} is seen and {whose} it is; `layer`
+    is the pass that findings name, or else that of ids. Beams are judged by rows with `of_beams`, which is the number
+    of these that may be wrong."""
 
     check: str
     name: str
     classes: tuple[str, ...]
-    parts: Callable[[Evidence, Seen], Iterator[PartSeen]]
+    parts: Callable[[Evidence, Any], Iterator[PartSeen]]
     expected: str
     most: float
     share: float = 0.0
@@ -97,6 +111,9 @@ def check_seen(check: str, evidence: Evidence) -> Iterator[Result]:
     for row in ROWS:
         if row.check != check or not row.needs <= evidence.has | _any_ids(evidence, row):
             continue
+        if not row.classes:
+            yield from _judge(row, evidence, None)
+            continue
         # Rows about the same points share them, and what is computed of them.
         key = (row.classes, row.kind, row.within_m, row.n)
         if key not in known:
@@ -116,9 +133,10 @@ def _is_of(row: SeenRow, ids: Mapping[str, Integer[np.ndarray, "*n"]]) -> Bool[n
     return np.isin(ids["semantic"], [SEMANTIC_IDS[name] for name in row.classes])
 
 
-def _judge(row: SeenRow, evidence: Evidence, seen: Seen) -> Iterator[Result]:
-    what = "points" if seen.is_lidar else "pixels"
-    source = "lidar" if seen.is_lidar else row.layer or ("instance" if "instance" in evidence.passes else "semantic")
+def _judge(row: SeenRow, evidence: Evidence, seen: Seen | None) -> Iterator[Result]:
+    is_lidar = seen is not None and seen.is_lidar
+    what = "places" if seen is None else "points" if is_lidar else "pixels"
+    source = "lidar" if is_lidar else row.layer or ("instance" if "instance" in evidence.passes else "semantic")
     for part in row.parts(evidence, seen):
         n, off_m = len(part.apart_m), np.abs(part.apart_m)
         if n < row.least_n:
@@ -133,52 +151,23 @@ def _judge(row: SeenRow, evidence: Evidence, seen: Seen) -> Iterator[Result]:
         wrong = ~(off_m <= row.most)
         far_m = part.apart_m[wrong & np.isfinite(off_m)]
         by = f", by {np.median(far_m):+.3f} m in the median" if len(far_m) else ""
-        single = row.of_beams if seen.is_lidar and row.of_beams is not None else row.single
+        single = row.of_beams if is_lidar and row.of_beams is not None else row.single
         found = f"{expected} {{wrong}} of {{n}} {what} elsewhere{by}"
         yield from counted(row.name, wrong, found, single, row.share, part.lane)
 
 
 def check_lidar(evidence: Evidence) -> Iterator[Result]:
-    """Findings of the rows about what beams see, and of what the image shows too beside the passes."""
+    """Findings of the rows about what beams see, and where beams pass through cars."""
     swept = evidence.swept
     yield from disagreement("lidar", swept.ids["semantic"], swept.ids["instance"])
     for row in ROWS:
         if row.of_beams is not None:
-            within_m = PROOF_M if row.check in ("pavement", "terrain") else np.inf
+            within_m = np.inf if row.kind in BODIES else PROOF_M
             yield from _judge(row, evidence, swept.at(_is_of(row, swept.ids) & (swept.range_m < within_m)))
-    if evidence.has >= _IDS_TOO:
-        yield from _against_passes(evidence, swept)
-
-
-def _against_passes(evidence: Evidence, swept: Seen) -> Iterator[Result]:
-    """Ranges and ids of points where they and the depth pass show one surface, of bodies ids alone: these have parts
-    smaller than a pixel."""
-    points, passes, camera = evidence.returns, evidence.passes, evidence.world.view.camera
-    assert points is not None
-    uv, shape = project(camera, points.xyz_cam), passes["depth"].shape
-    with np.errstate(invalid="ignore"):
-        inner = ((uv > 2) & (uv < np.array(shape[::-1]) - 2)).all(axis=1)
-    uv, y_m, own = uv[inner], points.xyz_cam[inner, 1], swept.at(inner)
-    slant = np.linalg.norm(points.xyz_cam[inner], axis=1) / y_m
-    between, square = depth_between(passes["depth"], uv), around(uv, shape, 2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        clear = between.bend * between.depth_m * slant < MAX_BEND_M
-        share = between.depth_m / y_m - 1
-    is_other = np.zeros(len(y_m), dtype=bool)
-    for name, values in own.ids.items():
-        ids = passes[name][square]
-        clear &= (ids == ids[0]).all(axis=0)
-        is_other |= ids[0] != values
-    same = clear & (np.abs(share) < ONE_SURFACE)
-    paved = same & np.isin(own.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT])
-    off_m = (np.abs(between.depth_m - y_m) * slant)[paved]
-    for name, wrong, words in (
-        ("range", off_m[y_m[paved] < PROOF_M] > MAX_RANGE_M, f"points within {MAX_RANGE_M} m of the depth pass"),
-        ("before", (share > ONE_SURFACE)[clear], "points on what the depth pass shows"),
-        ("ids", is_other[same], "the ids of the passes"),
-    ):
-        reason = f"lidar: expected {words}, got {{wrong}} of {{n}} points elsewhere"
-        yield from counted(f"lidar.{name}", wrong, reason, BEAMS, BEAMS_SHARE)
+    through = meet(cores(evidence.world), swept.eye_world, swept.points_world)
+    yield from counted(
+        "lidar.through", through, "lidar: expected beams to end at cars, got {wrong} of {n} behind", SINGLE
+    )
 
 
 # -- parts: how far points are from where the world has them
@@ -298,7 +287,98 @@ def _gaps(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
         yield PartSeen(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
 
 
+def _stands(
+    points_of: Callable[[World], Points3], faces_of: Callable[[World], MeshFaces], evidence: Evidence, _: None
+) -> Iterator[PartSeen]:
+    """How far what stands near the host ahead of the camera is over the meshes that are rendered, which are flat
+    between their rows; what is below a deck stands on the road there."""
+    world, points = evidence.world, points_of(evidence.world)
+    of_host, of_cam = (
+        transform(invert(pose), points) for pose in (world.view.world_from_host, evidence.camera.world_from_cam)
+    )
+    points = points[(np.hypot(*of_host[:, :2].T) < STANDS_WITHIN_M) & (of_cam[:, 1] > 0)]
+    gap_m = points[:, 2] - faces_of(world).height(points[:, :2], points[:, 2] + PASSAGE_M)
+    yield PartSeen("", gap_m[np.isfinite(gap_m)])
+
+
+def wheels(world: World) -> Points3:
+    """The contact points of all cars' tyres."""
+    found = [np.zeros((0, 3))]
+    for car, world_from_car in zip(world.scene.cars, world.view.world_from_cars, strict=True):
+        model = world.scene.assets.car_models[car.model - 1]
+        x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
+        found.append(transform(world_from_car, np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])))
+    return np.concatenate(found)
+
+
+def _trunks(world: World) -> Points3:
+    return world.site.trees_world + np.array([0, 0, TREE_SINK_M])
+
+
+def _feet(world: World) -> Points3:
+    return np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
+
+
+def _on_pavement(evidence: Evidence, _: None) -> Iterator[PartSeen]:
+    """Poles may stand on the walkways of a map, and below its decks. What stands on a median is left to the road's own
+    checks, and what has no pole hangs."""
+    world, roadside = evidence.world, evidence.scene.roadside
+    poles = [item for item in roadside.free_elements if item.has_pole]
+    items = (*roadside.rails, *roadside.posts, *roadside.crossings, *roadside.buildings, *poles)
+    # Bodies of decks, heads and faces follow.
+    asked = [
+        (number, _outline(body) if isinstance(item, Building) else body.feet_world[:, :2], isinstance(item, Building))
+        for number, (item, body) in enumerate(zip(items, world.site.structures, strict=False))
+        if not isinstance(item, Crossing) and getattr(item, "side", "") != "median"
+    ]
+    if not asked:
+        return
+    n_places = [len(places_xy) for _, places_xy, _ in asked]
+    feet = np.concatenate([places_xy for _, places_xy, _ in asked])
+    numbers, is_building = (np.repeat([row[i] for row in asked], n_places) for i in (0, 2))
+    inside_m = -np.where(is_building, world.ground.clearance(feet), world.ground.paved.off_carriageways(feet))
+    inside_m[world.ground.is_stacked(feet)] = 0
+    for number in np.unique(numbers).tolist():
+        whose = f"structure {number} ({world.site.structures[number].kind})"
+        yield PartSeen(whose, np.maximum(inside_m[numbers == number], 0))
+
+
+def _outline(body: Body) -> Points2:
+    """Places along the lower edges of a body's faces."""
+    corners = body.corners_world
+    ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+    low = ends[(ends[..., 2] < corners[..., 2].min() + LOW_M).all(axis=1)]
+    share = np.linspace(0, 1, 9)[:, None, None]
+    return np.asarray(((1 - share) * low[:, 0, :2] + share * low[:, 1, :2]).reshape(-1, 2))
+
+
+def _cells(evidence: Evidence, _: None) -> Iterator[PartSeen]:
+    """Cells of the height map, which says nothing about steep walls."""
+    points_road = cells_road(evidence.passes["height"].astype(float))[::MAP_STEP]
+    points_world = transform(evidence.world.view.world_from_road, points_road)
+    yield PartSeen("", points_world[:, 2] - evidence.world.ground.height_near(points_world))
+
+
 ROWS = (
+    *(
+        SeenRow(
+            "standing", f"standing.{name}_gap_m", (), partial(_stands, points, faces),
+            f"{name}s within {limit_m} m of the ground", most=limit_m, single=0, layer="scene", needs=frozenset(),
+        )
+        for name, points, faces, limit_m in (
+            ("wheel", wheels, pavement_of, MAX_WHEEL_M),
+            ("tree", _trunks, ground_of, MAX_TREE_M),
+            ("structure", _feet, ground_of, MAX_TREE_M),
+        )
+    ),
+    SeenRow(
+        "roadside", "roadside", (), _on_pavement, "{whose} beside the pavement",
+        most=ROOM_M, single=0, layer="scene", needs=frozenset(),
+    ),
+    SeenRow(
+        "height", "height", (), _cells, "cells on the scene's ground",
+        most=MAX_MAP_M, share=MAP_SHARE, layer="height", needs=frozenset({"height"}),
+    ),
     SeenRow(
         "pavement", "pavement.surface", PAVEMENT, _surface, f"{{whose}} within {MAX_OFF_M} m of the scene's",
         most=MAX_OFF_M, share=0.001, layer="passes", within_m=RANGE_M, n=15_000, of_beams=BEAMS,
@@ -322,7 +402,7 @@ ROWS = (
     ),
     SeenRow(
         "ids", "ids.paint", ("marking",), _paint, "paint where {whose} is painted",
-        most=MAX_BEYOND_M, share=0.02, kind="delimiter", within_m=PROOF_M,
+        most=MAX_BEYOND_M, share=0.02, kind="delimiter", within_m=PROOF_M, of_beams=SINGLE,
     ),
     SeenRow(
         "ids", "ids.bare", PAINTED, _bare, "{what} of {whose} in all of its paint",

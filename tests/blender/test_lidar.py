@@ -20,7 +20,7 @@ from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.seen import PAVEMENT
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed
-from tests.validate.examining import findings
+from tests.validate.examining import findings, reasons
 
 pytestmark = pytest.mark.render
 
@@ -104,6 +104,12 @@ def test_sweeps_agree_with_the_passes_and_mirrored_or_turned_ones_do_not():
     assert spoilt(lambda values: np.roll(values, 1, axis=0))
     assert spoilt(lambda values: (values * 1.01).astype(values.dtype) if values.dtype == np.float32 else values)
     assert spoilt(lambda values: values + np.uint16(1) if values.dtype == np.uint16 else values)
+    is_paint = sweep.semantic == SEMANTIC_IDS["marking"]
+    next_line = replace(sweep, instance=sweep.instance + (is_paint & (sweep.instance > 0)).astype(np.uint16))
+    assert "lidar: expected paint where the line" in reasons(replace(sample, sweep=next_line), "lidar")
+    unseen = scene.cars[0].model_copy(update={"s_m": scene.camera.y_m + 9})
+    other = replace(sample, known_world=resolve(scene.model_copy(update={"cars": (*scene.cars, unseen)})))
+    assert "lidar: expected beams to end at cars" in reasons(other, "lidar")
 
 
 def test_even_beams_are_rendered_at_once_and_others_alone():

@@ -227,8 +227,9 @@ def test_faces_are_in_their_boxes_and_the_check_finds_what_stands_on_a_road(worl
         ),
     )
     sample = Evidence(resolve(on_road), ground_truth(on_road))
-    found = [finding.reason.partition(":")[0] for finding in findings(sample, "roadside")]
-    assert found == ["structure 0 (guardrail)", "structure 1 (lamp)", "structure 2 (house)"]
+    found = [finding.reason.partition(" beside")[0] for finding in findings(sample, "roadside")]
+    structures_on_it = ("structure 0 (guardrail)", "structure 1 (lamp)", "structure 2 (house)")
+    assert found == [f"scene: expected {whose}" for whose in structures_on_it]
 
 
 def test_trees_keep_clear(worlds):

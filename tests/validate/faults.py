@@ -156,17 +156,17 @@ def scaled_by(share: float, image: Image.Image) -> Image.Image:
     return image.resize(image.size, Image.Resampling.BICUBIC, box=box)
 
 
-def stretched(image: Image.Image) -> Image.Image:
-    """5 % wider, cut to its size."""
+def stretched(by: float, image: Image.Image) -> Image.Image:
+    """Wider, cut to its size."""
     width, height = image.size
-    wide = image.resize((round(width * 1.05), height))
+    wide = image.resize((round(width * by), height))
     left = (wide.width - width) // 2
     return wide.crop((left, 0, left + width, height))
 
 
-def coarse(image: Image.Image) -> Image.Image:
+def coarse(how: Image.Resampling, image: Image.Image) -> Image.Image:
     """Of half its resolution, in its size."""
-    return image.resize((image.width // 2, image.height // 2)).resize(image.size)
+    return image.resize((image.width // 2, image.height // 2), Image.Resampling.BOX).resize(image.size, how)
 
 
 def turned_hue(by: int, image: Image.Image) -> Image.Image:
@@ -499,9 +499,9 @@ FAULTS = [
     ),
     Fault("ids of road and shoulder swapped", of_pass("semantic", swapped("road", "shoulder")), "road by the plan"),
     Fault("image 3 px to the right", of_image(lambda image, *_: aside(image, 3)), "image"),
-    Fault("image stretched by 5 %", of_image(drawn(stretched)), "image"),
+    Fault("image stretched by 5 %", of_image(drawn(partial(stretched, 1.05))), "image"),
     Fault("image BGR", of_image(lambda image, *_: image[..., ::-1]), "image", "image: "),
-    Fault("image of half its resolution", of_image(drawn(coarse)), "image"),
+    Fault("image of half its resolution", of_image(drawn(partial(coarse, Image.Resampling.BICUBIC))), "image"),
     Fault(
         "exposure edited in the scene",
         of_json(SCENE, lambda document: document["light"].update(exposure=1.3 * document["light"]["exposure"])),

@@ -1,7 +1,8 @@
 """Faults planted in copies of a small clean data set, and what validate says of each.
 
     python -m tests.validate.planted --write docs/validate_measured.md   # the table of this page, whole and anew
-    python -m tests.validate.planted --params diverse --only ids         # some of it elsewhere
+    python -m tests.validate.planted --only ids --write docs/validate_measured.md  # some of its rows anew
+    python -m tests.validate.planted --params diverse --only ids         # the same elsewhere
     python -m tests.validate.planted --clean DIR DIR ...                 # false alarms and speed on clean data sets
 
 A fault is planted in all samples that have what it changes. It is found in a sample where a problem of that sample
@@ -107,14 +108,15 @@ def changed(scene: Scene, world: int) -> Scene:
 
 
 def render(
-    folder: Path, params: Params, seed: int, n: int, workers: int, few: int | None = None
+    folder: Path, params: Params, seed: int, n: int, workers: int, few: int | None = None, only: str = ""
 ) -> tuple[Path, list[Fault]]:
-    """A clean data set of n samples with all passes, and all faults that may be planted in it: worlds that do not need
-    many samples in its first `few`."""
+    """A clean data set of n samples with all passes, and all faults with `only` in their names that may be planted in
+    it: worlds that do not need many samples in its first `few`."""
     recipe = Recipe(Scenes(params, seed, "train"), SETTINGS, IMAGE)
     clean = folder / "clean"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
-    counts = {w: n if world.needs_many or few is None else few for w, world in enumerate(WORLDS)}
+    worlds = [(w, world) for w, world in enumerate(WORLDS) if only in world.name]
+    counts = {w: n if world.needs_many or few is None else few for w, world in worlds}
     return clean, [*FAULTS, *_worlds(folder / "worlds", recipe, counts, workers)]
 
 
@@ -139,10 +141,10 @@ def render_works(folder: Path, seed: int, n: int, workers: int) -> tuple[Path, l
     return clean, OF_WORKS
 
 
-def render_unseen(folder: Path, seed: int, n: int, workers: int) -> list[Fault]:
-    """Faults of these samples that files do not tell, or not always."""
+def render_unseen(folder: Path, seed: int, n: int, workers: int, only: str = "") -> list[Fault]:
+    """Faults of these samples with `only` in their names that files do not tell, or not always."""
     pictures = [Fault(name, fault.spoil, fault.again) for name, fault in AGAIN.items()]
-    counts = dict.fromkeys(range(len(WORLDS), len(NUMBERED)), n)
+    counts = {w: n for w, world in enumerate(NUMBERED) if w >= len(WORLDS) and only in world.name}
     recipe = streets(seed)
     recipe = replace(recipe, scenes=replace(recipe.scenes, shots=SINGLE), settings=SETTINGS)
     return [*pictures, *_worlds(folder / "unseen", recipe, counts, workers)]
@@ -150,6 +152,8 @@ def render_unseen(folder: Path, seed: int, n: int, workers: int) -> list[Fault]:
 
 def _worlds(root: Path, recipe: Recipe, counts: dict[int, int], workers: int) -> list[Fault]:
     """Faults that put pictures of other worlds, by number, into so many of the first samples of a recipe."""
+    if not counts:
+        return []
     scenes = [recipe.scene(index) for index in range(max(counts.values()))]
     jobs = tuple((w, i) for w, n in counts.items() for i in range(n) if changed(scenes[i], w) != scenes[i])
     worlds = Worlds(recipe.scenes, recipe.settings, recipe.image_format, jobs=jobs)
@@ -226,22 +230,15 @@ def false_alarms(root: Path) -> str:
     return f"| {root.name} | {report.n_samples} | {len(report.failed)} | {per_s:.1f} |"
 
 
-def tell(lines: Iterable[str], header: str) -> list[str]:
-    """Print a table row by row; the table."""
-    told = [header]
-    print(header)  # noqa: T201
-    for line in lines:
-        print(line, flush=True)  # noqa: T201
-        told.append(line)
-    return told
-
-
-def fill(page: Path, table: Sequence[str]) -> None:
-    """Put a table in the place of that below the mark of a page."""
-    text = page.read_text()
-    filled, n = re.subn(r"(?<=<!-- planted -->\n).*?(?=\n\n)", lambda _: "\n".join(table), text, flags=re.DOTALL)
-    assert n == 1, f"{page}: expected one mark <!-- planted -->, got {n}"
-    page.write_text(filled)
+def fill(page: Path, results: Sequence[Result], is_whole: bool) -> None:
+    """Put rows into the table below the mark of a page, in place of those of the same faults, or of all if they are the
+    whole table."""
+    before, mark, rest = page.read_text().partition("<!-- planted -->\n")
+    assert mark, f"{page}: expected a mark <!-- planted -->, got none"
+    table, _, after = rest.partition("\n\n")
+    rows = {} if is_whole else {line.split("|")[1].strip(): line for line in table.splitlines()[2:]}
+    rows |= {result.fault: result.row() for result in results}
+    page.write_text("\n".join([before + mark + HEADER, *rows.values()]) + "\n\n" + after)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -258,25 +255,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--clean", nargs="+", type=Path, help="clean data sets, for false alarms")
     options = parser.parse_args(arguments)
     if options.clean:
-        tell(map(false_alarms, options.clean), HEADER_CLEAN)
+        print("\n".join([HEADER_CLEAN, *map(false_alarms, options.clean)]))  # noqa: T201
         return 0
     with tempfile.TemporaryDirectory(prefix="planted-") as folder:
-        rendered = options.data or Path(folder, "rendered")
-        clean, faults = render(rendered, load_params(options.params), options.seed, options.n, options.workers)
-        of_streets, more = render_streets(rendered, options.seed, options.n_streets, options.workers)
-        of_works, along = render_works(rendered, options.seed, options.n_streets, options.workers)
-        unseen = render_unseen(rendered, options.seed, options.n_streets, options.workers)
+        rendered, few, workers = options.data or Path(folder, "rendered"), options.n_streets, options.workers
+
+        def asked(faults: Iterable[Fault | Changing]) -> bool:
+            return any(options.only in fault.name for fault in faults)
+
+        sets: list[tuple[Path, list[Fault]]] = []
+        if asked((*FAULTS, *WORLDS)):
+            params = load_params(options.params)
+            sets.append(render(rendered, params, options.seed, options.n, workers, only=options.only))
+        if asked((*OF_STREETS, *OTHERS)) or any(options.only in name for name in AGAIN):
+            root, of_streets = render_streets(rendered, options.seed, few, workers)
+            sets += [(root, of_streets), (root, render_unseen(rendered, options.seed, few, workers, options.only))]
+        if asked(OF_WORKS):
+            sets.append(render_works(rendered, options.seed, few, workers))
         results = []
-
-        def rows() -> Iterator[str]:
-            for root, planted in ((clean, faults), (of_streets, more), (of_works, along), (of_streets, unseen)):
-                for result in table(root, [fault for fault in planted if options.only in fault.name], Path(folder)):
-                    results.append(result)
-                    yield result.row()
-
-        told = tell(rows(), HEADER)
-    if options.write:
-        fill(options.write, told)
+        print(HEADER)  # noqa: T201
+        for root, planted in sets:
+            for result in table(root, [fault for fault in planted if options.only in fault.name], Path(folder)):
+                results.append(result)
+                print(result.row(), flush=True)  # noqa: T201
+                if options.write:
+                    fill(options.write, [result], is_whole=False)
+    if options.write and not options.only:
+        fill(options.write, results, is_whole=True)
     return int(any(result.is_silent for result in results))
 
 

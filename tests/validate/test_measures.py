@@ -25,7 +25,7 @@ from synth3dlanes.validate.faces import pavement_of
 from synth3dlanes.validate.findings import Finding
 from synth3dlanes.validate.paint import WorldPaint
 from synth3dlanes.validate.report import ValidationReport
-from synth3dlanes.validate.standing import wheels
+from synth3dlanes.validate.seen import wheels
 from synth3dlanes.world.world import resolve
 from tests.maps import files
 from tests.scenes import FLAT, changed, flat_road_depth, flat_road_places
