@@ -6,6 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -101,6 +102,7 @@ def test_ctrl_c_in_a_terminal_ends_shared_processes_without_a_word(command, is_e
     if is_early:
         while not any(map(is_shared_process, parent.children())):
             assert process.poll() is None
+            time.sleep(0.02)
     else:
         assert process.stdout.readline()
     os.killpg(process.pid, signal.SIGINT)

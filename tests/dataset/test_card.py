@@ -44,10 +44,13 @@ def header(root: Path) -> dict[str, Any]:
     return yaml.safe_load(text)
 
 
-def test_the_hub_finds_licence_task_size_and_splits(tmp_path):
+def test_the_hub_finds_licence_task_size_and_splits_and_a_reader_the_parameters(tmp_path):
     make(tmp_path, [0], 2)
     make(tmp_path, [0], 2, "val-night")
-    found = header(tmp_path)
+    found, text = header(tmp_path), (tmp_path / "README.md").read_text()
+    assert document(tmp_path)["license"] == "CC0-1.0"
+    assert yaml.safe_load(text.split("```yaml\n")[1].split("```")[0]) == document(tmp_path)["params"]
+    assert all(f"| `.{name}` |" in text for name in RECIPE.names)
     assert found["license"] == "cc0-1.0"
     assert found["task_categories"]
     assert found["size_categories"] == ["n<1K"]
@@ -69,24 +72,24 @@ def test_no_licence_is_claimed_where_none_is_known():
     assert "CC0" not in text
 
 
-def test_the_parameters_of_the_card_are_those_of_the_data_set(tmp_path):
-    text = (make(tmp_path, [0], 2) / "README.md").read_text()
-    params = yaml.safe_load(text.split("```yaml\n")[1].split("```")[0])
-    assert params == json.loads((tmp_path / "dataset.json").read_text())["params"]
-    assert all(f"| `.{name}` |" in text for name in RECIPE.names)
-
-
-def test_it_grows_with_the_data_set_until_a_user_writes_their_own(tmp_path):
-    path = make(tmp_path, [0], 2) / "README.md"
+def test_both_files_grow_with_the_data_set_until_a_user_writes_their_own(tmp_path):
+    path, table = make(tmp_path, [0], 2) / "README.md", tmp_path / "croissant.json"
     assert "| train | 2 |" in path.read_text()
-    make(tmp_path, [1], 4)
-    assert "| train | 4 |" in path.read_text()
-    path.unlink()
-    make(tmp_path, [1], 4)
-    assert "| train | 4 |" in path.read_text(), "as after a run that was killed before it wrote the card"
-    path.write_text("Mine.\n")
+    for is_gone in (False, True):  # as after a run that was killed before it wrote them
+        if is_gone:
+            path.unlink()
+            table.unlink()
+        make(tmp_path, [1], 4)
+        assert "| train | 4 |" in path.read_text()
+        found = json.loads(table.read_text())
+        files = [part["contentUrl"] for part in found["distribution"] if part["@type"] == "cr:FileObject"]
+        assert files == ["train/00000.tar", "train/00001.tar"]
+    assert found.pop("creativeWorkStatus") == MARK
+    own = {path: "Mine.\n", table: json.dumps({**found, "datePublished": "2026-11-25"})}
+    for file, text in own.items():
+        file.write_text(text)
     make(tmp_path, [2], 6)
-    assert path.read_text() == "Mine.\n"
+    assert {file: file.read_text() for file in own} == own
 
 
 @pytest.mark.parametrize("is_store", [False, True])
@@ -198,20 +201,6 @@ def test_it_stays_true_when_a_data_set_grows_is_split_or_merged(tmp_path):
     assert str(tmp_path) not in (tmp_path / "dealt/croissant.json").read_text()
 
 
-def test_it_grows_until_a_user_writes_their_own(tmp_path):
-    path = make(tmp_path, [0], 2) / "croissant.json"
-    path.unlink()
-    make(tmp_path, [1], 4)
-    document = json.loads(path.read_text())
-    files = [part["contentUrl"] for part in document["distribution"] if part["@type"] == "cr:FileObject"]
-    assert files == ["train/00000.tar", "train/00001.tar"]
-    assert document.pop("creativeWorkStatus") == MARK
-    path.write_text(json.dumps({**document, "datePublished": "2026-11-25"}))
-    before = path.read_bytes()
-    make(tmp_path, [2], 6)
-    assert path.read_bytes() == before
-
-
 def test_a_data_set_of_very_many_shards_names_their_form_alone():
     splits = {f"s{number}": {"n": 100_000_000} for number in range(1000)}
     document = json.loads(croissant({**DESCRIPTION, "splits": splits, "shard_size": 1}))
@@ -238,10 +227,6 @@ def license_as(root: Path, licence: str | None) -> Path:
     found |= {} if licence is None else {"license": licence}
     (root / "dataset.json").write_text(json.dumps(found, indent=1) + "\n")
     return root
-
-
-def test_a_new_data_set_is_free_for_all(tmp_path):
-    assert document(make(tmp_path, [0], 2))["license"] == "CC0-1.0"
 
 
 def test_whose_assets_are_the_users_own_has_the_licence_that_they_choose():
