@@ -34,6 +34,8 @@ ROOM_M = 0.08
 # Boxes of a thing that are looked at together where one around them is met; boxes times points at once.
 RUN, TOGETHER = 32, 1_000_000
 
+# Nothing in a scene is farther.
+FAR_M = 5_000.0
 # The series of objects.
 OBJECTS = ("car", "thing")
 

@@ -145,7 +145,7 @@ CHECKS = (
     Check(
         "elements",
         check_elements,
-        "signals and signs without a label, or in another state than their lights show",
+        "signals in another state than their lights show",
     ),
     Check(
         "moving",

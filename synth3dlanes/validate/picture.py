@@ -23,7 +23,7 @@ from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes
-from synth3dlanes.validate.bodies import before, before_or_shading, meet
+from synth3dlanes.validate.bodies import FAR_M, before, before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
 from synth3dlanes.world.visibility import seen_over_ground
@@ -32,8 +32,6 @@ from synth3dlanes.world.visibility import seen_over_ground
 MAX_CLIPPED, MIN_MEAN = 0.5, 8.0
 # Blender shows missing textures in pink. Cars may be pink, ground is not.
 MAX_PINK_OF_GROUND, MAX_PINK = 0.02, 0.5
-# Nothing in a scene is farther.
-FAR_M = 5_000.0
 GROUND = ("terrain", "road", "shoulder", "marking")
 
 # Sampled places: metres ahead of the camera, metres beside the pavement, and least distance from any pavement.

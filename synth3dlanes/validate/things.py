@@ -1,13 +1,12 @@
 """Judge what has labels of its own, objects and traffic elements, by what depth, ids, the sweep and the image show.
 
-Points of what is labelled must be in its box, and reach the sides that are seen. A box that is too small, turned or
-moved is found by points outside it, one that is too large by the gap before a side. `car_visible_fraction` is the share
-of the pixels that a car would fill, were it alone, in which it is seen: its box in the image bounds these. What labels
-count of ids is counted anew. No pixels of a sign or signal may be without a label, and the lights of a signal must
-shine where its state says.
+Points of what is labelled must be in its box, and those of pixels reach the sides that are seen. A box that is too
+small, turned or moved is found by points outside it, one that is too large by the gap before a side. `visible_fraction`
+is the share of the pixels that a thing would fill, were it alone, in which it is seen: what something nearer covers of
+its box bounds this. What labels count of ids is counted anew. The lights of a signal must shine where its state says.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,9 +17,8 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.object_labels import ObjectLabel, as_seen, object_document
 from synth3dlanes.scene.instance_ids import END, thing_of
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.object_truth import with_pixel_shares
-from synth3dlanes.validate.bodies import box_of, grown, meet
+from synth3dlanes.validate.bodies import FAR_M, box_of, grown, meet
 from synth3dlanes.validate.documents import differences, some
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, counted, judged
@@ -32,9 +30,9 @@ ROOM_M, MAX_SINGLE = 0.02, 2
 # Sides are judged only of what is seen as a whole.
 MIN_SEEN = 0.99
 # Of objects and of faces of elements: the least number of points, the share of these that may be outside a box
-# (built-in models reach at most 2 cm beyond theirs), how far before a side points may end, and which part of what lies
-# between two pixels, or between two beams, of which one may return nothing.
-MIN_POINTS, MAX_OUTSIDE, MAX_GAP_M, MAX_PART = 150, 0.002, 0.035, {"pixels": 0.75, "points": 2.0}
+# (built-in models reach at most 2 cm beyond theirs), how far before a side pixels may end, and which part of what lies
+# between two of them.
+MIN_POINTS, MAX_OUTSIDE, MAX_GAP_M, MAX_PART = 150, 0.002, 0.035, 0.75
 MIN_PIXELS, MAX_FACE_OUTSIDE, MAX_FACE_GAP_M, MAX_FACE_PART = 60, 0.01, 0.03, 1.0
 # A board may reach a side in a corner alone.
 OF_CORNER = {"road_sign": 1.5}
@@ -50,8 +48,6 @@ MIRROR_M = 0.07
 
 # The share that the ids of an image show of an element is exact.
 MAX_SHARE_ERROR = 0.002
-# Pixels of an element without a label are a fault if there are more than MAX_UNLABELLED within FARTHEST_M.
-MAX_UNLABELLED, FARTHEST_M = 4, 190.0
 # Heads of which fewer rows are seen are not judged by their colours; how much brighter a dark light may be than a lit
 # one, and how far a red cross may be from red, in levels.
 MIN_ROWS, BRIGHTER, LEAST_HUE = 18, 50.0, 12.0
@@ -61,12 +57,13 @@ HUES = {"red_cross": 1, "green_arrow": -1}
 
 
 class SeenPart(NamedTuple):
-    """Points of what is labelled in its frame, the eye in it, and how far points are from each other at most."""
+    """Points of what is labelled in its frame; of pixels the eye in it, and how far points are from each other at
+    most."""
 
     source: str
     points: Float[np.ndarray, "n 3"]
-    eye: Float[np.ndarray, "3"]
-    apart_m: float
+    eye: Float[np.ndarray, "3"] | None = None
+    apart_m: float = 0.0
 
 
 class SideLimit(NamedTuple):
@@ -125,8 +122,7 @@ def _wheels_m(scene: Scene) -> list[float]:
 def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
     """What pixels show of what is labelled, and points of an object, if it is near the camera and there are enough."""
     found, box_from_cam = [], invert(item.cam_from_object)
-    distance_m = float(np.linalg.norm(item.center_cam))
-    if distance_m > PROOF_M:
+    if np.linalg.norm(item.center_cam) > PROOF_M:
         return []
     if {"depth", "instance"} <= evidence.has:
         rows, columns = np.nonzero((evidence.passes["instance"] == item.id) & evidence.has_points)
@@ -134,31 +130,17 @@ def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
             points_cam = evidence.points_cam(rows, columns)
             apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
             found.append(SeenPart("pixels", transform(box_from_cam, points_cam), box_from_cam[:3, 3], apart_m))
-    points, sweep = evidence.returns, evidence.sweep
-    if sweep is not None and points is not None and not item.is_element:
-        own, lidar = points.instance == item.id, sweep.lidar
+    points = evidence.returns
+    if points is not None and not item.is_element:
+        own = points.instance == item.id
         if own.sum() >= MIN_POINTS:
-            eye = transform(box_from_cam, lidar.cam_from_lidar[:3, 3])
-            corners_lidar = transform(invert(lidar.cam_from_lidar), item.corners_cam)
-            apart_m = distance_m * _step_rad(lidar.elevations_rad, points.xyz_lidar[own], corners_lidar)
-            found.append(SeenPart("points", transform(box_from_cam, points.xyz_cam[own]), eye, apart_m))
+            found.append(SeenPart("points", transform(box_from_cam, points.xyz_cam[own])))
     return found
-
-
-def _step_rad(
-    elevations_rad: Sequence[float], xyz_lidar: Float[np.ndarray, "n 3"], corners_lidar: Float[np.ndarray, "8 3"]
-) -> float:
-    """The largest angle between two neighbouring beams, of those that meet points and one on either side; infinite
-    where a part of the body is over all beams."""
-    beams = np.sort(elevations_rad)
-    up_rad, top_rad = (np.arctan2(at[:, 2], np.hypot(*at[:, :2].T)) for at in (xyz_lidar, corners_lidar))
-    first, last = np.searchsorted(beams, [up_rad.min(), up_rad.max()])
-    return np.inf if top_rad.max() > beams[-1] else float(np.diff(beams[max(first - 1, 0) : last + 2]).max(initial=0.0))
 
 
 def judge(item: ObjectLabel, seen: SeenPart, wheels_m: float = WHEELS_M) -> Iterator[Result]:
     """Findings where points are outside the box of an object, whose wheels are `wheels_m` behind its ends, or of an
-    element; else where they end before a side that is seen."""
+    element; else where pixels end before a side that they show."""
     half, source = item.size_m / 2, seen.source
     group, bound = ("traffic_elements", "elements") if item.is_element else ("objects", "boxes")
     share = MAX_FACE_OUTSIDE if item.is_element else MAX_OUTSIDE
@@ -166,10 +148,10 @@ def judge(item: ObjectLabel, seen: SeenPart, wheels_m: float = WHEELS_M) -> Iter
     outside, label = (beyond_m > ROOM_M).any(axis=1), f"{group}.{item.id}"
     reason = f"{label}: expected its {source} in its box, got {{wrong}} of {{n}} up to {beyond_m.max():.2f} m outside"
     yield from counted(f"{bound}.outside_{source}", outside, reason, MAX_SINGLE, share)
-    if outside.sum() > max(MAX_SINGLE, share * len(outside)) or not _is_whole(item):
+    if outside.sum() > max(MAX_SINGLE, share * len(outside)) or not _is_whole(item) or seen.eye is None:
         return
     # The box of a person is around all steps, and the ends of a bicycle are thin.
-    of_car = _sides(half, seen, wheels_m) if thing_of(item.id)[0] == "car" else ()
+    of_car = _sides(half, seen.eye, seen.apart_m, wheels_m) if thing_of(item.id)[0] == "car" else ()
     for axis, sign, side, most_m in _sides_of_face(item, seen.apart_m) if item.is_element else of_car:
         gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
         reason = f"expected its {source} to reach the {side} side of its box, got them {gap_m:.2f} m before it"
@@ -191,13 +173,14 @@ def _sides_of_face(item: ObjectLabel, apart_m: float) -> Iterator[SideLimit]:
     yield from (SideLimit(axis, sign, side, most_m) for axis, sign, side in SIDES if axis != ALONG)
 
 
-def _sides(half: Float[np.ndarray, "3"], seen: SeenPart, wheels_m: float) -> Iterator[SideLimit]:
-    """The sides that are seen."""
+def _sides(
+    half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], apart_m: float, wheels_m: float
+) -> Iterator[SideLimit]:
+    """The sides that pixels show: those of the outline, and an end that looks at the eye."""
     for axis, sign, side in SIDES:
-        has_outline = seen.source == "pixels" and axis != ALONG
-        if has_outline or sign * seen.eye[axis] > half[axis] + BEYOND_M:
-            hidden_m = _hidden_m(half, seen.eye, (axis, sign), wheels_m) if has_outline else 0.0
-            yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART[seen.source] * seen.apart_m + hidden_m)
+        if axis != ALONG or sign * eye[axis] > half[axis] + BEYOND_M:
+            hidden_m = 0.0 if axis == ALONG else _hidden_m(half, eye, (axis, sign), wheels_m)
+            yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART * apart_m + hidden_m)
 
 
 def _hidden_m(
@@ -224,8 +207,6 @@ RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX = 100, 4.0, 0.03, 2
 # Of what something nearer covers of a body's box, the body fills at least THIN times the share that it fills of the
 # rest: 0.52 in the median, 0.25 for one car of 80. Of what nothing covers it fills at least SLIVER; rays may miss less.
 THIN, SLIVER = 0.35, 0.05
-# Nothing in a scene is farther.
-FAR_M = 5_000.0
 
 
 def check_cars(evidence: Evidence) -> Iterator[Result]:
@@ -275,26 +256,12 @@ def _seen_share(evidence: Evidence, item: PlacedObject, box_px: Float[np.ndarray
 
 
 def check_elements(evidence: Evidence) -> Iterator[Result]:
-    """Findings about traffic elements without a label, and in another state than their lights show."""
+    """Findings about traffic elements in another state than their lights show."""
     items = evidence.labels.traffic_elements
     if items is None or "instance" not in evidence.has:
         return
-    if {"semantic", "depth"} <= evidence.has:
-        yield from _unlabelled(evidence, items)
     for item in items:
         yield from shining(evidence, item)
-
-
-def _unlabelled(evidence: Evidence, items: tuple[ObjectLabel, ...]) -> Iterator[Finding]:
-    """Pixels of signs and signals near the camera whose id has no label."""
-    semantic, instance = evidence.passes["semantic"], evidence.passes["instance"]
-    is_it = np.isin(semantic, [SEMANTIC_IDS["sign"], SEMANTIC_IDS["signal"]])
-    is_it &= np.abs(evidence.passes["depth"]) < FARTHEST_M
-    ids, counts = np.unique(instance[is_it], return_counts=True)
-    known = {item.id for item in items}
-    for id_, count in zip(ids.tolist(), counts.tolist(), strict=True):
-        if id_ not in known and count > MAX_UNLABELLED:
-            yield Finding("", f"traffic_elements: expected one with id {id_}, which {count} pixels show, got none")
 
 
 def shining(evidence: Evidence, item: ObjectLabel) -> Iterator[Result]:

@@ -15,7 +15,7 @@ from synth3dlanes.scene.scene import Car
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding
-from synth3dlanes.validate.things import SeenPart, _step_rad, judge, views_of
+from synth3dlanes.validate.things import SeenPart, judge, views_of
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.validate.examining import findings, reasons
@@ -161,10 +161,3 @@ def test_a_nearer_end_may_hide_the_top_of_a_roof_from_below_alone(sample, eye_up
     problems = [result.reason for result in told if isinstance(result, Finding)]
     assert bool(problems) == is_told
     assert all("upper side of its box, got them 0.12 m before it" in problem for problem in problems)
-
-
-@pytest.mark.parametrize(("top_m", "apart_rad"), [(-0.1, 0.1), (0.5, np.inf)])
-def test_of_a_body_that_is_higher_than_all_beams_points_do_not_tell_where_it_ends(top_m, apart_rad):
-    corners = np.array([[x, 10 + y, z] for x in (-1, 1) for y in (-2, 2) for z in (-2.0, top_m)])
-    met = np.array([[0, 8, -1.0], [0, 8, -0.3]])
-    assert _step_rad((-0.2, -0.1, 0.0), met, corners) == pytest.approx(apart_rad)
