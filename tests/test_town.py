@@ -11,7 +11,8 @@ from synth3dlanes.figures.stats import is_fine, scene_statistics
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.scene import Scene, from_json, to_json
-from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.system.errors import InputError
+from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.world.motion import host_driven
 from synth3dlanes.world.world import World
 from tests.thorough import first
@@ -233,3 +234,34 @@ def test_the_host_of_a_clip_drives_its_track() -> None:
     # The way is no shorter than the chord, and no car is faster than a town allows.
     driven_m = host_driven(shot, shot.duration_s)
     assert float(np.linalg.norm(ways[1] - ways[0])) <= driven_m + 0.05 <= 15 * shot.duration_s
+
+
+def test_the_host_brakes_before_its_way_ends() -> None:
+    shots = Shots(frames=3, fps=0.05)
+    few = ("town.traffic=0.02", "town.parked=0", "trees.n=0", "people.per_100_m=0", "town.junction=t")
+    world = town(0, *few, shots=shots)
+    times_s, driven_m = np.array(world.scene.shot.track).T
+    speeds = np.diff(driven_m) / np.diff(times_s)
+    # It stands at last, and no driver brakes harder than this on a free street.
+    assert (driven_m[-1] == driven_m[-5], driven_m[-1] > 60) == (True, True)
+    assert np.diff(speeds).min() > -3 * np.diff(times_s)[0]
+    last = world_in_shot(Scenes(TOWN, shots=shots), world, shots.place(2))
+    labels = label(last, last.view)
+    assert np.isfinite(labels.camera.world_from_cam).all()
+    assert any(lane.in_image.sum() > 2 for lane in labels.lanes if lane.kind == "centerline")
+
+
+@pytest.mark.parametrize(("y_m", "driven"), [(-1.0, ()), (2000.0, ()), (40.0, ((0.0, 0.0), (1.0, 2000.0)))])
+def test_a_host_off_its_way_is_refused(y_m: float, driven: tuple[tuple[float, float], ...]) -> None:
+    world = town(0, "town.traffic=0.02", "town.parked=0", "trees.n=0", "people.per_100_m=0")
+    camera = world.scene.camera.model_copy(update={"y_m": y_m})
+    shot = world.scene.shot.model_copy(update={"track": driven, "n_frames": 2, "frame": 1, "fps": 1.0})
+    scene = world.scene.model_copy(update={"camera": camera, "shot": shot if driven else world.scene.shot})
+    with pytest.raises(InputError, match=r"camera\.y_m: expected the host on its way, from 0 to \d+\.\d m, got"):
+        ground_truth(scene)
+
+
+def test_a_picture_without_any_line_has_no_lanes() -> None:
+    world = town(0, "town.traffic=0.02", "town.parked=0", "trees.n=0", "people.per_100_m=0")
+    camera = world.scene.camera.model_copy(update={"offset_m": 5000.0})
+    assert ground_truth(world.scene.model_copy(update={"camera": camera})).lanes == ()

@@ -10,6 +10,7 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.host import HostCamera, Shot
 from synth3dlanes.scene.scene import Car, Scene, Thing
+from synth3dlanes.system.errors import InputError
 
 WAY_STEP_M = 0.25
 # The host's speed in single pictures.
@@ -33,8 +34,16 @@ class MovedThing(NamedTuple):
 
 
 def host_at(network: Network, camera: HostCamera, driven_m: float) -> HostCamera:
-    """The host after driving a distance along its lane; raise InputError where the lane leaves its road."""
-    return camera if driven_m == 0 else network.host_on(camera, host_station(network, camera, driven_m))
+    """The host after driving a distance along its lane; raise InputError where the lane leaves its road, and where its
+    way does not reach."""
+    way, y_m = network.way, host_station(network, camera, driven_m)
+    if not way.start_m <= y_m * network.onwards <= way.end_m:
+        driven = f" and {driven_m:g} m driven" if driven_m else ""
+        raise InputError(
+            f"camera.y_m: expected the host on its way, from {way.start_m:g} to {way.end_m:.1f} m, "
+            f"got {camera.y_m:g} m{driven}"
+        )
+    return camera if driven_m == 0 else network.host_on(camera, y_m)
 
 
 def host_station(network: Network, camera: HostCamera, driven_m: float) -> float:

@@ -30,6 +30,8 @@ BEFORE_LINE_M, BEFORE_ZONE_M, APART_S = 0.6, 1.0, 1.0
 PATIENCE_S, STANDING = 3.0, 0.3
 # A car that stands farther before the line waits for those in front of it.
 NEXT_M = 6.0
+# A car begins to brake for a place where it has to stop at this distance more than it needs.
+BRAKING_ROOM_M = 12.0
 # A car that cannot stop within this deceleration goes on at amber.
 AMBER_STOP = 3.0
 # A car for which somebody at a crosswalk waits is faster than this, and one farther away does not matter.
@@ -78,7 +80,7 @@ class Gate(NamedTuple):
 
 @dataclass(eq=False)
 class Driver:
-    """A car in the simulation: its route, size, and state."""
+    """A car in the simulation: its route, size, and state. Its front stops at `stops_m` of its route."""
 
     route: Route
     gates: tuple[Gate, ...]
@@ -87,6 +89,7 @@ class Driver:
     at_m: float
     speed: float
     is_host: bool = False
+    stops_m: float = math.inf
     gate: int = 0
     entered: bool = False
     stood_s: float = 0.0
@@ -242,9 +245,9 @@ class TownTraffic:
             limit = min(limit, math.sqrt(driver.limits[k] ** 2 + 2 * 1.8 * before_m))
             k += 1
         wanted = _following(driver.speed, limit, *self._leader(driver))
-        stop_m = self._stop(driver)
-        if stop_m is not None:
-            wanted = min(wanted, _following(driver.speed, limit, stop_m + GAP_M, 0.0))
+        for stop_m in (self._stop(driver), _stop_at_end(driver)):
+            if stop_m is not None:
+                wanted = min(wanted, _following(driver.speed, limit, stop_m + GAP_M, 0.0))
         if driver.speed > limit:
             wanted = min(wanted, (limit - driver.speed) / STEP_S)
         return max(wanted, -HARDEST)
@@ -278,8 +281,7 @@ class TownTraffic:
                     stops.append(max(way.from_m - BEFORE_ZONE_M - front_m, 0.0))
             return min((at_m for at_m in stops if at_m is not None), default=None)
         before_m = gate.line_m - front_m
-        braking_m = driver.speed**2 / (2 * DECELERATION)
-        if before_m > braking_m + 12:
+        if _is_far(driver, before_m):
             return None
         if self._may_enter(driver, gate, before_m):
             return None
@@ -434,6 +436,17 @@ def _passes_before(driver: Driver, way: CrosswalkWay, crosser: Crosser) -> bool:
         return False
     past_s = (way.to_m + driver.length_m / 2 - driver.at_m) / driver.speed
     return past_s + APART_S < crosser.seconds_to(crosser.within(way.sides)[0])
+
+
+def _is_far(driver: Driver, before_m: float) -> bool:
+    """Whether it need not brake yet for a place that is this far before its front."""
+    return before_m > driver.speed**2 / (2 * DECELERATION) + BRAKING_ROOM_M
+
+
+def _stop_at_end(driver: Driver) -> float | None:
+    """The distance to the place where it stops for good; None while that is far."""
+    before_m = driver.stops_m - driver.at_m - driver.length_m / 2
+    return None if _is_far(driver, before_m) else max(before_m, 0.0)
 
 
 def _following(speed: float, limit: float, gap_m: float, leader: float) -> float:

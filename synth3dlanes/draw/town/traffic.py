@@ -27,6 +27,8 @@ RUN_UP_M, PATIENCE_S = 80.0, 150.0
 LEAST_GAP_M, MAX_CARS = 7.0, 60
 # Bodies are apart by this in every direction.
 APART_M = 0.12
+# In a clip the host stops at this distance before the end of its way, where the map ends.
+BEFORE_END_M = 6.0
 # The most junctions on a route.
 MOST_JUNCTIONS = 4
 
@@ -177,6 +179,7 @@ class _Simulation:
                     self._come(entry)
             traffic.drivers = [driver for driver in traffic.drivers if driver.is_host or not driver.is_done]
         self.host.at_m = self.at_m
+        self.host.stops_m = self.host.route.length_m - BEFORE_END_M
         self._remove_touching([driver.at_m for driver in traffic.drivers])
         tracks = {id(driver): [(0.0, driver.at_m)] for driver in traffic.drivers}
         speeds = {id(driver): driver.speed if driver.speed > STANDING else 0.0 for driver in traffic.drivers}
