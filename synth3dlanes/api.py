@@ -213,7 +213,7 @@ def export_dataset(
     processes, 0 for one per core. Raises InputError for a wrong argument, and for a format, a size or a camera that
     does not exist. `Export(...).write` does the same and reports its progress.
     """
-    return Export(str(source), Path(out), format_name, size_px, tuple(several(cameras))).write(workers)
+    return Export(source, out, format_name, size_px, cameras).write(workers)
 
 
 @checked

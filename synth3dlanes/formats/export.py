@@ -26,6 +26,7 @@ from synth3dlanes.formats.one_frame import write_as_it_is, write_resampled
 from synth3dlanes.formats.plan import DEALT_EVERY, Chunk, ExportSplit, open_reader, parts_of, plan
 from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.writing import PARTS, Part, Pinhole
+from synth3dlanes.system.arguments import checked
 from synth3dlanes.system.errors import ClaimedError, InputError
 from synth3dlanes.system.files import Draft, Folder
 from synth3dlanes.system.processes import n_workers, process_pool
@@ -181,8 +182,23 @@ class Export:
     source: str
     out: Path
     format_name: str
-    size_px: tuple[int, int] | None = None
-    cameras: tuple[str, ...] = ()
+    size_px: tuple[int, int] | None
+    cameras: tuple[str, ...]
+
+    @checked
+    def __init__(
+        self,
+        source: str | Path,
+        out: str | Path,
+        format_name: str,
+        size_px: tuple[int, int] | None = None,
+        cameras: str | Sequence[str] = (),
+    ) -> None:
+        names = (cameras,) if isinstance(cameras, str) else tuple(cameras)
+        size = None if size_px is None else (size_px[0], size_px[1])
+        given = {"source": str(source), "out": Path(out), "format_name": format_name, "size_px": size, "cameras": names}
+        for name, value in given.items():
+            object.__setattr__(self, name, value)
 
     @cached_property
     def format(self) -> Format:
@@ -233,6 +249,7 @@ class Export:
             **({"cameras": list(self.cameras)} if self.cameras else {}),
         }
 
+    @checked
     def write(self, workers: int = 1, progress: Progress = lambda done, total: None) -> ExportSummary:
         """Write it, or what is missing of it, by `workers` processes (0: one per core); `progress` gets (frames done,
         frames in all). Raises ClaimedError while another process or thread writes it."""
