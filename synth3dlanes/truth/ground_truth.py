@@ -51,7 +51,7 @@ def label(world: World, view: View) -> Labels:
     known = _known(world, stations)
     forms = world.symbol_shapes
     outlines = symbol_points(forms, [form.outline for form in forms])
-    points_world = np.concatenate([np.empty((0, 3)), *sampled.values(), *outlines])
+    points_world = np.concatenate([np.zeros((0, 3)), *sampled.values(), *outlines])
     points_cam = transform(invert(view.world_from_cam), points_world)
     in_image = camera.shows(points_cam)
     seen = seen_over_ground(world.ground, view.eye_world, points_world)
