@@ -26,7 +26,7 @@ from pydantic import Field, RootModel
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_pinhole
 from synth3dlanes.formats.comparing_maps import compare_map, half_widths, link_gaps, side_problems
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
-from synth3dlanes.formats.lane_map import REACH_M, Boundary, LaneSegment, lane_segments
+from synth3dlanes.formats.lane_map import REACH_M, LaneSegment, lane_segments
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_text
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, expect_pinhole
 from synth3dlanes.geometry.frames import invert, transform
@@ -276,20 +276,16 @@ def _segment_document(lane: _Lane) -> dict[str, Any]:
         "is_intersection_or_connector": lane.segment.is_connector,
     }
     for name, points_ego, side in (
-        ("left", lane.left_ego, lane.segment.left),
-        ("right", lane.right_ego, lane.segment.right),
+        ("left_laneline", lane.left_ego, lane.segment.left),
+        ("right_laneline", lane.right_ego, lane.segment.right),
     ):
-        document |= _side_document(f"{name}_laneline", points_ego, side)
+        document |= {
+            name: _rounded(resampled(points_ego, POINTS)),
+            f"{name}_type": LINE_TYPES[side.marking],
+            f"{name}_color": side.color,
+            f"{name}_double": side.double,
+        }
     return document
-
-
-def _side_document(name: str, points_ego: Float[np.ndarray, "n 3"], side: Boundary) -> dict[str, Any]:
-    return {
-        name: _rounded(resampled(points_ego, POINTS)),
-        f"{name}_type": LINE_TYPES[side.marking],
-        f"{name}_color": side.color,
-        f"{name}_double": side.double,
-    }
 
 
 def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: float) -> Iterator[dict[str, Any]]:

@@ -10,9 +10,10 @@
 """
 
 import json
-from xml.etree import ElementTree
 
 import numpy as np
+
+from tests.formats.planting import other
 
 FAULTS = ("mirrored", "shifted", "swapped", "dropped", "reordered")
 
@@ -50,9 +51,17 @@ def moved(lines, fault, other=None, *, x=0, right=1, step=0.3, width=0.0):
     return [array.tolist() for array in arrays]
 
 
-def openlane(out, fault):
-    path = next(out.glob("lane3d_1000/validation/seg*/*.json"))
-    document = json.loads(path.read_text())
+def of(pattern):
+    """Makes what changes a document a fault of the first file of a pattern."""
+
+    def plants(change):
+        return lambda out, fault: other(pattern, lambda found: change(found, fault))(out)
+
+    return plants
+
+
+@of("lane3d_1000/validation/seg*/*.json")
+def openlane(document, fault):
     lines = document["lane_lines"]
     if fault == "swapped":
         left, right = (next(line for line in lines if line["attribute"] == place) for place in (2, 3))
@@ -64,7 +73,6 @@ def openlane(out, fault):
         points = moved([np.transpose(line["xyz"]) for line in lines], fault, x=1, right=-1)
         for line, moved_points in zip(lines, points, strict=True):
             line["xyz"] = np.transpose(moved_points).tolist()
-    path.write_text(json.dumps(document))
 
 
 def once(out, fault):
@@ -112,16 +120,15 @@ def texts(pattern, width):
     return plant
 
 
-def curvelanes(out, fault):
-    path = next(out.glob("valid/labels/*.json"))
-    lines = [[(float(p["x"]), float(p["y"])) for p in line] for line in json.loads(path.read_text())["Lines"]]
+@of("valid/labels/*.json")
+def curvelanes(document, fault):
+    lines = [[(float(p["x"]), float(p["y"])) for p in line] for line in document["Lines"]]
     lines = moved(lines, fault, step=4.0, width=2560.0)
-    path.write_text(json.dumps({"Lines": [[{"x": str(x), "y": str(y)} for x, y in line] for line in lines]}))
+    return {"Lines": [[{"x": str(x), "y": str(y)} for x, y in line] for line in lines]}
 
 
-def openlane_v2(out, fault):
-    path = next(path for path in sorted(out.glob("OpenLane-V2/test/*/info/*.json")) if "-ls" not in path.name)
-    document = json.loads(path.read_text())
+@of("OpenLane-V2/test/*/info/*[0-9].json")
+def openlane_v2(document, fault):
     found = document["annotation"]
     lanes = found["lane_centerline"]
     points = moved([lane["points"] for lane in lanes], fault, x=1, right=-1)
@@ -131,12 +138,10 @@ def openlane_v2(out, fault):
         del found["topology_lcte"][0]
     for lane, line in zip(lanes, points, strict=True):
         lane["points"] = line
-    path.write_text(json.dumps(document))
 
 
-def argoverse2(out, fault):
-    path = sorted(out.glob("test/*/map/log_map_archive_*.json"))[0]
-    document = json.loads(path.read_text())
+@of("test/*/map/log_map_archive_*.json")
+def argoverse2(document, fault):
     lanes = list(document["lane_segments"].values())
     for side in ("left_lane_boundary", "right_lane_boundary"):
         lines = [[[p[axis] for axis in "xyz"] for p in lane[side]] for lane in lanes]
@@ -145,12 +150,10 @@ def argoverse2(out, fault):
     if fault == "dropped":
         first = min(document["lane_segments"])[:-3]
         document["lane_segments"] = {i: lane for i, lane in document["lane_segments"].items() if i[:-3] != first}
-    path.write_text(json.dumps(document))
 
 
-def nuscenes(out, fault):
-    path = out / "maps/expansion/singapore-hollandvillage.json"
-    document = json.loads(path.read_text())
+@of("maps/expansion/singapore-hollandvillage.json")
+def nuscenes(document, fault):
     paths = document["arcline_path_3"]
     flipped = {"LSL": "RSR", "RSR": "LSL"}
     if fault == "swapped":
@@ -169,12 +172,10 @@ def nuscenes(out, fault):
                 else:
                     arc |= {"start_pose": [x1, y1, yaw1 + np.pi], "shape": flipped[arc["shape"]]}
             paths[name] = arcs[::-1] if fault == "reordered" else arcs
-    path.write_text(json.dumps(document))
 
 
-def opendrive(out, fault):
-    path = sorted(out.glob("test/*.xodr"))[0]
-    root = ElementTree.fromstring(path.read_text())
+@of("test/*.xodr")
+def opendrive(root, fault):
     lanes = [lane for lane in root.iter("lane") if lane.get("type") == "driving"]
     for geometry in root.iter("geometry") if fault in ("mirrored", "shifted") else ():
         x, heading = float(geometry.get("x")), float(geometry.get("hdg"))
@@ -195,12 +196,10 @@ def opendrive(out, fault):
         one, other = lanes[0].get("id"), lanes[1].get("id")
         lanes[0].set("id", other)
         lanes[1].set("id", one)
-    path.write_text(ElementTree.tostring(root, encoding="unicode"))
 
 
-def lanelet2(out, fault):
-    path = sorted(out.glob("test/*.osm"))[0]
-    root = ElementTree.fromstring(path.read_text())
+@of("test/*.osm")
+def lanelet2(root, fault):
     if fault in ("mirrored", "shifted"):
         for tag in root.iterfind("node/tag[@k='local_x']"):
             tag.set("v", str(float(tag.get("v")) + 0.3 if fault == "shifted" else -float(tag.get("v"))))
@@ -219,12 +218,10 @@ def lanelet2(out, fault):
         nodes = root.findall(f"way[@id='{bound}']/nd")
         for node, ref in zip(nodes[1:-1], [node.get("ref") for node in nodes[-2:0:-1]], strict=True):
             node.set("ref", ref)
-    path.write_text(ElementTree.tostring(root, encoding="unicode"))
 
 
-def coco(out, fault):
-    path = out / "annotations/instances_test.json"
-    document = json.loads(path.read_text())
+@of("annotations/instances_test.json")
+def coco(document, fault):
     image = document["images"][0]["id"]
     things = [thing for thing in document["annotations"] if thing["image_id"] == image and "lane" in thing]
     if fault == "swapped":
@@ -246,7 +243,6 @@ def coco(out, fault):
             flat = mask.ravel(order="F")
             ends = [0, *(np.flatnonzero(np.diff(flat)) + 1).tolist(), len(flat)]
             runs["counts"] = ([0] if flat[0] else []) + np.diff(ends).tolist()
-    path.write_text(json.dumps(document))
 
 
 def yolo(out, fault):

@@ -5,13 +5,11 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.formats.argoverse2.format import RING_CAMERAS
 from synth3dlanes.formats.argoverse2.format import write as annotate
 from synth3dlanes.formats.argoverse2.maps import _runs_along, mark_type
 from synth3dlanes.formats.export import Export
@@ -20,15 +18,11 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import thinned
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import LidarLabel
-from synth3dlanes.params.rig_files import load_rig
-from synth3dlanes.params.shots import Shots
-from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.run import generate
-from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import ground_truth
-from tests import fake_samples
 from tests.formats.drives import frame_of, make_clips, problems_after
+from tests.formats.planting import other, swapped_tracks
 from tests.scenes import FLAT
+from tests.thorough import first
 
 TWO = ("ring_front_center", "ring_rear_left")
 
@@ -137,14 +131,7 @@ def test_a_single_frame_of_a_clip_has_its_map_too(clips, tmp_path):
 
 def rows(path, change):
     """Other rows in the tables of the first log."""
-
-    def plant(out):
-        file = sorted(out.glob(f"test/*/{path}"))[0]
-        before = feather.read_table(file)
-        after = change(before.to_pylist())
-        feather.write_feather(pa.Table.from_pylist(after, schema=before.schema), file)
-
-    return plant
+    return other(f"test/*/{path}", change)
 
 
 def each(**changes):
@@ -154,14 +141,7 @@ def each(**changes):
 
 def in_map(change):
     """Another map of the first log."""
-
-    def plant(out):
-        file = sorted(out.glob("test/*/map/log_map_archive_*.json"))[0]
-        document = json.loads(file.read_text())
-        change(document)
-        file.write_text(json.dumps(document))
-
-    return plant
+    return other("test/*/map/log_map_archive_*.json", change)
 
 
 def of_lanes(**changes):
@@ -176,29 +156,13 @@ def of_lanes(**changes):
 
 def heights(change):
     """Other heights of the ground."""
-
-    def plant(out):
-        file = sorted(out.glob("test/*/map/*.npy"))[0]
-        stream = io.BytesIO()
-        np.save(stream, change(np.load(file)))
-        file.write_bytes(stream.getvalue())
-
-    return plant
+    return other("test/*/map/*.npy", change)
 
 
 def crossings(document):
     for crossing in document["pedestrian_crossings"].values():
         for point in (*crossing["edge1"], *crossing["edge2"]):
             point["y"] += 0.5
-
-
-def swap_tracks(rows):
-    last = max(row["timestamp_ns"] for row in rows)
-    later = [row for row in rows if row["timestamp_ns"] == last]
-    names = [row["track_uuid"] for row in later]
-    for row, name in zip(later, names[1:] + names[:1], strict=True):
-        row["track_uuid"] = name
-    return rows
 
 
 POSES, SENSORS = "city_SE3_egovehicle.feather", "calibration/egovehicle_SE3_sensor.feather"
@@ -228,7 +192,7 @@ FAULTS = {
         rows(BOXES, each(num_interior_pts=lambda row: 7)),
         "expected the number of points 0, got 7",
     ),
-    "swapped tracks": (rows(BOXES, swap_tracks), "as before, got object"),
+    "swapped tracks": (rows(BOXES, swapped_tracks("timestamp_ns", "track_uuid")), "as before, got object"),
     "no poses": (rows(POSES, lambda rows: []), "expected a pose at"),
     "sides": (
         of_lanes(
@@ -251,9 +215,7 @@ FAULTS = {
 QUICK = ("cameras whose w is last", "boxes turned by 2 degrees", "crossings")
 
 
-@pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.thorough) for name in FAULTS]
-)
+@pytest.mark.parametrize("name", first(len(QUICK), sorted(FAULTS, key=lambda name: name not in QUICK)))
 def test_faults_are_found(exported, tmp_path, name):
     plant, words = FAULTS[name]
     found = problems_after(plant, exported, tmp_path)
@@ -277,15 +239,6 @@ def test_points_of_a_sweep_are_in_the_vehicle_frame():
     np.testing.assert_allclose(found["x"], [1.3 + ahead] * 2, atol=1e-5)
     np.testing.assert_allclose(found["y"], [aside, -aside], atol=1e-5)
     np.testing.assert_allclose(found["z"], [1.7] * 2, atol=1e-5)
-
-
-def test_rigs_of_other_data_sets_are_refused(tmp_path):
-    rig = load_rig("nuscenes")[:2]
-    recipe = fake_samples.recipe(shots=Shots(cameras=rig))
-    plan = Plan(str(tmp_path / "data"), 2, recipe, workers=1, maker=fake_samples.make_labelled)
-    assert not generate(plan, lambda event: None).problem
-    with pytest.raises(InputError, match=f"expected a rig with cameras of Argoverse 2 .{RING_CAMERAS[0]}, .*CAM_FRONT"):
-        Export(str(tmp_path / "data"), tmp_path / "out", "argoverse2").write()
 
 
 def test_a_boundary_has_the_paint_of_a_line_along_it_not_of_one_that_it_meets():

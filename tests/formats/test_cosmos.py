@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from pyarrow import Table, parquet
+from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
@@ -36,6 +36,7 @@ from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.files import replacing
 from tests import fake_samples
 from tests.formats import closed_form as cf
+from tests.formats.planting import other
 from tests.formats.problems import problems
 from tests.thorough import first
 
@@ -160,11 +161,11 @@ def test_places_reach_pixels_by_the_readers_formulas(exported: Path, clips: Path
 
 def edit(out: Path, name: str, change: Callable[[list[dict[str, Any]]], object]) -> None:
     """Change the elements of a table."""
-    path = table(out, name)
-    found = parquet.read_table(path)
-    values = found.to_pylist()
-    change([row[name] for row in values])
-    parquet.write_table(Table.from_pylist(values, schema=found.schema), path)
+
+    def of_elements(found: list[dict[str, Any]]) -> None:
+        change([row[name] for row in found])
+
+    other(f"test/clipgt/*/*.{name}.parquet", of_elements)(out)
 
 
 def each_point(change: Callable[[dict[str, float]], object]) -> Callable[[list[dict[str, Any]]], None]:
@@ -305,17 +306,6 @@ def test_damaged_files_end_in_one_line(copy: Path, clips: Path, damage: bytes) -
             problems(clips, copy, "cosmos") if path.suffix == ".parquet" else found_in_any(copy, clips)
         assert len(str(problem.value)) < 400
         path.write_bytes(whole)
-
-
-def test_single_pictures_and_data_without_passes_are_refused(tmp_path: Path) -> None:
-    stills = made(tmp_path / "stills", 1, Shots())
-    with pytest.raises(InputError, match=r"expected a clip of two frames or more \(generate --frames\), got a single"):
-        Export(str(stills), tmp_path / "a", "cosmos").write()
-    without = tmp_path / "without"
-    recipe = fake_samples.recipe(split="test", image_format="jpg", shots=Shots(frames=2))
-    assert not generate(Plan(str(without), 2, recipe, workers=1, maker=fake_samples.make_labelled), print).problem
-    with pytest.raises(InputError, match=r"expected the passes depth, semantic, instance \(generate --passes\)"):
-        Export(str(without), tmp_path / "b", "cosmos").write()
 
 
 @pytest.mark.thorough

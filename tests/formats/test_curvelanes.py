@@ -35,12 +35,6 @@ def test_curvelanes_has_all_lines():
     assert curvelanes.write(replace(FRAME, labels=cf.labels_of(camera, *lanes))).n_lines == 6
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"Lines": 3}', '{"Lines": [[{"x": "1"}]]}'])
-def test_a_wrong_file_is_a_format_error_that_names_it(text):
-    with pytest.raises(FormatError, match=r"^some/file.json: "):
-        parse(text, "some/file.json")
-
-
 def test_keys_that_many_points_lack_are_told_by_their_places():
     with pytest.raises(FormatError, match=r"^some/file.json: Lines\.0\.0\.y: missing"):
         parse(json.dumps({"Lines": [[{"x": "1"}] * 3]}), "some/file.json")

@@ -9,7 +9,6 @@ import pytest
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.plan import open_reader
-from synth3dlanes.formats.verify import verify
 from tests.formats.faults import FAULTS, PLANTED
 from tests.formats.problems import problems
 from tests.formats.test_segmentation import passes_of
@@ -33,19 +32,12 @@ QUICK = {(name, FAULTS[number % len(FAULTS)]) for number, name in enumerate(sort
 def exported(request, two_frames, tmp_path_factory):
     job = Export(str(two_frames), tmp_path_factory.mktemp("faults") / request.param, request.param)
     job.write()
+    assert not problems(two_frames, job.out, request.param)
     return job
 
 
 def test_every_format_is_here_but_that_without_lanes():
     assert set(format_names()) - set(PLANTED) == {"cosmos", "kitti"}, "each needs a row in faults.py"
-
-
-def test_a_clean_export_is_as_the_labels_say(exported):
-    results = verify(exported)
-    assert [problem for result in results for problem in result.problems] == []
-    assert sum(result.n_matched for result in results) >= 6
-    for measure in (measure for result in results for measure in result.measures):
-        assert measure.median <= measure.worst <= measure.tolerance
 
 
 @pytest.mark.parametrize(

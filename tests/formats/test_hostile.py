@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from synth3dlanes.formats import apollo, once, openlane, tusimple
+from synth3dlanes.formats import apollo, curvelanes, once, openlane, openlane_v2, tusimple
 from synth3dlanes.formats.apollo import CAMERA
 from synth3dlanes.formats.apollo import parse as parse_apollo
 from synth3dlanes.formats.lines import scene_tags
@@ -131,11 +131,11 @@ def test_a_picture_of_too_many_pixels_is_refused(tmp_path):
         image_size(tmp_path / "bomb.png")
 
 
-@pytest.mark.parametrize("parse", [apollo.parse, openlane.parse, once.parse, tusimple.parse])
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"lanes": 3}'])
-def test_a_wrong_file_is_a_format_error_that_names_it(parse, text):
+@pytest.mark.parametrize("foreign", [apollo, curvelanes, once, openlane, openlane_v2, tusimple])
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"lanes": 3}', '{"Lines": [[{"x": "1"}]]}'])
+def test_a_wrong_file_is_a_format_error_that_names_it(foreign, text):
     with pytest.raises(FormatError, match=r"^some/file.json: "):
-        parse(text, "some/file.json")
+        foreign.parse(text, "some/file.json")
 
 
 def test_scene_tags():

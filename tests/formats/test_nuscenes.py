@@ -28,7 +28,9 @@ from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.scene import Car
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.formats.drives import frame_of, make_clips, problems_after
+from tests.formats.planting import each, other, swapped_tracks
 from tests.scenes import FLAT
+from tests.thorough import first
 
 TWO = ("CAM_FRONT", "CAM_BACK_LEFT")
 PLACE = "singapore-hollandvillage"
@@ -279,8 +281,8 @@ def test_scenes_of_a_place_are_apart(exported):
     starts = [devkit.chain(devkit.data(sample)["CAM_FRONT"])[0][:2, 3] for _, sample in samples_of(devkit)]
     assert np.linalg.norm(starts[2] - starts[0]) > 400
     assert {devkit.location(sample) for _, sample in samples_of(devkit)} == {PLACE}
-    for other in {"boston-seaport", "singapore-onenorth", "singapore-queenstown"}:
-        assert Layers(exported.out, other).all["lane"] == [], "tools open the maps of all places"
+    for place in {"boston-seaport", "singapore-onenorth", "singapore-queenstown"}:
+        assert Layers(exported.out, place).all["lane"] == [], "tools open the maps of all places"
 
 
 def test_names_of_scenes_are_those_by_which_tools_tell_parts():
@@ -374,51 +376,27 @@ def test_a_car_that_stands_is_stopped_in_its_lane_and_parked_beside_it():
     assert [box["attribute"] for box in document["boxes"]] == ["vehicle.stopped", "vehicle.parked"]
 
 
+MAP = f"maps/expansion/{PLACE}.json"
+
+
 def table(name, change):
     """Other rows in a table."""
-
-    def plant(out):
-        path = out / f"v1.0-test/{name}.json"
-        rows = json.loads(path.read_text())
-        path.write_text(json.dumps(change(rows)))
-
-    return plant
-
-
-def each(change):
-    """Changed rows."""
-
-    def all_of(rows):
-        for row in rows:
-            change(row)
-        return rows
-
-    return all_of
+    return other(f"v1.0-test/{name}.json", change)
 
 
 def layer(name, change):
     """Other records in a layer of the map."""
-
-    def plant(out):
-        path = out / f"maps/expansion/{PLACE}.json"
-        document = json.loads(path.read_text())
-        document[name] = change(document[name])
-        path.write_text(json.dumps(document))
-
-    return plant
+    return other(MAP, lambda document: document.update({name: change(document[name]) or document[name]}))
 
 
-def edges_as_dividers(out):
+def edges_as_dividers(document):
     """All sides of all lanes as lane dividers."""
-    path = out / f"maps/expansion/{PLACE}.json"
-    document = json.loads(path.read_text())
     for lane in document["lane"]:
         for side in ("left", "right"):
             segments, token = lane[f"{side}_lane_divider_segments"], f"{lane['token']} {side}"
             document["line"].append({"token": token, "node_tokens": [of["node_token"] for of in segments]})
             row = {"token": token, "line_token": token, "lane_divider_segments": segments}
             document["lane_divider"].append(row)
-    path.write_text(json.dumps(document))
 
 
 def moved(key, axis, by):
@@ -454,7 +432,7 @@ def length_first(row):
 
 
 def other_names(rows):
-    return [{**row, "name": other["name"]} for row, other in zip(rows, rows[::-1], strict=True)]
+    return [{**row, "name": last["name"]} for row, last in zip(rows, rows[::-1], strict=True)]
 
 
 def without_links(links):
@@ -509,6 +487,9 @@ FAULTS = {
         "expected the number of points 0, got 7",
     ),
     "a box is missing": (table("sample_annotation", lambda rows: rows[1:]), "got it in no row"),
+    "swapped tracks": (
+        table("sample_annotation", swapped_tracks("sample_token", "instance_token")), "as before, got object"
+    ),
     "no poses": (table("ego_pose", lambda rows: []), "expected a row with the token"),
     "lanes 30 cm aside": (
         layer("arcline_path_3", lambda paths: {
@@ -522,20 +503,18 @@ FAULTS = {
     "no links": (
         layer("connectivity", without_links), "to follow it, got none"
     ),
-    "no dividers": (layer("lane_divider", lambda rows: []), "expected a lane divider along it"),
-    "no middle of the road": (layer("road_divider", lambda rows: []), "expected a road divider along it"),
-    "edges": (edges_as_dividers, "expected no divider along the edge of a road"),
+    "no dividers": (layer("lane_divider", list.clear), "expected a lane divider along it"),
+    "no middle of the road": (layer("road_divider", list.clear), "expected a road divider along it"),
+    "edges": (other(MAP, edges_as_dividers), "expected no divider along the edge of a road"),
     "paint": (layer("lane_divider", each(painted)), "got DOUBLE_SOLID_YELLOW"),
-    "no crossings": (layer("ped_crossing", lambda rows: []), "pedestrian crossing: expected one on a crosswalk"),
-    "no areas": (layer("drivable_area", lambda rows: []), "expected it in the drivable area"),
+    "no crossings": (layer("ped_crossing", list.clear), "pedestrian crossing: expected one on a crosswalk"),
+    "no areas": (layer("drivable_area", list.clear), "expected it in the drivable area"),
     "no nodes": (layer("node", lambda rows: rows[:1]), "expected a record with the token"),
 }  # fmt: skip
 QUICK = ("w is last", "sides")
 
 
-@pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.thorough) for name in FAULTS]
-)
+@pytest.mark.parametrize("name", first(len(QUICK), sorted(FAULTS, key=lambda name: name not in QUICK)))
 def test_faults_are_found(exported, tmp_path, name):
     plant, words = FAULTS[name]
     found = problems_after(plant, exported, tmp_path)

@@ -19,7 +19,7 @@ from synth3dlanes.world.paint import is_double, paint_color, painted_rows
 from synth3dlanes.world.symbols import shape
 from synth3dlanes.world.world import World, resolve
 from tests.formats.opendrive_reading import read_roads
-from tests.formats.test_on_maps import TOWN
+from tests.formats.test_verify_table import TOWN
 from tests.maps import files
 from tests.maps.test_round_trip import forks
 from tests.scenes import FLAT, changed, hill

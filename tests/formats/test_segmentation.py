@@ -16,7 +16,6 @@ from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.yolo import document as settings_of_yolo
 from synth3dlanes.formats.yolo import outline
 from synth3dlanes.scene.things import SEMANTIC_IDS
-from synth3dlanes.system.errors import InputError
 from tests.formats.problems import problems
 from tests.thorough import first
 
@@ -205,14 +204,6 @@ def test_segments_a_pixel_aside_are_found(with_passes, coco, tmp_path):
     path = out / "panoptic/train-00000000.png"
     Image.fromarray(np.roll(np.asarray(Image.open(path)), 1, axis=1)).save(path)
     assert any("pixels of others" in problem for problem in problems(with_passes, out, "coco"))
-
-
-@pytest.mark.parametrize("format_name", ["coco", "masks", "yolo"])
-def test_data_sets_without_passes_are_refused_in_one_line(format_name, dataset, tmp_path):
-    with pytest.raises(
-        InputError, match=r"expected the passes semantic, instance \(generate --passes\) for .*, got none$"
-    ):
-        Export(str(dataset), tmp_path / "out", format_name).write()
 
 
 def fill(corners, shape):

@@ -1,5 +1,6 @@
 """`--verify` of every format on data sets of every kind: an export is as its labels say, or refused with the reason."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -28,13 +29,17 @@ from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import InputError
 from tests import fake_samples
-from tests.formats.test_on_maps import TOWN
 from tests.maps import files
 from tests.maps.test_round_trip import forks
 
 Made = Callable[[str, Callable[[Path], object]], Path]
 SMALL = ("camera.width_px=160", "camera.height_px=120", "camera.horizontal_fov_deg=60", "trees.n=0")
 LENS = {"width_px": 160, "height_px": 120, "fx": 60, "fy": 60, "cx": 80, "cy": 60, "height_m": 1.5, "pitch_deg": 2}
+TOWN = (
+    "town.junction={crossing: 1, roundabout: 1}", "town.host_place=before", "town.host_m=15", "town.n_more=0",
+    "town.traffic=0.2", "town.parked=0.8", "town.parking=true", "town.fronts=0", "trees.n=0",
+    "camera.horizontal_fov_deg=60",
+)  # fmt: skip
 TWO_LANE_RINGS = ("town.junction=roundabout", "town.n_lanes=2", *TOWN[1:])
 # Preset, changes, how it is seen, and how many samples.
 KINDS: dict[str, tuple[str, tuple[str, ...], dict[str, Any], int]] = {
@@ -75,8 +80,11 @@ ALL = [(kind, name) for kind in KINDS for name in format_names()]
 # What differs most from other kinds; each format is in it.
 QUICK = {
     *((kind, "openlane_v2") for kind in ("rig", "roundabout")),
+    ("rig", "argoverse2"),
+    ("paper", "cosmos"),
     *(("ring rig", name) for name in ("argoverse2", "kitti")),
     *(("paper", name) for name in ("apollo", "once", "openlane", "tusimple", "culane", "curvelanes", "opendrive")),
+    *(("town", name) for name in ("apollo", "once", "openlane", "tusimple", "culane", "curvelanes", "opendrive")),
     ("town", "lanelet2"),
     *(("streets", name) for name in ("coco", "masks", "yolo")),
     ("clip", "cosmos"),
@@ -149,6 +157,20 @@ def test_an_export_is_as_in_the_labels_or_refused(
     assert [problem for result in results for problem in result.problems] == []
     assert all(of.n_matched == of.n for result in results for of in result.compared.values())
     assert sum(result.n for result in results) > 0
+
+
+def test_a_lane_moved_aside_and_a_lost_link_are_found_in_a_town(made: Callable[[str], Path], tmp_path: Path) -> None:
+    job = Export(str(made("town")), tmp_path / "out", "opendrive")
+    job.write()
+    path = next(job.out.glob("*/*.xodr"))
+    text = path.read_text()
+    for pattern, replacement, expected in (
+        (r'(<laneOffset s="0" a=")[^"]*', r"\g<1>0.4", "within 0.15 m of the labels"),
+        (r'(<lane id="-1".*?<successor id=")[^"]*', r"\g<1>-9", "expected its successor to be there"),
+    ):
+        path.write_text(re.sub(pattern, replacement, text, flags=re.DOTALL))
+        found = [problem for result in verify(job) for problem in result.problems]
+        assert any(expected in problem for problem in found), (pattern, found[:3])
 
 
 def test_a_line_that_passes_a_place_of_the_image_twice_goes_back_only_where_its_points_do() -> None:
