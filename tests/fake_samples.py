@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
 from synth3dlanes.labels.object_labels import as_seen
-from synth3dlanes.params.params import load_params
+from synth3dlanes.params.params import Params, load_params
 from synth3dlanes.params.shots import SINGLE, Shots
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import EncodedSample, Recipe
@@ -31,6 +32,12 @@ BAD = 3
 SETTINGS = RenderSettings()
 
 
+@cache
+def tiny(overrides: tuple[str, ...]) -> Params:
+    """Read once; the tests ask for recipes many thousand times."""
+    return load_params("tiny", overrides)
+
+
 def recipe(
     seed: int = 7,
     split: str = "train",
@@ -39,7 +46,7 @@ def recipe(
     shots: Shots = SINGLE,
     settings: RenderSettings = SETTINGS,
 ) -> Recipe:
-    return Recipe(Scenes(load_params("tiny", overrides), seed, split, shots=shots), settings, image_format)
+    return Recipe(Scenes(tiny(overrides), seed, split, shots=shots), settings, image_format)
 
 
 def labels(index: int, time_s: float | None = None) -> Labels:

@@ -87,8 +87,8 @@ def is_shared_process(process: psutil.Process) -> bool:
     first(
         1,
         [
-            (["validate", "FOLDER", "--workers", "2"], True),
             (["sample", "--n", "3000"], True),
+            (["validate", "FOLDER", "--workers", "2"], True),
             (["sample", "--n", "3000"], False),
         ],
     ),
