@@ -1,5 +1,7 @@
 """Mountain roads: radii, grades and widths as declared, and labels against an evaluation of the map of our own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -201,3 +203,22 @@ def test_lanes_of_a_map_are_compared_where_the_labels_reach_and_not_with_the_nex
     compared = compare_map(lanes, Truth(labels), Rule("m", 0.05, name="lane", slack=0.3))
     assert compared.outside["lane"] > 0, "the road goes on beyond the labels"
     assert bool(compared.problems) == (aside_m > 0), compared.problems[:3]
+
+
+@pytest.mark.parametrize("aside_m", [-0.06, 0.0, 0.06])
+def test_a_lane_of_a_sharp_bend_is_compared_with_the_arc_through_the_points_of_labels(aside_m: float) -> None:
+    world = resolve(mountain(1))
+    labels = label(world, world.view)
+    segment = next(segment for segment in labels.graph.segments if segment.centerlines)
+    lane = next(lane for lane in labels.lanes if lane.id == segment.centerlines[0])
+
+    def bend(step_m: float, radius_m: float) -> np.ndarray:
+        at = np.arange(0, 4, step_m / 2.4)
+        return np.column_stack([radius_m * np.cos(at), radius_m * np.sin(at), np.zeros(len(at))])
+
+    points = transform(np.linalg.inv(labels.camera.world_from_cam), bend(1.0, 2.4))
+    flags = np.ones(len(points), dtype=bool)
+    arc = replace(lane, xyz_cam=points, in_image=flags, terrain_visible=flags, direction="same")
+    found = [(segment.id, bend(0.1, 2.4 + aside_m))]
+    compared = compare_map(found, Truth(replace(labels, lanes=(arc,))), Rule("m", 0.05, name="lane", slack=0.3))
+    assert bool(compared.problems) == (aside_m != 0), compared.problems

@@ -26,7 +26,7 @@ from synth3dlanes.formats.comparing import (
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import lengths_along, resampled
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.system.arrays import Matrix4, Points3
+from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.world.world import scene_network
 
 # How far a boundary may be from half a lane's width, and the step between places where it is looked at.
@@ -188,13 +188,15 @@ COVERED_M = 0.5
 
 def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule: Rule) -> tuple[Gap | None, list[str]]:
     """How far points are aside of the nearest path, where it reaches, and what is wrong with height and direction. A
-    lane goes on beyond the end of its path, in a serpentine to the side of a part of it: that is another place."""
+    lane goes on beyond the end of its path, in a serpentine to the side of a part of it: that is another place. Where a
+    path bends, the lane may lie between its chords and the arc through its points."""
     found = list[tuple[Gap, list[str]]]()
     for name, line, direction in paths:
         apart, at, share = feet_of(points[:, :2], line[:, :2])
         inner = (at + share > 0) & (at + share < len(line) - 1) & (apart < ASIDE_M)
         if inner.sum() < 2:
             continue
+        apart = np.maximum(apart - 4 * share * (1 - share) * _bows(line[:, :2])[at], 0)
         problems, feet = [], line[at] + share[:, None] * np.diff(line, axis=0, append=line[-1:])[at]
         above = float(np.abs(points - feet)[inner, 2].max())
         if not above <= rule.slack:
@@ -205,6 +207,17 @@ def _nearest_path(points: Points, paths: Sequence[tuple[str, Points, str]], rule
             problems.append(f"expected points of {name} as its traffic goes, got about {back:.3g} m back")
         found.append((Gap.of(name, "m", apart[inner], rule.name), problems))
     return min(found, key=lambda pair: pair[0].worst, default=(None, []))
+
+
+def _bows(line: Points) -> Scalars:
+    """How far the middle of each chord of a line is from the arc through its ends, if the line bends on as it does
+    beside it."""
+    if len(line) < 3:
+        return np.zeros(len(line))
+    step = np.diff(line, axis=0)
+    turn = np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))))
+    sharper = np.maximum(np.append(0.0, turn), np.append(turn, 0.0))
+    return np.asarray(np.linalg.norm(step, axis=1) * np.tan(sharper / 4) / 2)
 
 
 def symbol_problems(
