@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from synth3dlanes.geometry.polylines import spaced
 from synth3dlanes.roads.road_table import RoadTable
@@ -78,32 +78,40 @@ def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:
 
 def _fitted(grid: HeightGrid, xy_world: Float[np.ndarray, "m 2"], z: Scalars) -> Float[np.ndarray, "rows columns"]:
     """The coefficients with which a grid is nearest to these heights and bends least; level at its edge."""
-    n, sparse = len(grid.rows), scipy.sparse
+    n = len(grid.rows)
     mean = float(np.mean(z)) if len(z) else 0.0
     weights, first = grid_weights(grid, xy_world)
     columns = first[:, 0, None] + np.arange(4)
     lines = first[:, 1, None] + np.arange(4)
-    numbers = (lines[:, :, None] * n + columns[:, None, :]).reshape(-1)
-    values = (weights[:, 1, :, None] * weights[:, 0, None, :]).reshape(-1)
-    at = sparse.csr_matrix((values, (np.repeat(np.arange(len(z)), 16), numbers)), shape=(len(z), n * n))
-    inner, stiff = _stiffness(n)
-    kept = sparse.identity(n * n, format="csr")[np.flatnonzero(inner)]
-    system = kept @ (at.T @ at + BEND_WEIGHT * stiff + MEAN_WEIGHT * sparse.identity(n * n)) @ kept.T
-    found = np.zeros(n * n)
-    # In an order of the unknowns for symmetric systems.
-    found[inner] = sparse.linalg.spsolve(system.tocsc(), kept @ (at.T @ (z - mean)), permc_spec="MMD_AT_PLUS_A")
-    return np.asarray(found.reshape(n, n) + mean)
+    number, stiff = _stiffness(n)
+    numbers = number[lines[:, :, None], columns[:, None, :]].ravel()
+    values = (weights[:, 1, :, None] * weights[:, 0, None, :]).ravel()
+    free = numbers >= 0
+    places = np.repeat(np.arange(len(z)), 16)[free], numbers[free]
+    at = scipy.sparse.csr_matrix((values[free], places), shape=(len(z), stiff.shape[1]))
+    # Unknowns are coupled with those of three rows around them alone: the system is a band below its diagonal.
+    products, system = (at.T @ at).tocoo(), stiff.copy()
+    low = products.row >= products.col
+    system[(products.row - products.col)[low], products.col[low]] += products.data[low]
+    found = np.zeros((n, n))
+    found[number >= 0] = scipy.linalg.solveh_banded(system, at.T @ (z - mean), lower=True)
+    return found + mean
 
 
 @cache
-def _stiffness(n: int) -> tuple[Bool[np.ndarray, " _"], "scipy.sparse.csr_matrix"]:
-    """Of a grid of n rows and columns: which coefficients are not at its edge, and how much it bends by products of
-    them."""
-    sparse = scipy.sparse
+def _stiffness(n: int) -> tuple[Int[np.ndarray, "n n"], Float[np.ndarray, "b _"]]:
+    """Of a grid of n rows and columns: the numbers of the coefficients that are not at its edge, else -1, and how much
+    it bends and is off the mean height by products of these: row i has those of each one and the i-th after it."""
+    sparse, inside = scipy.sparse, n - 2 * LEVEL_AT_EDGE
     bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
     slope = sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n))
     same = sparse.identity(n)
     terms = [sparse.kron(same, bend), sparse.kron(bend, same), np.sqrt(2) * sparse.kron(slope, slope)]
-    i, j = np.divmod(np.arange(n * n), n)
-    inner = (np.minimum(i, j) >= LEVEL_AT_EDGE) & (np.maximum(i, j) < n - LEVEL_AT_EDGE)
-    return inner, sum((term.T @ term for term in terms), sparse.csr_matrix((n * n, n * n)))
+    whole = sum((BEND_WEIGHT * (term.T @ term) for term in terms), MEAN_WEIGHT * sparse.identity(n * n))
+    number = np.full((n, n), -1)
+    number[LEVEL_AT_EDGE:-LEVEL_AT_EDGE, LEVEL_AT_EDGE:-LEVEL_AT_EDGE] = np.arange(inside**2).reshape(inside, inside)
+    kept = np.flatnonzero(number.ravel() >= 0)
+    inner = whole.tocsr()[kept][:, kept].tocoo()
+    stiff, low = np.zeros((3 * inside + 4, inside**2)), inner.row >= inner.col
+    stiff[(inner.row - inner.col)[low], inner.col[low]] = inner.data[low]
+    return number, stiff

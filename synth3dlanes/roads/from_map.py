@@ -1,6 +1,7 @@
 """A scene's map -> Network: its roads near a place with their sections, lanes, paths and painted lines, and junctions.
 The rules are in docs/network.md; World frame, metres."""
 
+import math
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -52,7 +53,10 @@ class _Reading:
         meets = _meeting(table, middles, links)
         chains = list(_chains(lanes, links, meets))
         directions = self._directions(lanes, links, chains)
-        lanes = {name: replace(lane, direction=directions[name]) for name, lane in lanes.items()}
+        lanes = {
+            name: lane if lane.direction == directions[name] else replace(lane, direction=directions[name])
+            for name, lane in lanes.items()
+        }
         of_road: dict[str, list[NetworkLane]] = {road.id: [] for road in near}
         for lane in lanes.values():
             of_road[lane.road].append(lane)
@@ -117,10 +121,10 @@ class _Reading:
     def _near(self, at_m: float) -> list[Road]:
         """The roads within AROUND_M of a place along the route, and those of the route."""
         wanted = {lane.road for lane in self.way.lanes}
-        host = self.way.xy_world(np.array([at_m]))[0]
+        host = self.way.xy_world(np.array([at_m]))[0].tolist()
 
         def is_near(road: MapRoad) -> bool:
-            return any(np.hypot(p.x_m - host[0], p.y_m - host[1]) - p.length_m < AROUND_M for p in road.plan)
+            return any(math.dist((p.x_m, p.y_m), host) - p.length_m < AROUND_M for p in road.plan)
 
         pairs = zip(self.map.roads, self.bare, strict=True)
         return [bare for road, bare in pairs if road.id in wanted or is_near(road)]
@@ -219,6 +223,8 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
             widths_m[i][1],
             section.start_m,
             section.end_m,
+            # As most are, until those of the host's way are known.
+            direction="crossing",
             ascends=up[i],
             junction=road.junction,
             sides=(section.edge_line(i), section.edge_line(i + 1)),

@@ -1,14 +1,16 @@
 """What a map's roads have that leave the ground: decks with parapets, piers and abutments, tunnels with portals. World
 frame, metres."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import repeat
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.geometry.polylines import stretches
+from synth3dlanes.geometry.polylines import parted, stretches
 from synth3dlanes.roads.cross_section import KERB_M
-from synth3dlanes.system.arrays import Points3, Scalars
+from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.paved_areas import PavedAreas
 from synth3dlanes.world.solids import SINK_M, Body, GroundFrame, Quads
@@ -24,16 +26,84 @@ BESIDE_M, LEVEL_M = 0.5, 1.5
 PIERS_M, PIER_M, CLEAR_M, LEAST_PIER_M = 22.0, 0.45, 1.0, 2.0
 # Where piers are tried, from the place at which they should be.
 TRIED_M = np.array([0, 2, -2, 4, -4, 6, -6, 8, -8.0])
-# Most depth of the ground behind an abutment below the road, and the length of its wings.
-BANK_M, WING_M = 2.0, 3.0
+# Most depth of the ground behind an abutment below the road, the length of its wings, and places across its wall.
+BANK_M, WING_M, ACROSS = 2.0, 3.0, 7
 # The wall around a portal: how far it reaches beside that and over the ground, and its fall towards its ends.
 PORTAL_M, COPING_M, PORTAL_SLOPE = 8.0, 0.5, 0.6
 CONCRETE, DARK = (0.4, 0.39, 0.37), (0.24, 0.235, 0.225)
 
+AnyFlags = Bool[np.ndarray, " _"]
+Heights = Float[np.ndarray, " _"]
+Places = Float[np.ndarray, "_ 2"]
+
+
+class _Abutment(NamedTuple):
+    """The end of a deck: places of a wall across the road below it and of the wings beside it, how high the road is
+    there, and the places where the ground is asked: off the deck, below it, and at the wall and the wings."""
+
+    wall: Points2
+    wings: Float[np.ndarray, "2 2 2"]
+    top_m: Scalars
+    asked: Places
+
+    @classmethod
+    def of(cls, span: Span, end_m: float, outward: float) -> "_Abutment":
+        """That at a station of a road from which the deck's road goes on `outward`."""
+        road, at = span.road, np.full(ACROSS, end_m)
+        t = np.linspace(float(road.left(at)[0]) - SIDE_M, float(road.right(at)[0]) + SIDE_M, ACROSS)
+        line = road.xy(at, t)
+        along = road.xy(at[:1], np.zeros(1)) - road.xy(at[:1] - 0.5 * outward, np.zeros(1))
+        along = along[0] / np.linalg.norm(along)
+        wall, wings = line - 0.05 * along, line[[0, -1]][:, None] + np.array([-0.05, WING_M])[:, None] * along
+        asked = np.concatenate([line + along, line - along, wall, *wings])
+        return cls(wall, wings, _points(span, at, t, 0.0)[:, 2], asked)
+
+
+class _Deck(NamedTuple):
+    """A deck: the stations of its rows, its middle there, its abutments, and stations and tops of piers."""
+
+    span: Span
+    s: Scalars
+    middle_world: Points3
+    abutments: tuple[_Abutment, _Abutment]
+    piers_s: Float[np.ndarray, " k"]
+    piers_world: Float[np.ndarray, "k 3"]
+
+    @classmethod
+    def of(cls, span: Span) -> "_Deck":
+        """The deck of a span."""
+        road, s = span.road, span.rows(ROW_M)
+        n = int((span.to_m - span.from_m) / PIERS_M)
+        middles_m = np.linspace(span.from_m, span.to_m, n + 2)[1:-1]
+        at = np.repeat(np.clip(middles_m[:, None] + TRIED_M, span.from_m + 1, span.to_m - 1).ravel(), 2)
+        left, right = road.left(at), road.right(at)
+        piers = _points(span, at, left + (right - left) * np.tile([0.22, 0.78], len(at) // 2), -DECK_M)
+        middle = _points(span, s, (road.left(s) + road.right(s)) / 2, 0.0)
+        return cls(
+            span, s, middle, (_Abutment.of(span, span.from_m, -1.0), _Abutment.of(span, span.to_m, 1.0)), at, piers
+        )
+
+    @property
+    def asked(self) -> Places:
+        """The places where the ground below it is asked."""
+        return np.concatenate([*(end.asked for end in self.abutments), self.piers_world[:, :2]])
+
 
 def span_bodies(ground: Ground, paved: PavedAreas) -> list[Body]:
     """The bodies of all decks and tunnels, in the order of `PavedAreas.spans`."""
-    return [_tunnel(paved, span) if span.is_tunnel else _deck(ground, paved, span) for span in paved.spans]
+    decks = [_Deck.of(span) for span in paved.spans if not span.is_tunnel]
+    if not decks:
+        return [_tunnel(paved, span) for span in paved.spans]
+    # What the ground is like at all decks is asked at once.
+    graded_m = _of_each(paved.graded, [deck.asked for deck in decks])
+    feet_m = _of_each(ground.height, [deck.middle_world[:, :2] for deck in decks])
+    bodies = map(_deck, decks, graded_m, feet_m, _free(paved, decks), repeat(paved))
+    return [_tunnel(paved, span) if span.is_tunnel else next(bodies) for span in paved.spans]
+
+
+def _of_each(told: Callable[[Places], Heights], places: Sequence[Places]) -> list[Heights]:
+    """What is told of places."""
+    return parted(told(np.concatenate(places)), list(map(len, places)))
 
 
 def _points(span: Span, s: Scalars, t: Scalars, up_m: Scalars | float) -> Points3:
@@ -44,29 +114,30 @@ def _points(span: Span, s: Scalars, t: Scalars, up_m: Scalars | float) -> Points
     return np.column_stack([road.xy(s, t), z])
 
 
-def _deck(ground: Ground, paved: PavedAreas, span: Span) -> Body:
-    """A slab with parapets where its edges are free, on abutments and piers."""
-    quads, road, s = Quads("bridge", "bridge"), span.road, span.rows(ROW_M)
+def _deck(deck: _Deck, graded_m: Heights, feet_m: Heights, free: tuple[AnyFlags, AnyFlags], paved: PavedAreas) -> Body:
+    """A slab with parapets where its edges are free, on abutments and piers, by the heights of the graded ground at the
+    places that it asks, and of the ground at its middle."""
+    quads, span, s = Quads("bridge", "bridge"), deck.span, deck.s
+    road = span.road
     left, right = road.left(s), road.right(s)
     quads.sweep(_rows(span, s, [(left - SIDE_M, -DECK_M), (right + SIDE_M, -DECK_M)]), DARK)
-    for edge, out in ((left, -1.0), (right, 1.0)):
-        free = _is_free(paved, span, s, edge + out * BESIDE_M)
+    for edge, out, is_free in zip((left, right), (-1.0, 1.0), free, strict=True):
         top = PARAPET_M + road.kerb(s, edge - out * KERB_M)
-        for first, end in stretches(free):
+        for first, end in stretches(is_free):
             on = slice(first, end)
             outer, inner = edge[on] + out * SIDE_M, edge[on] + out * 0.03
             rows = _rows(span, s[on], [(outer, -DECK_M), (outer, top[on]), (inner, top[on]), (inner, -0.1)])
             quads.sweep(rows, CONCRETE)
             quads.add(rows[[0, -1]], CONCRETE)
-        for first, end in stretches(~free):
+        for first, end in stretches(~is_free):
             on = slice(first, end)
             outer = edge[on] + out * SIDE_M
             quads.sweep(_rows(span, s[on], [(outer, -DECK_M), (outer, -0.08), (edge[on], -0.08)]), DARK)
-    for end_m, outward in ((span.from_m, -1.0), (span.to_m, 1.0)):
-        _abutment(quads, paved, span, end_m, outward)
-    _piers(quads, paved, span)
-    feet = _points(span, s, (left + right) / 2, 0.0)
-    quads.feet.append(np.column_stack([feet[:, :2], ground.height(feet[:, :2])]))
+    *ends_m, piers_m = parted(graded_m, [*(len(at.asked) for at in deck.abutments), len(deck.piers_s)])
+    for abutment, own_m in zip(deck.abutments, ends_m, strict=True):
+        _abutment(quads, abutment, own_m)
+    _piers(quads, paved, deck, piers_m)
+    quads.feet.append(np.column_stack([deck.middle_world[:, :2], feet_m]))
     return quads.body()
 
 
@@ -75,57 +146,49 @@ def _rows(span: Span, s: Scalars, section: Sequence[tuple[Scalars, Scalars | flo
     return np.stack([_points(span, s, t, up) for t, up in section], axis=1)
 
 
-def _is_free(paved: PavedAreas, span: Span, s: Scalars, t: Scalars) -> Bool[np.ndarray, " n"]:
-    """At which stations no other pavement is beside the edge of a deck, about as high."""
-    points = _points(span, s, t, 0.0)
-    table, at = paved.network.index.table, paved.network.index.places(points[:, :2], BESIDE_M)
-    at = at.of(at.road != table.roads.index(span.road))
+def _free(paved: PavedAreas, decks: Sequence[_Deck]) -> list[tuple[AnyFlags, AnyFlags]]:
+    """At which rows of decks no other pavement is beside their left and their right edge, about as high."""
+    table, sides = paved.network.index.table, list[Points3]()
+    for deck in decks:
+        road, s = deck.span.road, deck.s
+        sides += [_points(deck.span, s, t, 0.0) for t in (road.left(s) - BESIDE_M, road.right(s) + BESIDE_M)]
+    counts, points = list(map(len, sides)), np.concatenate(sides)
+    own = np.repeat([table.roads.index(deck.span.road) for deck in decks for _ in range(2)], counts)
+    at = paved.network.index.places(points[:, :2], BESIDE_M)
+    at = at.of(at.road != own[at.point])
     on, across, away_m = table.nearest(at)
     is_level = np.abs(table.base_points(at.road, on, across)[:, 2] - points[at.point, 2]) < LEVEL_M
-    free = np.ones(len(s), dtype=bool)
+    free = np.ones(len(points), dtype=bool)
     free[at.point[(away_m < BESIDE_M) & is_level]] = False
-    return free
+    each = parted(free, counts)
+    return list(zip(each[::2], each[1::2], strict=True))
 
 
-def _abutment(quads: Quads, paved: PavedAreas, span: Span, end_m: float, outward: float) -> None:
+def _abutment(quads: Quads, end: _Abutment, graded_m: Heights) -> None:
     """A wall below the end of a deck, with wings into the bank; none where the road goes on from there on a deck."""
-    road, n = span.road, 7
-    at = np.full(n, end_m)
-    t = np.linspace(float(road.left(at)[0]) - SIDE_M, float(road.right(at)[0]) + SIDE_M, n)
-    line = road.xy(at, t)
-    along = road.xy(at[:1], np.zeros(1)) - road.xy(at[:1] - 0.5 * outward, np.zeros(1))
-    along = along[0] / np.linalg.norm(along)
-    face, ways = line - 0.05 * along, line[[0, -1]][:, None] + np.array([-0.05, WING_M])[:, None] * along
-    graded_m = paved.graded(np.concatenate([line + along, line - along, face, *ways]))
-    behind, before, at_face, *feet = np.split(graded_m, np.cumsum([n, n, n, 2]))
-    top = _points(span, at, t, 0.0)[:, 2]
+    behind, before, at_wall, *feet = parted(graded_m, [ACROSS, ACROSS, ACROSS, 2, 2])
+    wall, wings, top, _ = end
     if (top - behind).min() > BANK_M:
         return
-    low = np.minimum(before, at_face) - 1.0
-    wall = np.stack([np.column_stack([face, np.minimum(low, top - 1.0)]), np.column_stack([face, top - 0.08])], axis=1)
-    quads.sweep(wall, CONCRETE)
-    for way, foot, z in zip(ways, feet, top[[0, -1]], strict=True):
+    low = np.minimum(before, at_wall) - 1.0
+    rows = np.stack([np.column_stack([wall, np.minimum(low, top - 1.0)]), np.column_stack([wall, top - 0.08])], axis=1)
+    quads.sweep(rows, CONCRETE)
+    for wing, foot, z in zip(wings, feet, top[[0, -1]], strict=True):
         ends = foot.min() - 1.0, z - 0.08
-        quads.sweep(np.stack([np.column_stack([way, np.full(2, at_z)]) for at_z in ends], axis=1), CONCRETE)
+        quads.sweep(np.stack([np.column_stack([wing, np.full(2, at_z)]) for at_z in ends], axis=1), CONCRETE)
 
 
-def _piers(quads: Quads, paved: PavedAreas, span: Span) -> None:
-    """Pairs of columns below a deck, clear of pavement."""
-    road = span.road
-    n = int((span.to_m - span.from_m) / PIERS_M)
-    middles_m = np.linspace(span.from_m, span.to_m, n + 2)[1:-1]
-    s = np.repeat(np.clip(middles_m[:, None] + TRIED_M, span.from_m + 1, span.to_m - 1).ravel(), 2)
-    left, right = road.left(s), road.right(s)
-    top = _points(span, s, left + (right - left) * np.tile([0.22, 0.78], len(s) // 2), -DECK_M)
-    low = paved.graded(top[:, :2])
-    rise_m = top[:, 2] - low
+def _piers(quads: Quads, paved: PavedAreas, deck: _Deck, low_m: Heights) -> None:
+    """Pairs of columns below a deck, clear of pavement, on the ground at these heights."""
+    top, s = deck.piers_world, deck.piers_s
+    rise_m = top[:, 2] - low_m
     has_room = (rise_m >= LEAST_PIER_M) & paved.is_off_ground_pavement(top[:, :2], CLEAR_M)
-    pairs = has_room.reshape(n, len(TRIED_M), 2).all(axis=2)
+    pairs = has_room.reshape(-1, len(TRIED_M), 2).all(axis=2)
     for i in np.flatnonzero(pairs.any(axis=1)).tolist():
         first = 2 * (i * len(TRIED_M) + int(pairs[i].argmax()))
-        along = np.diff(road.xy(s[first] + np.array([-0.5, 0.5]), np.zeros(2)), axis=0)[0]
+        along = np.diff(deck.span.road.xy(s[first] + np.array([-0.5, 0.5]), np.zeros(2)), axis=0)[0]
         for at in (first, first + 1):
-            frame = GroundFrame(np.array([*top[at, :2], low[at]]), along / np.linalg.norm(along))
+            frame = GroundFrame(np.array([*top[at, :2], low_m[at]]), along / np.linalg.norm(along))
             quads.box(frame, (-PIER_M, -PIER_M, -SINK_M), (PIER_M, PIER_M, float(rise_m[at]) + 0.05), CONCRETE)
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -248,7 +249,7 @@ class _Frame:
     z: float
     heading: float
 
-    @property
+    @cached_property
     def turn(self) -> float:
         """The heading of world x in the map."""
         return round(_wrapped(self.heading - math.pi / 2), ANGLE_DECIMALS)
