@@ -15,7 +15,6 @@ from synth3dlanes.draw.draws import SCENE_DECIMALS
 from synth3dlanes.draw.roadside import floor_plan
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.works import closed_area
 from synth3dlanes.scene.assets.catalogue import ThingModel
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.scene import Car, PlanInstant, Scene, Thing
@@ -200,7 +199,7 @@ def driven_after(track: tuple[tuple[float, float], ...], speed_m_s: float, times
 
 def _standing(scene: Scene, ground: Ground) -> Iterator[Float[np.ndarray, "4 2"]]:
     """The corners of buildings, poles and trunks, and of the area that road works close."""
-    yield from closed_area(ground.network.main, scene.road)
+    yield from ground.network.closed
     beside = scene.roadside
     yield from (floor_plan(building)[[0, 6, 48, 42]] for building in beside.buildings)
     poles = [frame.origin[:2] for frame in post_frames(ground, beside.posts)]

@@ -16,7 +16,6 @@ from synth3dlanes.params.distributions import extent
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
-from synth3dlanes.roads.works import closed_area
 from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.road_map import LaneName
@@ -42,8 +41,6 @@ SIDEWAYS, BEND_M = 3.0, 4.0
 # What is left of a way at the end of a clip, and the narrowest lane with cars.
 LEFT_M, NARROW_M = 6.0, 2.2
 
-NOTHING = np.zeros((0, 4, 2))
-
 BodySize = tuple[float, float]
 # The corners of a car at distances that it has driven.
 Way = Callable[[Scalars], Float[np.ndarray, "t 4 2"]]
@@ -60,7 +57,7 @@ class CarPlace(NamedTuple):
 class Traffic:
     """Host and cars on their ways through a clip, to which cars are added one by one; none touches what is closed."""
 
-    def __init__(self, shot: Shot, host: Way, closed: Float[np.ndarray, "k 4 2"] = NOTHING) -> None:
+    def __init__(self, shot: Shot, host: Way, closed: Float[np.ndarray, "k 4 2"]) -> None:
         self.times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
         self.ways, self.speeds = host(shot.speed_m_s * self.times_s)[None], [shot.speed_m_s]
         self.ways = np.concatenate([self.ways, np.repeat(closed[:, None], len(self.times_s), axis=1)])
@@ -143,8 +140,7 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
 
     own_lane = network.host_lane(camera.lane, camera.y_m).id
     own_way = way(own_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M)
-    closed = closed_area(network.main, scene.road)
-    traffic = Traffic(scene.shot, own_way if is_clip else lambda _: host, closed)
+    traffic = Traffic(scene.shot, own_way if is_clip else lambda _: host, network.closed)
     cars = list[Car]()
     for car in draw_cars(looks, scene.assets, traffic, places, added):
         if car is None and len(cars) < looks.least("n"):
@@ -235,7 +231,7 @@ def cars_on_map(
             )
 
     host = partial(way_places, network.way, camera.y_m, offset_m=camera.offset_m, size=placement.HOST_SIZE_M)
-    traffic = Traffic(shot, host)
+    traffic = Traffic(shot, host, network.closed)
     return tuple(filter(None, draw_cars(looks, scene.assets, traffic, places))) if near else ()
 
 

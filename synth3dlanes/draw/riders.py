@@ -15,6 +15,7 @@ from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
+from synth3dlanes.scene.road_map import lane_key
 from synth3dlanes.scene.scene import Scene, Thing
 from synth3dlanes.scene.things import ThingKind
 from synth3dlanes.system.arrays import Scalars
@@ -134,7 +135,7 @@ def map_lanes(network: Network, bodies: Bodies, for_cyclists: bool) -> Iterator[
         if away_m.min() > MAX_FROM_HOST_M:
             continue
         (section,) = road.stretch_of(lane).sections
-        number = int(lane.id.rsplit(".", 1)[1])
+        _, _, number = lane_key(lane.id)
         outwards = [at for at in section.lanes if at.number * number > 0 and abs(at.number) > abs(number)]
         outside = min(outwards, key=lambda at: abs(at.number)).kind if outwards else "none"
         if for_cyclists and (offset_m := _to_cycle_lane(section, lane, number, s)) is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.labels.labels import Marking, PaintColor, Pair, Segment
+from synth3dlanes.labels.labels import MIRRORED, Marking, PaintColor, Pair, Segment
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.system.arrays import Points3
@@ -21,8 +21,6 @@ from synth3dlanes.world.world import World
 REACH_M = 75.0  # beyond the corner of the area that is labelled
 ON_LINE_M = 0.4  # from a point of a delimiter, of which there is one every half metre
 LEAST_PAINTED = 0.5
-MIRRORED: dict[Pair, Pair] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
-"""A pair as the traffic sees it that comes from the other side."""
 
 
 @dataclass(frozen=True, eq=False)

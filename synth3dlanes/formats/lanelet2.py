@@ -20,7 +20,6 @@ from scipy.spatial import cKDTree
 from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, distances, is_beside
 from synth3dlanes.formats.comparing_maps import compare_map, link_gaps, middle_of
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
-from synth3dlanes.formats.lane_map import MIRRORED
 from synth3dlanes.formats.lanelet_map import (
     BOUND_STEP_M,
     JOIN_M,
@@ -42,7 +41,7 @@ from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import lengths_along, resampled, stretches, thinned
-from synth3dlanes.labels.labels import Lane
+from synth3dlanes.labels.labels import MIRRORED, Lane
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound, read_lanelet
 from synth3dlanes.roads.maps.osm import Osm, read_osm
 from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.formats.comparing import distances
-from synth3dlanes.formats.lane_map import MIRRORED
 from synth3dlanes.geometry.polylines import resampled, thinned
+from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Road

@@ -31,6 +31,8 @@ Marking = Literal["none", "solid", "dashed"]
 PaintColor = Literal["white", "yellow"]
 Pair = Literal["solid_dashed", "dashed_solid"]
 Direction = Literal["same", "oncoming", "crossing"]
+MIRRORED: dict[str, Pair] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
+"""A pair as who comes from the other side sees it."""
 
 
 @with_config(STRICT)

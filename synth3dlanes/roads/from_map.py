@@ -19,7 +19,7 @@ from synth3dlanes.roads.painted_edges import beside_lanes, bounded, edges_of, li
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import NetworkLane, Road
-from synth3dlanes.scene.road_map import JUMP_M, MapRoad, RoadMap
+from synth3dlanes.scene.road_map import JUMP_M, MapRoad, RoadMap, lane_key
 from synth3dlanes.scene.scene import Terrain
 
 # Roads farther from the host than this are left out.
@@ -111,7 +111,7 @@ class _Reading:
     @cached_property
     def way(self) -> LaneCurve:
         """The centre line of the host's route."""
-        wanted = {name.rsplit(".", 2)[0] for name in self.map.route}
+        wanted = {lane_key(name)[0] for name in self.map.route}
         by_id = {road.id: road for road in self.bare if road.id in wanted}
         lanes = {lane.id: lane for road in by_id.values() for lane in self._lanes(road)}
         route = [lanes[name] for name in self.map.route]
@@ -170,7 +170,7 @@ class _Reading:
 
 def route_way(roads: RoadMap) -> LaneCurve:
     """The centre line of the host's route of a map, from above."""
-    names, flat = {name.rsplit(".", 2)[0] for name in roads.route}, Terrain(gaussians=())
+    names, flat = {lane_key(name)[0] for name in roads.route}, Terrain(gaussians=())
     return _Reading(roads, [bare_road(road, flat) for road in roads.roads if road.id in names], flat).way
 
 
@@ -211,7 +211,7 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
         i for i, (most_m, _) in widths_m.items()
         if most_m > LEAST_WIDTH_M or f"{road.id}.{number}.{section.lanes[i].number}" in route
     ]  # fmt: skip
-    up = {i: (section.lanes[i].number < 0) ^ road.keeps_left ^ section.lanes[i].against for i in driving}
+    up = {i: section.lanes[i].ascends(road.keeps_left) for i in driving}
     for i in driving:
         same = [k for k in driving if up[k] == up[i]]
         yield NetworkLane(
@@ -233,7 +233,7 @@ def _lanes(road: MapRoad, number: int, section: CrossSection, route: frozenset[s
 
 def _middle(lane: NetworkLane, road: Road, numbers: Mapping[tuple[str, int], int]) -> TableLine:
     """The middle of a lane, as its traffic drives."""
-    section, number = map(int, lane.id.rsplit(".", 2)[1:])
+    _, section, number = lane_key(lane.id)
     edge = next(i for i, own in enumerate(road.sections[section].lanes) if own.number == number)
     return TableLine(numbers[road.id, section], (edge, edge + 1), *lane.driven)
 

@@ -334,6 +334,7 @@ class _Plan:
             host_lines=tuple(HostLine(path_along[lane.id], lane.start_m, lane.end_m) for lane in hosts),
             host_stretches=((main, -HOST_ROAD_M, HOST_ROAD_M),),
             removed=self._removed,
+            closed=np.zeros((0, 4, 2)) if self.works is None else self.works.closed(main),
         )
 
     @property

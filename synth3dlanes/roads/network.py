@@ -3,7 +3,7 @@ frame, metres; the rules are in docs/network.md."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +71,7 @@ class Network:
     `is_terrain`, or what the roads make of it. `host_stretches` are the roads near the host that it drives on, each
     between two stations, junctions left out. `yields` are pairs of lanes, the first of which yields to the second, None
     where the roads know of none. `removed` are the lines that were painted where others hold now. `courses` are those
-    of lanes that routes may use."""
+    of lanes that routes may use. `closed` is where road works let nobody drive: quadrangles from above."""
 
     terrain: Terrain
     roads: tuple[Road, ...]
@@ -90,6 +90,7 @@ class Network:
     islands: tuple[MapIsland, ...] = ()
     removed: tuple[LaneCurve, ...] = ()
     courses: Mapping[str, Course] = field(default_factory=dict)
+    closed: Float[np.ndarray, "k 4 2"] = field(default_factory=partial(np.zeros, (0, 4, 2)))
 
     # -- roads, lanes and lines
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from synth3dlanes.labels.labels import Direction, Marking, Pair
+from synth3dlanes.labels.labels import MIRRORED, Direction, Marking, Pair
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, LinePaint, Neighbour, TableLine, measured
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.road_table import RoadTable
@@ -28,7 +28,6 @@ MARKINGS: dict[str, tuple[Marking, bool, Pair | None]] = {
     "dashed_solid": ("solid", True, "dashed_solid"),
     "dashed_dashed": ("dashed", True, None),
 }
-OTHER_WAY: dict[Pair, Pair] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
 # Shorter ones are none.
 LEAST_LINE_M = 0.05
 
@@ -52,7 +51,7 @@ class PaintedEdge(NamedTuple):
     def look(self, onwards: bool) -> tuple[Marking, LinePaint]:
         """Marking and paint as s grows, or falls."""
         pair = self.paint.pair
-        return self.marking, self.paint if onwards or pair is None else self.paint._replace(pair=OTHER_WAY[pair])
+        return self.marking, self.paint if onwards or pair is None else self.paint._replace(pair=MIRRORED[pair])
 
 
 def edges_of(given: MapRoad, road: Road) -> Iterator[PaintedEdge]:
@@ -86,7 +85,7 @@ def _look(mark: MapMark, number: int) -> tuple[Marking, LinePaint]:
     """The marking and the paint of a mark as s grows: a pair from the left."""
     marking, is_double, pair = MARKINGS[mark.kind]
     if pair and number > 0:
-        pair = OTHER_WAY[pair]
+        pair = MIRRORED[pair]
     return marking, LinePaint(mark.yellow, mark.width_m, is_double, pair, mark.kind == "dots")
 
 

@@ -147,13 +147,9 @@ class WorksLanes:
             return self._moving(edge_m, self.boundary_m(self._outermost - self.outward))
         return self._moving(self.pavement_m - self.outward * EDGE_M, edge_m)
 
-
-def closed_area(road: Road, numbers: PaperRoad | None) -> Float[np.ndarray, "k 4 2"]:
-    """What road works close of the paper's road, from above: quadrangles one behind the other; none without works."""
-    if numbers is None or numbers.works is None:
-        return np.zeros((0, 4, 2))
-    lanes = WorksLanes(numbers, numbers.works)
-    low_m, high_m = lanes.span_m
-    s = np.linspace(low_m, high_m, 2 + int((high_m - low_m) / AREA_STEP_M))
-    inner, outer = road.xy(s, lanes.closed_from(s)), road.xy(s, lanes.pavement_m)
-    return np.stack([inner[:-1], outer[:-1], outer[1:], inner[1:]], axis=1)
+    def closed(self, road: Road) -> Float[np.ndarray, "k 4 2"]:
+        """What they close of the road, from above: quadrangles one behind the other."""
+        low_m, high_m = self.span_m
+        s = np.linspace(low_m, high_m, 2 + int((high_m - low_m) / AREA_STEP_M))
+        inner, outer = road.xy(s, self.closed_from(s)), road.xy(s, self.pavement_m)
+        return np.stack([inner[:-1], outer[:-1], outer[1:], inner[1:]], axis=1)

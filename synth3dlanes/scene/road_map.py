@@ -29,6 +29,13 @@ Coordinate = Annotated[float, Field(ge=-1e8, le=1e8)]
 # A lane by ROAD.SECTION.NUMBER, such as `12.0.-1`.
 LaneName = Name
 
+
+def lane_key(name: LaneName) -> tuple[str, int, int]:
+    """The road, the section and the number of a lane."""
+    road, section, number = name.rsplit(".", 2)
+    return road, int(section), int(number)
+
+
 MapLaneKind = Literal[
     "driving", "shoulder", "border", "parking", "walkway", "cycle", "median", "restricted", "kerb", "none"
 ]
@@ -82,6 +89,10 @@ class MapLane(DocumentPart):
     marks: tuple[MapMark, ...] = ()
     against: bool = False
     level: Annotated[bool, Field(exclude_if=operator.not_)] = False
+
+    def ascends(self, keeps_left: bool) -> bool:
+        """Whether its traffic drives with growing s, where traffic keeps left or right."""
+        return ((self.number < 0) != keeps_left) != self.against
 
 
 class MapSection(DocumentPart):
@@ -264,7 +275,7 @@ class RoadMap(DocumentPart):
             if name not in self.driving_lanes:
                 raise ValueError(f"route: expected driving lanes, got {name}")
         places = {road.id: (road.plan[0].x_m, road.plan[0].y_m, road.length_m) for road in self.roads}
-        for a, b in {(a.rsplit(".", 2)[0], b.rsplit(".", 2)[0]) for a, b in links}:
+        for a, b in {(lane_key(a)[0], lane_key(b)[0]) for a, b in links}:
             (*at_a, length_a), (*at_b, length_b) = places[a], places[b]
             if math.dist(at_a, at_b) > length_a + length_b + MAX_GAP_M:
                 raise ValueError(f"links: expected roads that touch, got {a} and {b}")

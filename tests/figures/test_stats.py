@@ -46,6 +46,13 @@ def test_drawn_scenes_agree_with_what_was_declared(scenes):
     assert [row.key for row in statistics.parameters if row.count == 0] == ["cars.parked"], "nobody parks by default"
 
 
+def test_the_routes_of_cars_in_clips_are_no_numbers(scenes):
+    params, (first, *_) = scenes
+    cars = tuple(car.model_copy(update={"route": ("s0.0.1",)}) for car in first.cars)
+    statistics = scene_statistics([first.model_copy(update={"cars": cars})], params)
+    assert statistics.parameters == scene_statistics([first], params).parameters
+
+
 @pytest.mark.parametrize("declared", ["road.lane_width_m=[3.2, 3.5]", "camera.height_m=[1.0, 3.0]", "road.n_lanes=3"])
 def test_another_declaration_is_found_out(scenes, declared):
     statistics = scene_statistics(scenes[1], load_params("appendix_i", [declared]))

@@ -13,6 +13,7 @@ from synth3dlanes.draw.town.plan import poses
 from synth3dlanes.draw.town.streets import LANES, Street
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.roads.terrain import height_at
+from synth3dlanes.scene.road_map import lane_key
 from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.system.arrays import Points2, Scalars
 
@@ -67,8 +68,8 @@ class LaneLines:
             s = np.linspace(0, length_m, 2 + int(length_m / LANE_STEP_M))
             points, headings = poses(plan, s)
             return _measured(points, np.unwrap(headings), s)
-        road, section, number = name.rsplit(".", 2)
-        return strip_line(self.streets[road], int(section), int(number))
+        road, section, number = lane_key(name)
+        return strip_line(self.streets[road], section, number)
 
 
 def strip_line(street: Street, section: int, number: int) -> LaneLine:

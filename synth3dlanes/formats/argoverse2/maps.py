@@ -34,11 +34,11 @@ from synth3dlanes.formats.comparing_maps import (
     side_problems,
     symbol_problems,
 )
-from synth3dlanes.formats.lane_map import MIRRORED, LaneSegment, lane_segments
+from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import resampled, thinned
-from synth3dlanes.labels.labels import Lane, LaneGraph, Marking, PaintColor, Pair, Segment
+from synth3dlanes.labels.labels import MIRRORED, Lane, LaneGraph, Marking, PaintColor, Pair, Segment
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.system.errors import FormatError

@@ -34,7 +34,6 @@ from synth3dlanes.formats.comparing_maps import (
     symbol_problems,
 )
 from synth3dlanes.formats.format import ReadFrame
-from synth3dlanes.formats.lane_map import MIRRORED
 from synth3dlanes.formats.nuscenes.tables import (
     CATEGORIES,
     ELEMENTS,
@@ -58,7 +57,7 @@ from synth3dlanes.formats.nuscenes.tables import (
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform, turned
-from synth3dlanes.labels.labels import Labels, Lane
+from synth3dlanes.labels.labels import MIRRORED, Labels, Lane
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3
 from synth3dlanes.system.errors import FormatError

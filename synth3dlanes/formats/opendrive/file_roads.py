@@ -128,16 +128,10 @@ def beside(roads: Sequence[FileRoad], points_world: Points3) -> list[RoadPlace]:
     return [found[i] for i in range(len(points_world))]
 
 
-def lane_key(name: LaneName) -> tuple[str, int, int]:
-    """The road, the section and the number of a lane."""
-    road, section, number = name.rsplit(".", 2)
-    return road, int(section), int(number)
-
-
 def lane_ascends(road: MapRoad, section: int, number: int) -> bool:
     """Whether the traffic of a lane goes with growing s."""
     lane = next(lane for lane in road.sections[section].lanes if lane.number == number)
-    return (number < 0) ^ road.keeps_left ^ lane.against
+    return lane.ascends(road.keeps_left)
 
 
 def on_planes(flat: MapRoad, own: Road, raised: Callable[[Scalars], Scalars]) -> MapRoad:

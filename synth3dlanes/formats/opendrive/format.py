@@ -10,13 +10,22 @@ import numpy as np
 
 from synth3dlanes.formats.format import SampleFormat, SampleFrame
 from synth3dlanes.formats.opendrive.elements import Element, add
-from synth3dlanes.formats.opendrive.file_roads import FileRoad, lane_ascends, lane_key, on_planes
+from synth3dlanes.formats.opendrive.file_roads import FileRoad, lane_ascends, on_planes
 from synth3dlanes.formats.opendrive.marks import PaintedMark
 from synth3dlanes.formats.opendrive.parts import part_links, parts
 from synth3dlanes.formats.opendrive.things import add_things
 from synth3dlanes.formats.opendrive.verify import RULE, USER_DATA, read, verify
 from synth3dlanes.formats.writing import FrameAnnotation
-from synth3dlanes.scene.road_map import LaneName, MapLane, MapLaneKind, MapMark, MapRoad, PlanPiece, Polynomial
+from synth3dlanes.scene.road_map import (
+    LaneName,
+    MapLane,
+    MapLaneKind,
+    MapMark,
+    MapRoad,
+    PlanPiece,
+    Polynomial,
+    lane_key,
+)
 from synth3dlanes.world.world import World, resolve
 
 MAJOR, MINOR = "1", "7"

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.scene.road_map import MapMark, MapMarkKind
 from synth3dlanes.scene.scene import Markings
@@ -23,7 +24,6 @@ MARK_M, LENGTH_STEP_M = 50.0, 0.5
 # From the first to the last place of a stretch that have to be near, as shares of it.
 PROBES = np.array([0.2, 0.5, 0.8])
 
-MIRRORED: dict[MapMarkKind, MapMarkKind] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
 # Towards which lane numbers, which increase to the left, a mark may be crossed: from the side of its dashes.
 LANE_CHANGES = {"dashed": "both", "dots": "both", "solid_dashed": "increase", "dashed_solid": "decrease"}
 DOUBLE: frozenset[MapMarkKind] = frozenset({"solid_solid", *MIRRORED})

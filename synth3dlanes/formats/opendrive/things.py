@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.elements import Element, add
-from synth3dlanes.formats.opendrive.file_roads import FileRoad, RoadPlace, beside, lane_ascends, lane_key
+from synth3dlanes.formats.opendrive.file_roads import FileRoad, RoadPlace, beside, lane_ascends
 from synth3dlanes.roads.maps.elements import ARROW_LIGHT, LIGHT
-from synth3dlanes.scene.road_map import MapPaint
+from synth3dlanes.scene.road_map import MapPaint, lane_key
 from synth3dlanes.scene.roadside import Rail
 from synth3dlanes.scene.scene import Symbol
 from synth3dlanes.scene.traffic_elements import LensForm, SignKind, TrafficSign, TrafficSignal
@@ -107,8 +107,6 @@ def _in_lane(item: Symbol | MapPaint, form: SymbolShape, roads: Sequence[FileRoa
         words["orientation"] = "+" if lane_ascends(road.told, section, number) else "-"
         sizes["width"], sizes["length"] = np.ptp(form.outline, axis=0).tolist()
     element = _object(SYMBOLS[item.kind], sth, zOffset=0.0, hdg=0.0, height=0.0, **words, **sizes)
-    if not item.kind.startswith("arrow"):
-        _add_validity(element, [number for _, _, number in numbers[:1]])
     places = road.places(outline)
     # Corners go counter-clockwise.
     x, y = places[:, 0], places[:, 1]
@@ -117,6 +115,8 @@ def _in_lane(item: Symbol | MapPaint, form: SymbolShape, roads: Sequence[FileRoa
     corners = add(add(element, "outlines"), "outline", id="0", outer="true", closed="true")
     for i, (s, t, _) in enumerate(places):
         add(corners, "cornerRoad", id=str(i), s=s, t=t, dz=0.0, height=0.0)
+    if not item.kind.startswith("arrow"):
+        _add_validity(element, [number for _, _, number in numbers[:1]])
     return road, element
 
 

@@ -13,7 +13,6 @@ import shapely
 from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.document import number, passing_over
 from synth3dlanes.roads.maps.furniture import driving_at, is_facing, is_paint, object_outline, valid_lanes
-from synth3dlanes.roads.maps.links import ascends
 from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import LaneName, MapRoad
 from synth3dlanes.scene.traffic_elements import MAX_LANES, LensForm, Phase, SignKind, TrafficSign, TrafficSignal
@@ -215,7 +214,7 @@ def _governed(item: Element, road: MapRoad, where: str) -> list[GovernedLane]:
     valid = valid_lanes(item, where)
     heading = float(plan_points(road.plan, np.array([s]))[0, 2])
     return [
-        GovernedLane(name, heading if ascends(lane, road.keeps_left) else heading + math.pi)
+        GovernedLane(name, heading if lane.ascends(road.keeps_left) else heading + math.pi)
         for name, lane, low, high in lanes
         if high > low and (lane.number in valid if valid is not None else is_facing(item, lane, road))
     ]
@@ -226,7 +225,7 @@ def _junctions(at: FileRoad) -> Iterator[tuple[LaneName, str]]:
     road, inside = at.road, at.element.get("junction", "-1")
     for i, section in enumerate(road.sections):
         for lane in section.lanes:
-            is_up = ascends(lane, road.keeps_left)
+            is_up = lane.ascends(road.keeps_left)
             after = at.element.find(f"link/{'successor' if is_up else 'predecessor'}")
             if inside not in NO_TYPES:
                 yield f"{road.id}.{i}.{lane.number}", inside

@@ -11,7 +11,6 @@ import numpy as np
 from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import value
 from synth3dlanes.roads.maps.document import number, passing_over
-from synth3dlanes.roads.maps.links import ascends
 from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import MAX_LANES, MapIsland, MapLane, MapPaint, MapRoad
 from synth3dlanes.system.arrays import Points2
@@ -161,7 +160,7 @@ def valid_lanes(item: Element, where: str) -> set[int] | None:
 def is_facing(item: Element, lane: MapLane, road: MapRoad) -> bool:
     """Whether an object or a signal is for the direction of a lane's traffic, or for both."""
     facing = item.get("orientation", "none")
-    return facing not in ("+", "-") or (facing == "+") == ascends(lane, road.keeps_left)
+    return facing not in ("+", "-") or (facing == "+") == lane.ascends(road.keeps_left)
 
 
 def _lines(kind: str, item: Element, road: MapRoad, where: str) -> Iterator[MapPaint]:

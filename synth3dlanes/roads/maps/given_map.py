@@ -30,7 +30,7 @@ from synth3dlanes.roads.maps.elements import (
 from synth3dlanes.roads.maps.furniture import drop_beyond, edges_at, read_furniture
 from synth3dlanes.roads.maps.jumps import divided
 from synth3dlanes.roads.maps.lanes import Section, read_sections
-from synth3dlanes.roads.maps.links import LinkedRoad, ascends, lane_links, read_end
+from synth3dlanes.roads.maps.links import LinkedRoad, lane_links, read_end
 from synth3dlanes.roads.maps.plan import places, read_plan
 from synth3dlanes.scene.road_map import (
     LaneName,
@@ -43,6 +43,7 @@ from synth3dlanes.scene.road_map import (
     MapShape,
     MapSpan,
     Polynomial,
+    lane_key,
 )
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.system.errors import FormatError
@@ -87,7 +88,7 @@ class LanePlace(NamedTuple):
     @property
     def ascends(self) -> bool:
         """Whether its traffic drives with growing s."""
-        return ascends(self.lane, self.road.keeps_left)
+        return self.lane.ascends(self.road.keeps_left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,11 +425,11 @@ def touching(
 
 def _end_of(name: LaneName, leaves: bool, roads: dict[Name, MapRoad]) -> tuple[float, float]:
     """The middle of a lane where its traffic leaves it, or enters it."""
-    road_id, i, number = name.rsplit(".", 2)
-    road, section = roads[road_id], int(i)
-    lane = next(at for at in road.sections[section].lanes if at.number == int(number))
-    low, high = LanePlace(road, section, lane).span_m
-    s_m = high if ascends(lane, road.keeps_left) == leaves else low
+    road_id, section, number = lane_key(name)
+    road = roads[road_id]
+    lane = next(at for at in road.sections[section].lanes if at.number == number)
+    low, high = road.span_m(section)
+    s_m = high if lane.ascends(road.keeps_left) == leaves else low
     t_m = next((a + b) / 2 for at, a, b in edges_at(road, section, s_m) if at is lane)
     x, y = places(road.plan, np.array([s_m]), np.array([t_m]))[0].tolist()
     return x, y

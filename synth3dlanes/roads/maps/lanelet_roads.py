@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.line_forms import plan_line, plan_points
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound
 from synth3dlanes.roads.maps.profiles import cubics, knots
@@ -61,7 +62,6 @@ MARKS: dict[str, MapMarkKind] = {
     "dashed_solid": "dashed_solid",
     "dashed_dashed": "dashed_dashed",
 }
-OTHER_WAY: dict[str, MapMarkKind] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
 PAINTED = {"line_thin": 0.12, "line_thick": 0.25}
 WIDEST_M = 2.0
 Vector = Float[np.ndarray, "2"]
@@ -250,7 +250,7 @@ def _marks(bound: LaneletBound, is_turned: bool, is_inner_left: bool) -> tuple[M
         return ()
     # The way's own left is the road's left if it is drawn as the road goes.
     if (bound.is_against == is_turned) != is_inner_left:
-        kind = OTHER_WAY.get(kind, kind)
+        kind = MIRRORED.get(kind, kind)
     try:
         width_m = float(bound.tags.get("width", ""))
     except ValueError:

@@ -85,7 +85,7 @@ def lane_links(
         if any(lane is None or lane.kind != "driving" for lane in lanes):
             continue
         leaves = [
-            (end == "end") == ascends(lane, roads[place[0]].keeps_left)
+            (end == "end") == lane.ascends(roads[place[0]].keeps_left)
             for place, end, lane in zip((one, other), (one_end, other_end), lanes, strict=True)
             if lane is not None
         ]
@@ -129,11 +129,6 @@ def _name(roads: Mapping[str, LinkedRoad], place: LaneKey) -> LaneName:
     """ROAD.SECTION.NUMBER."""
     road, section, number = place
     return f"{roads[road].name}.{roads[road].numbers[section]}.{number}"
-
-
-def ascends(lane: MapLane, keeps_left: bool) -> bool:
-    """Whether traffic in a lane drives with growing s."""
-    return ((lane.number < 0) != keeps_left) != lane.against
 
 
 def _lane(roads: Mapping[str, LinkedRoad], place: LaneKey) -> MapLane | None:

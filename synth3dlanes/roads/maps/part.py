@@ -27,6 +27,7 @@ from synth3dlanes.scene.road_map import (
     MapSpan,
     PlanPiece,
     RoadMap,
+    lane_key,
 )
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import validation_problems
@@ -130,7 +131,7 @@ def _painted(
         return item.model_copy(update={"outline": corners}) if _is_near(corners) else None
     if item.lane not in names:
         return None
-    s_m = round(item.s_m - cuts[item.lane.rsplit(".", 2)[0]].from_m, LENGTH_DECIMALS)
+    s_m = round(item.s_m - cuts[lane_key(item.lane)[0]].from_m, LENGTH_DECIMALS)
     return item.model_copy(update={"lane": names[item.lane], "s_m": s_m})
 
 
