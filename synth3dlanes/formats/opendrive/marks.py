@@ -26,7 +26,7 @@ PROBES = np.array([0.2, 0.5, 0.8])
 
 # Towards which lane numbers, which increase to the left, a mark may be crossed: from the side of its dashes.
 LANE_CHANGES = {"dashed": "both", "dots": "both", "solid_dashed": "increase", "dashed_solid": "decrease"}
-DOUBLE: frozenset[MapMarkKind] = frozenset({"solid_solid", *MIRRORED})
+DOUBLE: frozenset[MapMarkKind] = frozenset({"solid_solid", "solid_dashed", "dashed_solid"})
 # The pattern of a stripe: the lengths of its dashes and gaps, and where the first dash begins.
 Pattern = tuple[float, float, float]
 
