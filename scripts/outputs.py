@@ -74,12 +74,21 @@ class Stats(Document):
 FaultOutput = create_model("FaultOutput", __base__=Document, __doc__=Problem.__doc__, **fields_of(Problem))
 
 
+class AskedCheck(Document):
+    """How many samples were asked a check, and what those lack that were not."""
+
+    samples: int
+    lacks: list[str]
+
+
 class Validation(Document):
-    """`validate`: problems, notes of what is no fault, and every number that a check holds against limits."""
+    """`validate`: problems, checks by their names, notes of what is no fault, and every number that a check holds
+    against limits."""
 
     samples: int
     failed: list[str]
     problems: list[FaultOutput]
+    checks: dict[str, AskedCheck]
     notes: list[str]
     numbers: dict[str, dict[str, float | int | str | None]]
     made_again: dict[str, str]
