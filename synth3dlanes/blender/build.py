@@ -1,6 +1,6 @@
 """World and View -> Blender data: the world's surfaces, and instances of the assets. World frame."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -27,6 +27,7 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.meshes import Mesh
 from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.paint import paint_color
+from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import View, World
 
 # The collections of a world's objects, in the order in which Cycles gets them, and those that depend on the view.
@@ -34,6 +35,8 @@ COLLECTIONS = ("ground", "paint", "structures", "objects", "trees", "host", "gra
 OF_VIEW = ("paint", "objects", "host", "grass", "lens", "lights")
 # Shade of a blade of grass at both corners of its foot and at its tip.
 FOOT_TO_TIP = np.array([0.5, 0.5, 1.0])
+# Arrays of a mesh, its materials and its instance id.
+Surface = tuple[Mesh | Body | Blades, Sequence[bpy.types.Material], int]
 
 
 @dataclass(eq=False)
@@ -104,75 +107,70 @@ def _plain() -> bpy.types.Material:
     return material
 
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What a world and a view add to Blender, by collection. `is_built` says that the world is there, so that only what
+    depends on the view is added."""
+
+    surfaces: dict[str, list[Surface]]
+    instances: dict[str, list[MeshInstance]]
+    is_built: bool
+
+
+def prepare(studio: Studio, world: World, view: View, labelled: Sequence[str] = ()) -> Prepared:
+    """Compute what `build` adds, without Blender.
+
+    Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range.
+    """
+    materials, is_built = studio.materials, studio.ground is world.ground
+    road, shoulder, terrain = materials.ground(world.scene.surface)
+    surfaces: dict[str, list[Surface]] = {}
+    if not is_built:
+        made = world.site.surfaces
+        surfaces["ground"] = [(mesh, [terrain], 0) for mesh in (made.terrain, *made.verges)]
+        surfaces["ground"] += [(mesh, [road, shoulder, terrain], 0) for mesh in made.pavement]
+        surfaces["structures"] = [(body, materials.structures, id_) for id_, body in world.site.bodies.items()]
+    surfaces["paint"] = [*_paint(materials, world, view, labelled)]
+    grass = world.grass(view)
+    surfaces["grass"] = [] if grass is None else [(grass, [materials.grass], 0)]
+    lights = world.site.lights(world.scene.shot.time_s)
+    surfaces["lights"] = [(body, materials.structures, id_) for id_, body in lights.items()]
+    assets = studio.assets
+    instances = {"objects": _objects(assets, view), "trees": _trees(assets, world), "host": _host(studio, view)}
+    return Prepared(surfaces, instances, is_built)
+
+
 def build(
-    studio: Studio, world: World, view: View, light: Daylight, labelled: Sequence[str] = ()
+    studio: Studio, world: World, view: View, light: Daylight, prepared: Prepared | None = None
 ) -> list[MeshInstance]:
     """Replace the previous world by this one; return its objects with boxes, in the view's order, its trees and the
     host's bonnet.
 
-    Instance ids number the delimiters in `labelled` first, in that order, then those beyond the labels' range. Of the
-    world that was built last, as another shot sees it (`World.seen_in`), only what depends on the view is built anew.
+    Of the world that was built last, as another shot sees it (`World.seen_in`), only what depends on the view is built
+    anew.
     """
     scene, materials = world.scene, studio.materials
-    objects, trees, host = _objects(studio.assets, view), _trees(studio.assets, world), _host(studio, view)
-    add: dict[str, Callable[[], object]] = {
-        "ground": lambda: _add_ground(materials, world),
-        "paint": lambda: _add_paint(materials, world, view, labelled),
-        "structures": lambda: _add_structures(materials, world),
-        "objects": lambda: _add_placed("objects", objects),
-        "trees": lambda: _add_placed("trees", trees),
-        "host": lambda: _add_placed("host", host),
-        "grass": lambda: _add_grass(materials, world, view),
-        "lens": lambda: _add_lens(studio, view),
-        "lights": lambda: _add_lights(materials, world),
-    }
-    is_built = studio.ground is world.ground
+    prepared = prepared or prepare(studio, world, view)
     # No world until the build succeeds: another view cannot be added to one that failed.
     studio.ground = None
-    missing = OF_VIEW if is_built else COLLECTIONS
+    missing = OF_VIEW if prepared.is_built else COLLECTIONS
     _clear(missing, studio.kept)
-    if not is_built:
+    if not prepared.is_built:
         set_materials(materials, world)
         set_translucency(studio.assets.trees, scene.vegetation.translucency)
         set_snow_caps(scene.weather.snow)
     # In this order Blender itself gives most of them their names.
-    for name in COLLECTIONS:
-        if name in missing:
-            add[name]()
+    for name in (name for name in COLLECTIONS if name in missing):
+        for surface, its_materials, id_ in prepared.surfaces.get(name, []):
+            _add_object(name, _blender_mesh(surface, its_materials), id_)
+        _add_placed(name, prepared.instances.get(name, []))
+    if not view.camera.lens.is_pinhole:
+        set_lens(studio.lens, view, bpy.data.collections["lens"])
     studio.ground = world.ground
     set_camera(studio.camera, view.camera, view.world_from_cam)
     _name_in_order()
     set_light(scene, light, studio.assets.skies, view.world_from_host, world.site.street_lamps)
-    return [*objects, *trees, *host]
-
-
-def _add_ground(materials: Materials, world: World) -> None:
-    road, shoulder, terrain = materials.ground(world.scene.surface)
-    for mesh in [world.site.surfaces.terrain, *world.site.surfaces.verges]:
-        _add_object("ground", new_mesh(mesh, [terrain]), 0)
-    for mesh in world.site.surfaces.pavement:
-        _add_object("ground", new_mesh(mesh, [road, shoulder, terrain]), 0)
-
-
-def _add_structures(materials: Materials, world: World) -> None:
-    for id_, body in world.site.bodies.items():
-        _add_object("structures", structure_mesh(body, materials.structures), id_)
-
-
-def _add_grass(materials: Materials, world: World, view: View) -> None:
-    grass = world.grass(view)
-    if grass is not None:
-        _add_object("grass", _grass_mesh(grass, materials.grass), 0)
-
-
-def _add_lights(materials: Materials, world: World) -> None:
-    for id_, body in world.site.lights(world.scene.shot.time_s).items():
-        _add_object("lights", structure_mesh(body, materials.structures), id_)
-
-
-def _add_lens(studio: Studio, view: View) -> None:
-    if not view.camera.lens.is_pinhole:
-        set_lens(studio.lens, view, bpy.data.collections["lens"])
+    return [*(item for items in prepared.instances.values() for item in items)]
 
 
 def _clear(collections: Sequence[str], kept: frozenset[str]) -> None:
@@ -182,7 +180,8 @@ def _clear(collections: Sequence[str], kept: frozenset[str]) -> None:
 
 
 def _name_in_order() -> None:
-    """Name all objects by their order, whenever they were made: rounding in Cycles depends on it."""
+    """Name all objects by their order, whenever they were made: Cycles' random number of an object, which tints leaves
+    and bark, follows from its name."""
     items = [item for name in COLLECTIONS for item in bpy.data.collections[name].objects]
     names = ["item", *(f"item.{number:03d}" for number in range(1, len(items)))]
     renamed = [(item, name) for item, name in zip(items, names, strict=False) if item.name != name]
@@ -192,8 +191,8 @@ def _name_in_order() -> None:
         item.name = name
 
 
-def _add_paint(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> None:
-    """Add what lies on the road, moved a little so that it looks in place from the view."""
+def _paint(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> Iterator[Surface]:
+    """What lies on the road, moved a little so that it looks in place from the view."""
     seams = (
         (world.tar(view), materials.tar),
         (world.ghost_lines(view), materials.ghost),
@@ -201,16 +200,16 @@ def _add_paint(materials: Materials, world: World, view: View, labelled: Sequenc
     )
     for seam, material in seams:
         if seam is not None:
-            _add_object("paint", new_mesh(seam, [material]), 0)
+            yield seam, [material], 0
     strips = world.paint(view, all_round=False)
     colors = {line.id: paint_color(line, world.scene.markings) for line in world.site.lines}
     for number, name in enumerate([*labelled, *(name for name in strips if name not in labelled)]):
         if name in strips and len(strips[name].faces):
             material = materials.yellow_marking if colors[name] == "yellow" else materials.marking
-            _add_object("paint", new_mesh(strips[name], [material]), instance_id("delimiter", number))
+            yield strips[name], [material], instance_id("delimiter", number)
     for id_, mesh in zip(world.symbol_ids, world.symbols(view, all_round=False), strict=True):
         if len(mesh.faces):
-            _add_object("paint", new_mesh(mesh, [materials.symbol]), id_)
+            yield mesh, [materials.symbol], id_
 
 
 def _objects(assets: LoadedAssets, view: View) -> list[MeshInstance]:
@@ -237,7 +236,15 @@ def _host(studio: Studio, view: View) -> list[MeshInstance]:
     return [] if pose is None else [MeshInstance(studio.bonnet, pose, 1.0, bonnet.ID, body)]
 
 
-def new_mesh(mesh: Mesh, materials: list[bpy.types.Material]) -> bpy.types.Mesh:
+def _blender_mesh(surface: Mesh | Body | Blades, materials: Sequence[bpy.types.Material]) -> bpy.types.Mesh:
+    if isinstance(surface, Body):
+        return structure_mesh(surface, materials)
+    if isinstance(surface, Blades):
+        return _grass_mesh(surface, materials[0])
+    return new_mesh(surface, materials)
+
+
+def new_mesh(mesh: Mesh, materials: Sequence[bpy.types.Material]) -> bpy.types.Mesh:
     """A Blender mesh of smooth quads with its UV layer in metres."""
     data = polygons("surface", mesh.vertices_world, mesh.faces, mesh.uv_m)
     data.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", mesh.material.astype(np.int32))

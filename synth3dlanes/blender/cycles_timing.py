@@ -1,6 +1,6 @@
 """Seconds per stage of a render, from Cycles' status messages (bpy.app.handlers.render_stats).
 
-Cycles reports the start of each stage, so a stage lasts until the next one starts. Recording costs microseconds.
+Cycles reports the start of each step, so a step lasts until the next one starts. Recording costs microseconds.
 """
 
 import time
@@ -10,32 +10,36 @@ from itertools import pairwise
 
 import bpy
 
-# How the message at the start of each stage begins, in order; "after" is copying the result.
-BEGINNINGS = {"Updating Scene": "bvh", "Sample 0/": "tracing", "Finished": "after"}
+# The stages of steps by the beginnings of their messages, of which the first that fits counts. Steps without one belong
+# to the stage before.
+STEPS = {"Updating Images": "textures", "Updating": "bvh", "Sample 0/": "tracing", "Finished": "after"}
 
 
 @contextmanager
 def cycles_stages() -> Iterator[dict[str, float]]:
     """Time the first render inside the block; the seconds are set when the block ends: `sync` (Blender's scene to
-    Cycles'), `bvh` (search trees, textures, the rest of the device's scene), `tracing` (samples and denoiser),
-    `after`."""
-    marks: dict[str, float] = {}
-    stages: dict[str, float] = {}
+    Cycles'), `textures` (their files and the sky), `bvh` (search trees, the rest of the device's scene), `tracing`
+    (samples and denoiser), `after` (copying the result)."""
+    steps: list[tuple[str, float]] = []
+    stages = dict.fromkeys(("sync", *STEPS.values()), 0.0)
 
-    def begin(_: object, __: object) -> None:
-        marks.setdefault("sync", time.perf_counter())
+    def begin(stage: str) -> None:
+        # The first render alone.
+        if not steps or steps[-1][0] != "end":
+            steps.append((stage, time.perf_counter()))
 
     def mark(status: str) -> None:
         words = status.rpartition("ViewLayer | ")[2]
-        for beginning, stage in BEGINNINGS.items():
-            if words.startswith(beginning):
-                marks.setdefault(stage, time.perf_counter())
-
-    def end(_: object, __: object) -> None:
-        marks.setdefault("end", time.perf_counter())
+        stage = next((stage for beginning, stage in STEPS.items() if words.startswith(beginning)), None)
+        if stage is not None:
+            begin(stage)
 
     handlers = bpy.app.handlers
-    hooks = [(handlers.render_init, begin), (handlers.render_stats, mark), (handlers.render_post, end)]
+    hooks = [
+        (handlers.render_init, lambda *_: begin("sync")),
+        (handlers.render_stats, mark),
+        (handlers.render_post, lambda *_: begin("end")),
+    ]
     for hook, function in hooks:
         hook.append(function)
     try:
@@ -43,4 +47,5 @@ def cycles_stages() -> Iterator[dict[str, float]]:
     finally:
         for hook, function in hooks:
             hook.remove(function)
-    stages |= {stage: marks[later] - marks[stage] for stage, later in pairwise(("sync", *BEGINNINGS.values(), "end"))}
+    for (stage, start), (_, end) in pairwise(steps):
+        stages[stage] += end - start

@@ -7,7 +7,7 @@ from functools import lru_cache, partial
 import bpy
 import numpy as np
 
-from synth3dlanes.blender.build import MeshInstance, Studio, build, open_studio
+from synth3dlanes.blender.build import MeshInstance, Studio, build, open_studio, prepare
 from synth3dlanes.blender.devices import use_device
 from synth3dlanes.blender.lidar import scan
 from synth3dlanes.blender.light import HAZE_PASS
@@ -64,12 +64,14 @@ def render(
     """Render one view; equal arguments give equal pixels on one kind of machine."""
     clock = [time.perf_counter()]
     lines = [lane.id for lane in labels.lanes if lane.kind == "delimiter"]
-    placed = build(studio(library), world, view, light, lines)
+    own = studio(library)
+    prepared = prepare(own, world, view, lines)
+    clock.append(time.perf_counter())
+    placed = build(own, world, view, light, prepared)
     clock.append(time.perf_counter())
     configure(settings, light.film)
     # For further renders of the same scene only: persistent data ignores changes between scenes.
     bpy.context.scene.render.use_persistent_data = "normal" in settings.passes or labels.lidar is not None
-    own = studio(library)
     is_bent = not view.camera.lens.is_pinhole
     if is_bent:
         bpy.context.scene.cycles.transparent_max_bounces += LENS_BOUNCES
@@ -89,7 +91,7 @@ def render(
     elements = with_pixel_shares(elements, world.site, seen.camera, layers.instance)
     seen = replace(seen, objects=objects, traffic_elements=elements)
     clock.append(time.perf_counter())
-    stages = ("build", "cycles", "passes", "occlusion")
+    stages = ("meshes", "build", "cycles", "passes", "occlusion")
     return BlenderOutput(layers, seen, sweep, dict(zip(stages, np.diff(clock).tolist(), strict=True)))
 
 

@@ -1,5 +1,7 @@
 """What stands beside the road -> Blender: one material per semantic name, coloured face by face."""
 
+from collections.abc import Sequence
+
 import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
@@ -34,7 +36,7 @@ def _dirty(graph: ShaderGraph, color: object) -> object:
     return graph.scale(color, shade)
 
 
-def structure_mesh(body: Body, materials: tuple[bpy.types.Material, ...]) -> bpy.types.Mesh:
+def structure_mesh(body: Body, materials: Sequence[bpy.types.Material]) -> bpy.types.Mesh:
     """A mesh of flat quads with the face colours as attribute `paint`."""
     corners = body.corners_world.reshape(-1, 3)
     data = polygons(body.kind, corners, np.arange(len(corners)).reshape(-1, 4))

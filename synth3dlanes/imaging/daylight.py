@@ -69,7 +69,9 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
     whole = sun * np.cos(light.sun_zenith_rad) + irradiance(clear)
     whole = (whole + 2 * whole.mean()) / 3  # clouds are gray
     gray = whole * hidden * (1 - OVERCAST_LOSS * hidden)
-    sky = (1 - hidden) * cloudy_sky(light, clear, cover)
+    # In place: a dome has a million numbers, and new memory costs more than the sums.
+    sky = cloudy_sky(light, clear, cover)
+    sky *= 1 - hidden
     sky += gray[:, None, None] * overcast_dome(ELEVATION_RAD[HORIZON:, None]) * (0.85 + 0.3 * cover[::-1])
     airlight = (1 - hidden) * clear[:, 0] + gray[:, None] * overcast_dome(0.0)
     if light.sun_zenith_rad > np.pi / 2:
@@ -79,9 +81,11 @@ def daylight(scene: Scene, eye_height_m: float) -> Daylight:
     thickness = 1 - np.exp(-per_m * HAZE_LAYER_M)
     airlight = airlight + thickness * (FOG_AIRLIGHT * lit[:, None] / np.pi - airlight)
     left = seen_through_haze(scene.air.visibility_m, np.sin(ELEVATION_RAD[HORIZON:]))[:, None]
-    sky = left * sky + (1 - left) * airlight[:, None]
+    sky *= left
+    sky += (1 - left) * airlight[:, None]
     below = _ground(lit, airlight, per_m, max(eye_height_m, scene.camera.height_m))
-    dome = SUN_STRENGTH * np.concatenate([below, sky], axis=1).astype(np.float32)
+    dome = np.concatenate([below, sky], axis=1).astype(np.float32, copy=False)
+    dome *= np.float32(SUN_STRENGTH)
     sun = SUN_STRENGTH * (1 - hidden) * sun
     lamps = HEADLIGHT_LEVEL if scene.weather.headlights else 0.0
     ratio = _reference_level() / (_level(sun, light.sun_zenith_rad, dome[:, HORIZON:]) + lamps)
@@ -105,4 +109,6 @@ def _reference_level() -> float:
 def _ground(lit: LinearRgb, airlight: Float[np.ndarray, "3 w"], per_m: float, height_m: float) -> Dome:
     """The lower half of the dome: the plain beyond the terrain mesh, seen through haze from `height_m`."""
     left = np.exp(-per_m * height_m / np.sin(-ELEVATION_RAD[:HORIZON]))[:, None]
-    return np.asarray(left * (GROUND_ALBEDO * lit / np.pi)[:, None, None] + (1 - left) * airlight[:, None])
+    dome: Dome = (1 - left) * airlight[:, None]
+    dome += left * (GROUND_ALBEDO * lit / np.pi)[:, None, None]
+    return dome

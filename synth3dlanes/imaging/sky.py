@@ -68,11 +68,15 @@ def skyglow(light: Light, overcast: float) -> Float[np.ndarray, "3 h 1"]:
 
 def cloud_cover(rng: np.random.Generator) -> Float[np.ndarray, "h w"]:
     """Opacity 0..1 of a random cloud map at a random azimuth; rows from zenith to horizon."""
-    file = assets_dir() / "textures" / f"clouds_{rng.integers(1, N_CLOUD_MAPS + 1)}.png"
-    with Image.open(file) as picture:
-        cover = np.asarray(picture, np.float32) / 255
+    cover = _cloud_map(int(rng.integers(1, N_CLOUD_MAPS + 1)))
     strength = np.float32(rng.uniform(0.0, 1.0))
     return strength * np.roll(cover, rng.integers(cover.shape[1]), axis=1)
+
+
+@cache
+def _cloud_map(number: int) -> Float[np.ndarray, "h w"]:
+    with Image.open(assets_dir() / "textures" / f"clouds_{number}.png") as picture:
+        return np.asarray(picture, np.float32) / 255
 
 
 def clear_sky(light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad: Float[np.ndarray, " w"]) -> Dome:
@@ -83,7 +87,8 @@ def clear_sky(light: Light, elevation_rad: Float[np.ndarray, " h"], from_sun_rad
     by_azimuth = _weights(table["azimuth_rad"], from_sun_rad)
     dome = np.moveaxis(np.tensordot(at_sun, table["radiance"], 1), -1, 0)
     radiance: Dome = by_elevation @ dome @ by_azimuth.T
-    return radiance * dusk(light)[:, None, None]
+    radiance *= dusk(light)[:, None, None]
+    return radiance
 
 
 def cloudy_sky(light: Light, clear: Dome, cover: Float[np.ndarray, "h w"]) -> Dome:
@@ -91,8 +96,12 @@ def cloudy_sky(light: Light, clear: Dome, cover: Float[np.ndarray, "h w"]) -> Do
     sunlit = sun_color(light) * (0.3 + 0.7 * max(np.cos(light.sun_zenith_rad), 0.0)) * CLOUD_ALBEDO / np.pi
     ambient = clear.mean(axis=(1, 2))
     opacity = cover[::-1]
-    cloud = sunlit[:, None, None] * (1.25 - 0.5 * opacity) + ambient[:, None, None]
-    return np.asarray(clear + opacity * (cloud - clear))
+    sky: Dome = sunlit[:, None, None] * (1.25 - 0.5 * opacity)
+    sky += ambient[:, None, None]
+    sky -= clear
+    sky *= opacity
+    sky += clear
+    return sky
 
 
 def overcast_dome(elevation_rad: Float[np.ndarray, "..."] | float) -> Float[np.ndarray, "..."]:

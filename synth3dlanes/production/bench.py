@@ -179,9 +179,8 @@ def time_sample(recipe: Recipe, shard: Shard, index: int) -> SampleTiming:
     with cycles_stages() as inside:
         stages: dict[str, float] = make_part(make_sample, recipe, shard, index)["stages"]  # type: ignore[assignment]
     core_seconds = time.process_time() - start
-    cycles = stages.pop("cycles")
-    stages |= {"sync": inside["sync"], "bvh": inside["bvh"], "path tracing": inside["tracing"]}
-    stages["call"] = cycles - inside["sync"] - inside["bvh"] - inside["tracing"]
+    named = {"path tracing" if name == "tracing" else name: inside[name] for name in inside if name != "after"}
+    stages |= {**named, "call": stages.pop("cycles") - sum(named.values())}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return SampleTiming(os.getpid(), time.monotonic(), core_seconds, stages, psutil.Process().memory_info().rss, peak)
 
