@@ -1,6 +1,7 @@
 """What `bench` compares renders with: converged pictures, the denoiser's cost, and Blender with its defaults."""
 
 import time
+from dataclasses import replace
 from statistics import median
 
 import bpy
@@ -30,10 +31,10 @@ def reference(scene: Scene, settings: RenderSettings, library: Library) -> UInt8
 
 
 def denoise_seconds(scene: Scene, settings: RenderSettings, library: Library, repeats: int = 3) -> float:
-    """The seconds that the denoiser adds to tracing; they depend on the picture's size alone."""
+    """The seconds that the denoiser adds to tracing; they depend on the picture's size alone, so one sample will do."""
     world, light = _lit(scene)
     build(studio(library), world, world.view, light)
-    configure(settings, light.film)
+    configure(replace(settings, samples=1), light.film)
     seconds: dict[bool, list[float]] = {False: [], True: []}
     for is_on in (False, True) * repeats:
         bpy.context.scene.cycles.use_denoising = is_on
