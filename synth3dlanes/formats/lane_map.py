@@ -95,5 +95,7 @@ def _painted(world: World, points_world: Points3, delimiters: Sequence[_Painted]
 
 def _is_against(xy: Float[np.ndarray, "_ 2"], points_world: Points3) -> bool:
     """Whether a line goes the other way than the points of a lane beside it."""
-    first, last = (int(np.linalg.norm(xy - end, axis=1).argmin()) for end in points_world[[0, -1], :2])
-    return last < first
+    middle = max(len(points_world) // 2, 1)
+    ahead = points_world[middle, :2] - points_world[middle - 1, :2]
+    at = min(int(np.linalg.norm(xy - points_world[middle, :2], axis=1).argmin()), len(xy) - 2)
+    return bool((xy[at + 1] - xy[at]) @ ahead < 0)

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats.argoverse2.format import write as annotate
-from synth3dlanes.formats.argoverse2.maps import _runs_along, mark_type
+from synth3dlanes.formats.argoverse2.maps import _goes_back, _runs_along, mark_type
 from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.lane_map import _is_against
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import thinned
@@ -248,6 +249,18 @@ def test_a_boundary_has_the_paint_of_a_line_along_it_not_of_one_that_it_meets():
     assert not _runs_along(boundary, parting), "it is beside the first 4 m of 40, as where a turn lane opens"
     assert _runs_along(boundary, boundary + np.array([0, 0.02, 0]))
     assert not _runs_along(boundary, boundary + np.array([0, 0.2, 0]))
+
+
+@pytest.mark.parametrize("length_m", [0.03, 3.0, 30.0])
+def test_a_boundary_goes_with_or_against_the_paint_that_it_runs_along(length_m):
+    # A bend of 286 degrees; a section of a map may be a few centimetres long, and lie at the end of the paint.
+    at = np.linspace(0, 5, 41)
+    paint = 8.0 * np.column_stack([np.cos(at), np.sin(at), 0 * at])
+    on = np.linspace(5 - length_m / 8.0, 5, 60)
+    boundary = 8.0 * np.column_stack([np.cos(on), np.sin(on), 0 * on])
+    for points, goes_back in ((boundary, False), (boundary[::-1], True)):
+        assert _goes_back(points, paint) is goes_back
+        assert _is_against(paint[:, :2], points) is goes_back
 
 
 def test_mark_types():

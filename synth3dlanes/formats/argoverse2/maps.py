@@ -23,7 +23,7 @@ import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, distances, is_beside
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, distances, feet_of, is_beside
 from synth3dlanes.formats.comparing_maps import (
     FoundLane,
     area_problems,
@@ -406,7 +406,6 @@ def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
             if lane.kind == "delimiter" and len(lane.xyz_cam) > 1]  # fmt: skip
     by_id = {segment.id: segment for segment in truth.labels.graph.segments}
     for name, pieces in lanes.items():
-        is_oncoming = _is_oncoming(by_id[name])
         paths = [world[path] for path in by_id[name].centerlines if len(world.get(path, ())) > 1]
         for side in ("left", "right"):
             fine = resampled(np.concatenate([getattr(piece, side) for piece in pieces]), 200)
@@ -415,12 +414,12 @@ def _paint_problems(lanes: PiecesOf, truth: SourceSample) -> Iterator[str]:
             if np.count_nonzero(reached) <= COMPARED_SHARE * len(fine):
                 continue
             fine = fine[reached]
-            close = [paint for paint, points in ours if _runs_along(fine, points)]
-            expected = _mark_type(close[0], is_oncoming) if len(close) == 1 else ""
+            close = [(paint, points) for paint, points in ours if _runs_along(fine, points)]
+            expected = _mark_type(close[0][0], _goes_back(fine, close[0][1])) if len(close) == 1 else ""
             got = {getattr(piece, f"{side}_lane_mark_type") for piece in pieces}
             if expected and got != {expected}:
                 told = ", ".join(sorted(got))
-                yield f"lane {name}: expected {expected} on its {side}, as {close[0].id} is painted, got {told}"
+                yield f"lane {name}: expected {expected} on its {side}, as {close[0][0].id} is painted, got {told}"
 
 
 def _runs_along(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]) -> bool:
@@ -431,8 +430,15 @@ def _runs_along(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]
     return len(around) >= least and int((distances(around, line) < ON_LINE_M).sum()) >= least
 
 
-def _mark_type(paint: Lane, is_oncoming: bool) -> str:
-    pair = MIRRORED[paint.pair] if paint.pair is not None and is_oncoming else paint.pair
+def _goes_back(points: Float[np.ndarray, "n 3"], line: Float[np.ndarray, "m 3"]) -> bool:
+    """Whether points along a line go against it: from the far end to the near one, as the host drives."""
+    middle = len(points) // 2
+    _, (at,), _ = feet_of(points[middle : middle + 1], line)
+    return bool((line[at + 1] - line[at]) @ (points[middle] - points[middle - 1]) < 0)
+
+
+def _mark_type(paint: Lane, goes_back: bool) -> str:
+    pair = MIRRORED[paint.pair] if paint.pair is not None and goes_back else paint.pair
     return mark_type(paint.marking, paint.color, paint.double, pair)
 
 
