@@ -23,12 +23,12 @@ class Row(NamedTuple):
     views: int = 1
     on_map: bool = False
     workers: int = 2
-    n: int = 24
+    n: int = 20
 
 
 ROWS = (
     *(Row(params, samples) for params in ("appendix_i", "streets") for samples in (4, 1)),
-    Row("streets", 1, frames=12),
+    Row("streets", 1, frames=12, n=24),
     *(Row("town", samples, n=16) for samples in (4, 1)),
     *(Row("appendix_i", samples, on_map=True, n=16) for samples in (4, 1)),
     # Workers draw the worlds of the samples that they get, so one has all views of a world.
