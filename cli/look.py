@@ -104,7 +104,8 @@ def gallery(
     where: str | None,
     width: int | None,
 ) -> None:
-    """Draw many samples of a data set (DIR) or of one split (DIR/train) in one image, each with its key.
+    """Draw many samples of one split (DIR/train), or of the first split of a data set (DIR), in one image, each with
+    its key.
 
     --where selects samples by the columns of the index (docs/format.md): --where "flip_lateral and n_lanes = 4" or
     --where "junction = 'merge' and max_grade > 0.1".
