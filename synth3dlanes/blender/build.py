@@ -127,7 +127,7 @@ def prepare(studio: Studio, world: World, view: View, labelled: Sequence[str] = 
     surfaces: dict[str, list[Surface]] = {}
     if not is_built:
         made = world.site.surfaces
-        surfaces["ground"] = [(mesh, [terrain], 0) for mesh in (made.terrain, *made.verges)]
+        surfaces["ground"] = [(made.terrain, [terrain], 0)]
         surfaces["ground"] += [(mesh, [road, shoulder, terrain], 0) for mesh in made.pavement]
         surfaces["structures"] = [(body, materials.structures, id_) for id_, body in world.site.bodies.items()]
     surfaces["paint"] = [*_paint(materials, world, view, labelled)]

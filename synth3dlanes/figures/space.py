@@ -26,7 +26,7 @@ _LANE_HALF_WIDTH_M = 0.06
 _LANE_OVER_PAINT_M = 0.006
 _FRUSTUM_M = 3.0
 
-_GRASS, _VERGE, _ASPHALT = (122, 150, 96), (138, 152, 108), (112, 116, 122)
+_GRASS, _ASPHALT = (122, 150, 96), (112, 116, 122)
 _WHITE, _YELLOW = (240, 240, 235), (236, 190, 60)
 _LEAVES, _TRUNK = (62, 118, 62), (96, 74, 52)
 
@@ -73,12 +73,11 @@ def triangles(view: SceneView, sweep: Sweep | None = None, others: Sequence[Came
 
 def _surfaces(view: SceneView, world: World) -> list[Triangles]:
     """The ground, the roads and their paint."""
-    surfaces = [_mesh(view, mesh, _VERGE) for mesh in world.site.surfaces.verges]
     roads = [_mesh(view, mesh, _ASPHALT) for mesh in world.site.surfaces.pavement]
     yellow = {line.id for line in world.site.lines if paint_color(line, world.scene.markings) == "yellow"}
     strips = world.paint(world.view)
     paint = [_mesh(view, mesh, _YELLOW if name in yellow else _WHITE) for name, mesh in strips.items()]
-    terrain = [_mesh(view, world.site.surfaces.terrain, _GRASS), *surfaces]
+    terrain = [_mesh(view, world.site.surfaces.terrain, _GRASS)]
     return [_merge("terrain", terrain), _merge("road", roads), _merge("paint", paint)]
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.labels.labels import Direction, Marking
+from synth3dlanes.roads.cross_section import Profile
 from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, Piece, joined, neighbours, ways_through
 from synth3dlanes.roads.line_forms import S_END_M, Displaced, Flips, Opening, Quartic
 from synth3dlanes.roads.line_table import RoadLines
@@ -19,6 +20,7 @@ from synth3dlanes.roads.network import HostLine, LanePattern, Network
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Parting, Ramp, Road
 from synth3dlanes.roads.works import WorksLanes
+from synth3dlanes.scene.road_map import Polynomial
 from synth3dlanes.scene.scene import PaperRoad, Terrain
 from synth3dlanes.system.arrays import AnyScalars
 
@@ -261,10 +263,9 @@ class _Plan:
             road.n_lanes * road.lane_width_m / 2 + self.shoulder_m,
             (road.n_lanes - road.n_main_after) * road.lane_width_m,
         )
-
-        def tapers(s: AnyScalars) -> AnyScalars:
-            return -lost_m * np.clip(s / min(TAPER_M, self.nose_m), 0, 1)
-
+        taper_m = min(TAPER_M, self.nose_m)
+        cubics = ((-S_END_M, 0.0, 0.0), (0.0, 0.0, -lost_m / taper_m), (taper_m, -lost_m, 0.0))
+        tapers = Profile(tuple(Polynomial(s_m=s, a=a, b=b) for s, a, b in cubics))
         right = Offset(edge_m, tapers if lost_m else None)
         left = Offset(self.left_m - self.shoulder_m)
         return Road("main", self.line, self.terrain, left, right, self.shoulder_m, tuple(self.main_lanes))

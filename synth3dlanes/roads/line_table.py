@@ -57,6 +57,19 @@ class RoadLines:
         """Points on the road surface at stations of lines, one line after the other."""
         return [curve.points_world(s) for curve, s in stations.items()]
 
+    def points_beside(
+        self,
+        curves: Sequence[LaneCurve],
+        stations: Sequence[Float[np.ndarray, " _"]],
+        offsets: Sequence[Float[np.ndarray, " _"]],
+    ) -> list[Float[np.ndarray, "_ _ 3"]]:
+        """Points on the road surface along each of some lines: at each of its stations those at all of these offsets to
+        its right."""
+        return [
+            curve.points_beside(np.repeat(s, len(t)), np.tile(t, len(s))).reshape(len(s), len(t), 3)
+            for curve, s, t in zip(curves, stations, offsets, strict=True)
+        ]
+
     def in_range(self, at: HostStation, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
         """The stations of every line's points at lengths of its road ahead of a place (negative: behind it), and at its
         ends between these, in driving order."""

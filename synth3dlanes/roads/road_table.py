@@ -263,6 +263,7 @@ class RoadTable:
         self.start_m, self.end_m = (np.array([getattr(road, end) for road in roads]) for end in ("start_m", "end_m"))
         self._by_road = Ragged.of([section.start_m for section in road.sections] for road in roads)
         self._sections = _section_table(tuple(section for road in roads for section in road.sections))
+        self._ramps = [(i, road.ramp) for i, road in enumerate(roads) if road.ramp is not None]
 
     def frames(self, road: Indices, s: Scalars) -> LineFrames:
         """Each road's line at a station."""
@@ -366,6 +367,8 @@ class RoadTable:
         z = self._sections.height(section, s, t)
         low = ~self._sections.has_heights[section]
         z[low] = height_at(self._terrain, xy[low])
+        for i, ramp in self._ramps:
+            z[road == i] += ramp(s[road == i])
         return np.column_stack([xy, z])
 
     def over_terrain(self, road: Indices, s: Scalars, t: Scalars, terrain_m: Scalars) -> Scalars:

@@ -111,9 +111,9 @@ def pavement_of(world: World) -> MeshFaces:
 
 @lru_cache(maxsize=1)
 def ground_of(world: World) -> MeshFaces:
-    """The faces of a world's pavement, verges and terrain near its camera."""
+    """The faces of a world's pavement and terrain near its camera."""
     surfaces = world.site.surfaces
-    return MeshFaces([*surfaces.pavement, *surfaces.verges, surfaces.terrain], world.view.eye_world)
+    return MeshFaces([*surfaces.pavement, surfaces.terrain], world.view.eye_world)
 
 
 def _on_planes(triangles: FaceCorners, points: Float[np.ndarray, "k 3"]) -> tuple[np.ndarray, ...]:

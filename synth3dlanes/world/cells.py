@@ -209,12 +209,29 @@ def _whole(
         is_rest = np.ones((len(rows), len(columns)), dtype=bool)
         row, column = np.divmod(cut[starts[i] : starts[i + 1]] - i * n_columns * n_rows, n_columns)
         is_rest[row - rows[0], column - columns[0]] = False
-        row, column = np.nonzero(is_rest)
-        row, column = row + rows[0], column + columns[0]
+        # Of a column of cells between those that are cut, all are in the area or none.
+        is_first = is_rest.copy()
+        is_first[1:] &= ~is_rest[:-1]
+        column, row = (at + first[0] for at, first in zip(np.nonzero(is_first.T), (columns, rows), strict=True))
         middles = np.stack([(xs[column] + xs[column + 1]) / 2, (ys[row] + ys[row + 1]) / 2], axis=1)
-        inside = contains(area, middles)
-        found.append(np.stack([np.full(int(inside.sum()), i), column[inside], row[inside]]))
+        run = np.cumsum(is_first.T).reshape(is_rest.T.shape) - 1
+        column, row = np.nonzero(is_rest.T & np.append(contains(area, middles), False)[run])
+        found.append(np.stack([np.full(len(row), i), column + columns[0], row + rows[0]]))
     return np.concatenate(found, axis=1)
+
+
+def corners_in(
+    xs: Scalars, ys: Float[np.ndarray, " m"], area: BaseGeometry, cells: CutCells
+) -> tuple[Bool[np.ndarray, "m n"], Bool[np.ndarray, "m n"]]:
+    """Which corners of a grid are in an area by what it covers of the cells, and which ones are corners of cells that
+    its border cuts."""
+    found, near = np.zeros((2, len(ys), len(xs)), dtype=bool)
+    for corners, (_, column, row) in ((found, cells.whole), (near, cells.cut)):
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            corners[row + i, column + j] = True
+    row, column = np.nonzero(near & ~found)
+    found[row, column] = contains(area, np.stack([xs[column], ys[row]], axis=1))
+    return found, near
 
 
 def _differences(cells: np.ndarray, parts: np.ndarray) -> np.ndarray:

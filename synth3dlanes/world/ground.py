@@ -21,7 +21,6 @@ from synth3dlanes.world.horizon import FarHills
 from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.paved_areas import PavedAreas
 from synth3dlanes.world.spans import CEILING_M, DECK_M, Span
-from synth3dlanes.world.verges import Verges
 
 # Of people who climb a kerb; strips beside each other have gaps of at most twice GAP_M.
 STRIDE_M, GAP_M = 0.3, 0.01
@@ -31,10 +30,22 @@ STRIDE_M, GAP_M = 0.3, 0.01
 class Ground:
     """The ground around the way of a host, as its roads are paved."""
 
-    way: HostWay
-    paved: Verges | PavedAreas
-    markings: Markings
-    hills: FarHills
+    paved: PavedAreas
+
+    @property
+    def way(self) -> HostWay:
+        """The way of the host."""
+        return self.paved.way
+
+    @property
+    def markings(self) -> Markings:
+        """How lines are painted."""
+        return self.paved.markings
+
+    @property
+    def hills(self) -> FarHills:
+        """The hills far away."""
+        return self.paved.hills
 
     @property
     def network(self) -> Network:

@@ -1,6 +1,4 @@
-"""How far the terrain goes: the grid of its mesh, and beyond every label far hills and the roads that continue into
-them. World frame.
-"""
+"""How far the terrain goes: the grid of its mesh, and beyond every label far hills. World frame."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,9 +13,6 @@ BEGIN_M, WHOLE_M = 500.0, 1600.0
 N_WAVES = 14
 LENGTHS_M = np.geomspace(600.0, 3000.0, N_WAVES)
 MAX_HEIGHT_M = 90.0
-# Beyond DAM_FROM_M a road lies on the faces of the ground, which are large there, on a dam that rises by DAM_RISE per
-# metre: the road's own faces would otherwise cut through edges of the ground's. It gets there within DAM_FADE_M.
-DAM_FROM_M, DAM_RISE, DAM_FADE_M = 400.0, 0.0006, 60.0
 # Size of the fine cells, and the greatest multiple of it that depths and widths near roads are given for.
 CELL_M = 1.25
 MAX_CELL_SCALE = 8.0
@@ -51,16 +46,6 @@ class FarHills:
         rolling = 0.4 + 2.5 * (np.sin(xy_world[far] @ self.waves + self.phases) @ (LENGTHS_M / LENGTHS_M.sum()))
         heights_m[far] = self.height_m * share[far] ** 2 * (3 - 2 * share[far]) * np.maximum(rolling, 0)
         return heights_m
-
-
-def far_dam(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Height of a road's far dam at stations; 0 in the range of the labels."""
-    return DAM_RISE * np.clip(np.abs(s) - DAM_FROM_M, 0, None)
-
-
-def on_faces(s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """How far a road follows the faces of the ground (1) and not the terrain itself (0), at stations."""
-    return np.clip((np.abs(s) - DAM_FROM_M) / DAM_FADE_M, 0, 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.system.streams import Streams
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.meshes import LANE_COLUMNS, Mesh, grid, is_facing_up, over_terrain
+from synth3dlanes.world.meshes import Mesh, grid, is_facing_up, where
 
 # Height of the paint over the road, by distance: more than the road's faces can rise between two rows.
 PAINT_LIFT_M = (0.0015, 0.002, 0.008, 0.04, 0.12, 2.0)
@@ -161,7 +161,7 @@ def _paint(
         kept = own.painted & is_facing_up(mesh)
         mesh = replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
         meshes.setdefault(curve.id, []).append(mesh)
-    return {name: over_terrain(_joined(own)) for name, own in meshes.items()}
+    return {name: where(_joined(own), ground.paved.is_built) for name, own in meshes.items()}
 
 
 def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
@@ -170,7 +170,7 @@ def _over_hollows_m(ground: Ground, curve: LaneCurve, s: Scalars) -> Scalars:
     if not ground.network.has_partings:
         return np.zeros(len(s))
     road, xy, terrain = curve.pieces[0].road, curve.xy_world(s), ground.network.terrain
-    aside = curve.points_beside(s, np.full(len(s), road.lane_width_m / LANE_COLUMNS / 2))[:, :2] - xy
+    aside = curve.points_beside(s, np.full(len(s), ground.paved.column_m / 2))[:, :2] - xy
     over_m = (height_at(terrain, xy + aside) + height_at(terrain, xy - aside)) / 2 - height_at(terrain, xy)
     hidden = over_m > HOLLOW_M
     hidden[hidden] = ground.network.is_on_other(road, xy[hidden], s[hidden])

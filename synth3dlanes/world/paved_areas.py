@@ -20,9 +20,11 @@ from synth3dlanes.geometry.polylines import parted, spaced
 from synth3dlanes.roads.cross_section import KERB_M, RAISED
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import SEARCH_RATIO, Junction, Network
+from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapLane
+from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.world.areas import (
     NOTHING,
@@ -43,19 +45,21 @@ from synth3dlanes.world.areas import (
 )
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.graded import GradedGround
-from synth3dlanes.world.horizon import TerrainGrid
+from synth3dlanes.world.horizon import FarHills, TerrainGrid
 from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.spans import Span, spans
-from synth3dlanes.world.verges import PRESS_M
 
 # Rows along roads by their distance from the host's way.
-ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0), (0.0, 60.0, 120.0, 200.0, 450.0)
+ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0, 80.0), (0.0, 60.0, 120.0, 200.0, 450.0, 4000.0)
 # Their distance from the host is asked in these steps.
 COARSE_M = 4.0
 # Distance ahead of the host to which the terrain has its finest cells: elsewhere it meets the edges of pavement, too.
 FINE_M = 40.0
-# Depth of the terrain below the edges of the pavement, times the size of its cells.
-UNDER_FALL_M = 0.03
+# Depth of the terrain below the edges of the pavement, and how much deeper it is inside, times the size of its cells.
+UNDER_FALL_M, PRESS_M = 0.03, 0.3
+# Beyond a distance from the host it is lower by this for each metre, less than a pixel: its cells are large there, and
+# faces of the pavement dip between its rows.
+FAR_FROM_M, FAR_FALL = 400.0, 0.0008
 # Distance from the host's way within which kerbs hide what is labelled; the tolerance of their simplified lines, and
 # the distance of points along these.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
@@ -63,8 +67,10 @@ CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # The edges of a road's pavement.
 EDGES = attrgetter("left"), attrgetter("right")
-# Distance beside a junction's decks at which the ground ends.
-OFF_M = 0.3
+# Distance beside a junction's decks at which the ground ends; pavement farther than this from the host is left out.
+OFF_M, REACH_M = 0.3, 480.0
+# Greatest width of faces of lanes.
+COLUMN_M = 0.9
 
 
 class GroundArea(NamedTuple):
@@ -82,11 +88,37 @@ class PavedAreas:
     """The pavement of roads with sections around the way of the host, of their junctions and of islands."""
 
     way: HostWay
+    markings: Markings
+    hills: FarHills
 
     @property
     def network(self) -> Network:
         """The roads."""
         return self.way.network
+
+    @property
+    def reach_m(self) -> float:
+        """How far from the host's way pavement is built."""
+        return REACH_M
+
+    @property
+    def column_m(self) -> float:
+        """Faces of lanes are no wider than this."""
+        return COLUMN_M
+
+    def is_built(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """At which places pavement is built at all."""
+        return np.asarray(self.way.away_at(xy_world) < self.reach_m)
+
+    @property
+    def roads(self) -> Sequence[Road]:
+        """The roads, with the sections that say what lies across their pavement."""
+        return self.network.roads
+
+    @property
+    def table(self) -> RoadTable:
+        """The stretches of these roads as arrays."""
+        return self.network.line_table.table
 
     # -- rows and lines
 
@@ -131,7 +163,10 @@ class PavedAreas:
         offsets: Sequence[Float[np.ndarray, " _"]],
     ) -> list[Float[np.ndarray, "_ _ 3"]]:
         """Points on the pavement, of each of some curves: at each of its stations those at all of its offsets."""
-        return self.network.line_table.points_beside(curves, stations, offsets)
+        found = self.network.lines.points_beside(curves, stations, offsets)
+        for points in found:
+            points[..., 2] += self.hills.height(points[..., :2])
+        return found
 
     # -- areas
 
@@ -140,7 +175,7 @@ class PavedAreas:
         """Lines that bound areas: edges of lanes by the identity of their stretch, which the network keeps, and their
         numbers there."""
         known, wanted = {at.id for at in self.network.junctions}, list[tuple[int, Road, int]]()
-        stretches = [stretch for road in self.network.roads for stretch in road.stretches]
+        stretches = [stretch for road in self.roads for stretch in road.stretches]
         for i, stretch in enumerate(stretches):
             (section,) = stretch.sections
             bounds = [section.paved, *section.raised]
@@ -150,7 +185,7 @@ class PavedAreas:
         rows = [self.stretch_rows(stretch) for stretch in stretches]
         counts = [len(rows[i]) for i, _, _ in wanted]
         number, edge = (np.repeat([at[k] for at in wanted], counts) for k in (0, 2))
-        s, table = np.concatenate([rows[i] for i, _, _ in wanted]), self.network.line_table.table
+        s, table = np.concatenate([rows[i] for i, _, _ in wanted]), self.table
         xy = table.xy(number, s, table.edge(number, edge, s))
         return {(id(at), k): line for (_, at, k), line in zip(wanted, parted(xy, counts), strict=True)}
 
@@ -158,11 +193,11 @@ class PavedAreas:
     def strip_of(self) -> dict[str, BaseGeometry]:
         """The pavements of roads from above by their ids."""
         lines, sides = self._edge_lines, list[tuple[Points2, Points2]]()
-        for road in self.network.roads:
+        for road in self.roads:
             paved = [(at, at.sections[0].paved) for at in road.stretches]
             left, right = (np.concatenate([lines[id(at), edges[side]] for at, edges in paved]) for side in (0, 1))
             sides.append((left, right))
-        return dict(zip((road.id for road in self.network.roads), polygons_between(sides), strict=True))
+        return dict(zip((road.id for road in self.roads), polygons_between(sides), strict=True))
 
     @cached_property
     def arms(self) -> BaseGeometry:
@@ -173,7 +208,7 @@ class PavedAreas:
     def outside(self) -> list[Road]:
         """The roads that are in no junction."""
         known = {at.id for at in self.network.junctions}
-        return [road for road in self.network.roads if road.junction not in known]
+        return [road for road in self.roads if road.junction not in known]
 
     @cached_property
     def areas(self) -> list[GroundArea]:
@@ -311,7 +346,7 @@ class PavedAreas:
     @cached_property
     def spans(self) -> list[Span]:
         """The decks and tunnels."""
-        return spans(self.network.index.table, self.strip_of)
+        return [] if not self._has_heights else spans(self.network.index.table, self.strip_of)
 
     @cached_property
     def tunnels(self) -> list[Span]:
@@ -376,8 +411,11 @@ class PavedAreas:
 
     def under(self, xy_world: Points2) -> Scalars:
         """Height of the lower side of the pavement."""
-        z = height_at(self.network.terrain, xy_world)
-        return np.asarray(z + self.graded_ground.mean(xy_world) if self._has_heights else z)
+        return np.asarray(height_at(self.network.terrain, xy_world) + self.rise(xy_world))
+
+    def rise(self, xy_world: Points2, on_ground: bool = False) -> Scalars:
+        """Height of the pavement around places over the terrain, or of what of it lies `on_ground`."""
+        return self.graded_ground.mean(xy_world, on_ground=on_ground) if self._has_heights else np.zeros(len(xy_world))
 
     def limits(self, xy_world: Points2) -> tuple[Scalars, Scalars]:
         """Heights that `above` is nowhere lower and nowhere higher than."""
@@ -393,7 +431,7 @@ class PavedAreas:
         """Height of the terrain mesh below pavement, inside its edges: nobody sees it there, and it is quickly
         found."""
         pressed_m = (UNDER_FALL_M + PRESS_M) * self.grid.cell_scale(xy_world)
-        below_m = self.graded_ground.floor(xy_world) - pressed_m
+        below_m = self.graded_ground.floor(xy_world) - pressed_m - self._far_fall_m(xy_world)
         return np.asarray(height_at(self.network.terrain, xy_world) + below_m)
 
     def beside_tunnels(self, xy_world: Points2, is_over: bool) -> Scalars:
@@ -410,9 +448,11 @@ class PavedAreas:
         inside, z = contains(self.graded_pavement, flat), np.zeros(len(flat))
         under = flat[inside]
         z[inside] = height_at(self.network.terrain, under) - UNDER_FALL_M * self.grid.cell_scale(under)
-        if self._has_heights:
-            z[inside] += self.graded_ground.mean(under, on_ground=True)
+        z[inside] += self.rise(under, on_ground=True) - self._far_fall_m(under)
         return z, ~inside
+
+    def _far_fall_m(self, xy_world: Points2) -> Scalars:
+        return FAR_FALL * np.maximum(self.way.away_at(xy_world) - FAR_FROM_M, 0.0)
 
     @cached_property
     def _outlined(self) -> Outlined:
@@ -485,7 +525,12 @@ def _even(ends_m: Sequence[float], step_m: float) -> list[Float[np.ndarray, " _"
 
 def _rows(s: Scalars, away_m: Scalars) -> Float[np.ndarray, " m"]:
     """Stations between these, closer to each other near the host, from which they are that far."""
-    step = np.interp(away_m, ROW_STEPS_AT_M, ROW_STEPS_M)
-    count = np.concatenate([[0.0], np.cumsum(np.diff(s) * 2 / (step[1:] + step[:-1]))])
+    count = row_count(s, away_m)
     n = max(int(np.ceil(count[-1])), 1)
     return np.interp(np.linspace(0.0, count[-1], n + 1), count, s)
+
+
+def row_count(s: Scalars, away_m: Scalars) -> Scalars:
+    """How many rows there are up to stations that are this far from the host."""
+    step = np.interp(away_m, ROW_STEPS_AT_M, ROW_STEPS_M)
+    return np.concatenate([[0.0], np.cumsum(np.diff(s) * 2 / (step[1:] + step[:-1]))])

@@ -1,12 +1,11 @@
 """Roads between two edges: their pavement, verges and embankments, as heights over the terrain. World frame.
 
-A paved area ends in shoulders. From a shoulder's edge the ground falls gently (the verge), or down an embankment
-where the road is raised, until it passes below the terrain mesh, which is lowered under pavement and verge.
-`meshes.py` builds exactly this surface.
+A paved area ends in shoulders. From a shoulder's edge the ground falls gently (the verge), or down an embankment where
+the road is raised, until it meets the terrain.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,20 +14,19 @@ from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.geometry.polylines import stretches
-from synth3dlanes.roads import terrain
+from synth3dlanes.roads.cross_section import CrossSection, Profile
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.network import Network
+from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
-from synth3dlanes.scene.scene import Markings
-from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Points2, Points3, Scalars, Spread
+from synth3dlanes.scene.road_map import MapLane, MapLaneKind, Polynomial
+from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars, Spread
 from synth3dlanes.world.areas import NOTHING, polygon_between, union
 from synth3dlanes.world.camera import Sector
-from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, FarHills, TerrainGrid, far_dam, on_faces
-from synth3dlanes.world.host_way import HostWay
-from synth3dlanes.world.spans import EMBANKMENT_SLOPE, Span
+from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, TerrainGrid
+from synth3dlanes.world.paved_areas import COARSE_M, PRESS_M, ROW_STEPS_M, PavedAreas, row_count
+from synth3dlanes.world.spans import EMBANKMENT_SLOPE
 
-# Depths and widths for fine cells of the terrain; farther away they grow in proportion to the cell.
-PRESS_M = 0.3
+# Widths for fine cells of the terrain; farther away they grow in proportion to the cell.
 PRESSED_TO_M = 2.0
 VERGE_M = 4.0
 VERGE_FALL = 0.05
@@ -44,12 +42,12 @@ BEFORE_M, OVERLAP_M = 20.0, 1.0
 ROAD_SEARCH_M = 3.0
 # How far a road goes on behind a host that does not look there.
 ROAD_BEHIND_M = 30.0
-# From here to the horizon each row of the road is longer than the previous one by this fraction.
-FAR_ROWS_M, FAR_ROWS_GROWTH = 420.0, 0.03
 # A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
 STEEP_M = 1.0
-# Least width of a median that is grass between inner shoulders; a narrower one is all shoulder.
-GRASS_FROM_M, INNER_SHOULDER_M = 3.0, 0.5
+# Greatest width of faces of lanes.
+COLUMN_M = 0.8
+# Least width of a median, and of one that is grass between inner shoulders; a narrower one is all shoulder.
+LEAST_MEDIAN_M, GRASS_FROM_M, INNER_SHOULDER_M = 0.01, 3.0, 0.5
 
 
 class Beside(NamedTuple):
@@ -62,122 +60,110 @@ class Beside(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Verges:
-    """Roads without sections around the way of the host. The pavement extends under all `markings`."""
-
-    way: HostWay
-    markings: Markings
-    hills: FarHills
-    # No road passes over another, and nothing is raised over the pavement.
-    spans: tuple[Span, ...] = ()
-    raised: tuple[tuple[BaseGeometry, float], ...] = ()
+class Verges(PavedAreas):
+    """Roads without sections of their own around the way of the host, which share its stations. The pavement extends
+    under all `markings`."""
 
     @property
-    def network(self) -> Network:
-        """The roads."""
-        return self.way.network
+    def reach_m(self) -> float:
+        """To the horizon."""
+        return HORIZON_M
+
+    @property
+    def column_m(self) -> float:
+        """Faces of lanes are no wider than this: their terrain is bent more than that of maps."""
+        return COLUMN_M
+
+    def is_built(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+        """At which places pavement is built at all: where the terrain is."""
+        return np.asarray((np.abs(xy_world) < HORIZON_M).all(axis=-1))
 
     # -- rows and lines
 
     @cached_property
-    def rows_driven_m(self) -> Scalars:
-        """Stations of the rows of road and paint as the host drives, to beyond the horizon: half a metre apart near the
-        host, more far away, less on a ramp that needs it. 0, where roads may begin, is always among them."""
-        n_far = int(np.log(2 * HORIZON_M / FAR_ROWS_M) / np.log1p(FAR_ROWS_GROWTH))
-        ahead = [
-            np.arange(0, 80, 0.5),
-            np.arange(80, 160, 1.0),
-            np.arange(160, FAR_ROWS_M, 2.0),
-            FAR_ROWS_M * (1 + FAR_ROWS_GROWTH) ** np.arange(n_far),
-        ]
-        rows = [
-            *((-part for part in ahead) if self.way.both_ways else [np.arange(-ROAD_BEHIND_M, 0, 1.0)]),
-            np.arange(0, self.way.driven_m, 0.5),
-            *(self.way.driven_m + part for part in ahead),
-        ]
+    def rows_m(self) -> Scalars:
+        """The stations of all rows, to beyond the horizon, and more of them on a ramp that needs these."""
+        away_m = np.arange(0.0, 2 * HORIZON_M, COARSE_M)
+        count = row_count(away_m, away_m)
+        ahead_m = np.interp(np.arange(count[-1]), count, away_m)
+        behind_m = ahead_m if self.way.both_ways else ahead_m[ahead_m < ROAD_BEHIND_M]
+        driven_m = np.arange(0.0, self.way.driven_m, ROW_STEPS_M[0])
+        rows_m = self.way.near_m + np.concatenate([-behind_m, driven_m, self.way.driven_m + ahead_m])
         ramps = [road.ramp.stations for road in self.network.roads if road.ramp]
-        steep = [self.network.stations(ramp) for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
-        return np.unique(np.concatenate([self.way.near_m + np.concatenate(rows), *steep, [0.0]]))
+        steep = [ramp for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
+        return np.unique(np.concatenate([self.network.stations(rows_m), *steep]))
+
+    @cached_property
+    def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
+        return {road.id: self.rows_m for road in self.network.roads}
 
     def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
-        """Stations of the rows of the paint of each curve, as s grows."""
-        return [np.sort(self.network.stations(self.rows_driven_m))] * len(curves)
+        """The stations of the rows of the paint of each curve: those of the roads."""
+        return [self.rows_m] * len(curves)
 
     def drawn(self, lines: Sequence[LaneCurve], seen: Sector | None) -> dict[LaneCurve, bool]:
-        """The lines whose paint is drawn at all, and whether what a camera sees may hold any of it."""
+        """All of the lines."""
         return dict.fromkeys(lines, True)
 
-    def points_beside(
-        self,
-        curves: Sequence[LaneCurve],
-        stations: Sequence[Float[np.ndarray, " _"]],
-        offsets: Sequence[Float[np.ndarray, " _"]],
-    ) -> list[Float[np.ndarray, "_ _ 3"]]:
-        """Points on the pavement as it is built, of each of some curves: at each of its stations those at all of its
-        offsets from it."""
-        found = []
-        for curve, s, t in zip(curves, stations, offsets, strict=True):
-            points = curve.points_beside(np.repeat(s, len(t)), np.tile(t, len(s))).reshape(len(s), len(t), 3)
-            found.append(self.with_far_hills(points + far_dam(s)[:, None, None] * [0, 0, 1], s[:, None]))
-        return found
-
-    def with_far_hills(self, points_world: AnyPoints3, s: Spread) -> AnyPoints3:
-        """Points over the terrain at stations, raised by its far hills; far away by how its faces lie over it."""
-        xy_world, by_m = points_world[..., :2], self.hills.height(points_world[..., :2])
-        share = np.broadcast_to(on_faces(s), by_m.shape)
-        far = share > 0
-        terrain_m = terrain.height_at(self.network.terrain, xy_world[far])
-        by_m[far] += share[far] * (self._face_height(xy_world[far]) - terrain_m - by_m[far])
-        return points_world + by_m[..., None] * [0, 0, 1]
-
-    def _face_height(self, xy_world: Points2) -> Scalars:
-        """Height of the terrain mesh's faces, not pressed under pavements: of either way to split a quad into triangles
-        the higher one."""
-        axes = self.grid.axes
-        cells = [
-            np.clip(np.searchsorted(axis, at) - 1, 0, len(axis) - 2) for axis, at in zip(axes, xy_world.T, strict=True)
-        ]
-        corners = np.array([[axis[cell], axis[cell + 1]] for axis, cell in zip(axes, cells, strict=True)])
-        u, v = (xy_world.T - corners[:, 0]) / (corners[:, 1] - corners[:, 0])
-
-        def height(i: int, j: int) -> Scalars:
-            xy = np.stack([corners[0, i], corners[1, j]], -1)
-            return np.asarray(self.network.lift(xy, self.hills.height(xy))[:, 2])
-
-        a, b, c, d = height(0, 0), height(1, 0), height(0, 1), height(1, 1)
-        one = a + np.where(u > v, (b - a) * u + (d - b) * v, (c - a) * v + (d - c) * u)
-        other = np.where(u + v < 1, a + (b - a) * u + (c - a) * v, d + (c - d) * (1 - u) + (b - d) * (1 - v))
-        return np.maximum(one, other)
-
     # -- the pavement from above
+
+    @cached_property
+    def roads(self) -> Sequence[Road]:
+        """The roads within their rows, each with a section."""
+        first_m, last_m = self.rows_m[[0, -1]].tolist()
+        spans = [(road, max(road.start_m, first_m), min(road.end_m, last_m)) for road in self.network.roads]
+        return [
+            replace(road, start_m=start_m, end_m=end_m, sections=(self._section(road, start_m, end_m),))
+            for road, start_m, end_m in spans
+        ]
+
+    @cached_property
+    def table(self) -> RoadTable:
+        """These roads as arrays."""
+        return RoadTable(self.roads, self.network.terrain)
+
+    def _section(self, road: Road, start_m: float, end_m: float) -> CrossSection:
+        """What lies across a road from its left edge: a shoulder, pavement under the paint of the outer line, lanes and
+        medians, and the same on the right, where lanes that end take their width from the road."""
+        under_m, lane_m = self.under_paint_m(road), road.lane_width_m
+        outer: list[tuple[MapLaneKind, float]] = [("shoulder", road.shoulder_m - under_m), ("driving", under_m)]
+        medians = [[], *([*self._median(under_m, high_m - low_m)] for low_m, high_m in road.medians)]
+        across = [*outer]
+        for part, median in zip(road.carriageways, medians, strict=True):
+            across += [*median, *[("driving", lane_m)] * part.n_lanes]
+        across += outer[::-1]
+        moves = road.right.moves.pieces if isinstance(road.right.moves, Profile) else ()
+        n_ending = round(-moves[-1].a / lane_m) if moves else 0
+        ending = range(len(across) - 2 - n_ending, len(across) - 2)
+        lanes = []
+        for i, (kind, width_m) in enumerate(across):
+            widths = [Polynomial(s_m=0.0, a=width_m)]
+            if i in ending:
+                widths = [
+                    Polynomial(s_m=at.s_m - start_m, a=width_m + at.a / n_ending, b=at.b / n_ending) for at in moves
+                ]
+            lanes.append(MapLane(number=-1 - i, kind=kind, widths=tuple(widths)))
+        return CrossSection(start_m, end_m, tuple(lanes), Profile((Polynomial(s_m=start_m, a=-road.left.base_m),)))
+
+    def _median(self, under_m: float, width_m: float) -> Iterator[tuple[MapLaneKind, float]]:
+        """What lies across a median between the inner lines."""
+        if width_m < LEAST_MEDIAN_M:
+            return
+        paved_m = min(under_m, width_m / 4)
+        inner_m = min(paved_m + INNER_SHOULDER_M, 0.45 * width_m)
+        yield "driving", paved_m
+        if width_m < GRASS_FROM_M:
+            yield "shoulder", width_m - 2 * paved_m
+        else:
+            yield "shoulder", inner_m - paved_m
+            yield "median", width_m - 2 * inner_m
+            yield "shoulder", inner_m - paved_m
+        yield "driving", paved_m
 
     def under_paint_m(self, road: Road) -> float:
         """Width of a road's pavement outside its outermost lanes: it covers the paint of their edge lines."""
         outer_m = self.markings.width_m * (1.5 if self.markings.left_double else 0.5)
         return min(outer_m + PAINT_ROOM_M, road.shoulder_m)
-
-    def beside_median_m(self, road: Road, width_m: float) -> tuple[float, float]:
-        """How far into a median of a road its pavement goes on beside the inner lines, and how far its shoulders do."""
-        paved_m = min(self.under_paint_m(road), width_m / 4)
-        return paved_m, min(paved_m + INNER_SHOULDER_M, 0.45 * width_m)
-
-    def grass_in_medians(self, road: Road) -> list[tuple[float, float]]:
-        """Offsets between which a road's medians are grass."""
-        found = []
-        for left_m, right_m in road.medians:
-            width_m = right_m - left_m
-            if width_m >= GRASS_FROM_M:
-                _, inner_m = self.beside_median_m(road, width_m)
-                found.append((left_m + inner_m, left_m + (width_m - inner_m)))
-        return found
-
-    def is_grass(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are on grass that the pavement surrounds, or at most `room_m` beside it."""
-        _, t = self.network.main.line.project(xy_world)
-        found = np.zeros(len(xy_world), dtype=bool)
-        for low_m, high_m in self.grass_in_medians(self.network.main):
-            found |= (t >= low_m - room_m) & (t <= high_m + room_m)
-        return found
 
     def edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
         """The edges of the pavement, shoulders included, and of a median's grass, within about `reach_m` of a place of
@@ -185,7 +171,7 @@ class Verges:
         for road, s, (left, *grass, right) in self._pavement_lines(xy_world, reach_m):
             for t in (left, right, *grass):
                 points = road.points(s, t)
-                alone = stretches(~self.network.is_on_other(road, points[:, :2], s))
+                alone = stretches(~self.network.is_on_other(self.network.road(road.id), points[:, :2], s))
                 yield from (points[first:end] for first, end in alone if end - first > 1)
 
     def strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
@@ -202,7 +188,7 @@ class Verges:
         return union(polygon_between(low[:, :2], high[:, :2]) for low, high in strips)
 
     def walkways(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
-        """The walkways that are part of the roads, from above, within about `reach_m` of a place of the host."""
+        """They have none."""
         return NOTHING
 
     def _pavement_lines(
@@ -210,10 +196,10 @@ class Verges:
     ) -> Iterator[tuple[Road, Scalars, list[Scalars]]]:
         """Of every road the stations, and the offsets where pavement begins and ends in turn, as t grows."""
         stations = self.network.stations_near(xy_world, reach_m)
-        for road in self.network.roads:
-            s = stations[(stations >= road.start_m) & (stations <= road.end_m)]
-            grass = [np.full(len(s), t) for median in self.grass_in_medians(road) for t in median]
-            yield road, s, [road.left(s), *grass, road.right(s)]
+        for road in self.roads:
+            s, (section,) = stations[(stations >= road.start_m) & (stations <= road.end_m)], road.sections
+            medians = [i for i, lane in enumerate(section.lanes) if lane.kind == "median"]
+            yield road, s, [road.left(s), *(section.edge(k, s) for i in medians for k in (i, i + 1)), road.right(s)]
 
     # -- heights and distances
 
@@ -244,6 +230,10 @@ class Verges:
                 found += [road.points(s, edge(s)) for edge in (road.left, road.right)]
         return found
 
+    def rise(self, xy_world: Points2, on_ground: bool = False) -> Scalars:
+        """Height of the pavement at places on it over the terrain."""
+        return self.above(xy_world)
+
     def beside(
         self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
     ) -> tuple[Bool[np.ndarray, " n"], list[Beside]]:
@@ -273,7 +263,7 @@ class Verges:
             found[road.id], places[road.id] = Beside(outside, raised, room), (s, t)
         return near, [*found.values()]
 
-    def above(self, xy_world: Points2) -> Scalars:
+    def above(self, xy_world: Points2, are_paved: bool = True) -> Scalars:
         """Height of pavement, verges and embankments over the terrain (0 away from roads)."""
         above = np.zeros(len(xy_world))
         near, roads = self.beside(xy_world, self._reach_m(xy_world))
@@ -296,14 +286,6 @@ class Verges:
                 near = road.may_reach(xy_world, reach_m)
                 highest_m[near] = np.maximum(highest_m[near], road.ramp.height_m)
         return np.full(len(xy_world), -deepest_m), highest_m
-
-    def bed_height(self, xy_world: Points2) -> Scalars:
-        """Height of the terrain mesh: the terrain, lowered under pavement and verges."""
-        pressed = np.zeros(len(xy_world))
-        near, roads = self.beside(xy_world, self._reach_m(xy_world))
-        scale = self.grid.cell_scale(xy_world[near])
-        pressed[near] = press(_nearest(roads, len(scale)), scale)
-        return np.asarray(terrain.height_at(self.network.terrain, xy_world) - pressed)
 
     def distance(self, xy_world: Points2) -> Scalars:
         """Distance from the nearest pavement (shoulders included), negative on it, infinite far away."""

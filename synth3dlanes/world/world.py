@@ -23,7 +23,6 @@ from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, PaperRoad, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world import roadside
-from synth3dlanes.world.area_meshes import AreaSurfaces
 from synth3dlanes.world.bonnet import cam_from_bonnet
 from synth3dlanes.world.camera import Sector, img_from_cam, project, sector, world_from_host
 from synth3dlanes.world.elements import TrafficElement, traffic_elements
@@ -31,7 +30,7 @@ from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
 from synth3dlanes.world.host_way import EndlessWay, HostWay
-from synth3dlanes.world.meshes import Mesh, Surfaces
+from synth3dlanes.world.meshes import Mesh
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
 from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things
 from synth3dlanes.world.paint import paint_meshes
@@ -39,12 +38,12 @@ from synth3dlanes.world.paved_areas import PavedAreas
 from synth3dlanes.world.placement import tree_poses, tree_positions
 from synth3dlanes.world.seams import ghost_mesh, removed_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
+from synth3dlanes.world.surfaces import Surfaces
 from synth3dlanes.world.symbols import SymbolShape, symbol_meshes, symbol_shapes
 from synth3dlanes.world.verges import Verges
 
 # Greatest distance from the host's middle, along it, of cameras that look over the bonnet.
 BEHIND_WINDSCREEN_M = 1.0
-AnySurfaces = Surfaces | AreaSurfaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +147,7 @@ class Site:
     """What does not move: the ground as built, and what is drawn, grows and is built on it. It knows no camera and no
     instant, so all views of a world share it. Values are computed on first access and kept."""
 
-    surfaces: AnySurfaces
+    surfaces: Surfaces
     trees: tuple[Tree, ...]
     roadside: Roadside
 
@@ -288,19 +287,20 @@ def resolve(scene: Scene) -> World:
     return world_on(surfaces_of(scene, scene_network(scene)), scene)
 
 
-def world_on(surfaces: AnySurfaces, scene: Scene) -> World:
+def world_on(surfaces: Surfaces, scene: Scene) -> World:
     """The world of a scene whose surfaces are known."""
     return World(scene, Site(surfaces, scene.trees, scene.roadside))
 
 
-def surfaces_of(scene: Scene, network: Network) -> AnySurfaces:
+def surfaces_of(scene: Scene, network: Network) -> Surfaces:
     """The surfaces of a scene around its host, whatever stands and drives there."""
     shot, camera = scene.shot, scene.start
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     driven_m = driven_m if shot.views is None else shot.views.reach_m
     kind = KINDS[type(scene.roads)]
     way = kind.way(network, camera.y_m, driven_m, shot.behind_m > 0)
-    return kind.surfaces(scene, way, FarHills.draw(scene.stream("far_hills")))
+    hills = FarHills.draw(scene.stream("far_hills"))
+    return Surfaces(Ground(kind.paved(way, scene.markings, kind.hills(hills, scene, network))))
 
 
 def scene_network(scene: Scene) -> Network:
@@ -309,30 +309,27 @@ def scene_network(scene: Scene) -> Network:
 
 
 class RoadKind(NamedTuple):
-    """What makes the network of a scene of its roads, the host's way on it, and its surfaces along that."""
+    """What makes the network of a scene of its roads, the host's way on it, its pavement along that, and its hills."""
 
     network: Callable[[Any, Scene], Network]
     way: type[HostWay]
-    surfaces: Callable[[Scene, HostWay, FarHills], AnySurfaces]
+    paved: type[PavedAreas]
+    hills: Callable[[FarHills, Scene, Network], FarHills]
 
 
 def _network_of(roads: RoadMap, scene: Scene) -> Network:
     return map_network(roads, bare_roads(roads, scene.terrain), scene.terrain, scene.start.y_m)
 
 
-def _of_areas(scene: Scene, way: HostWay, hills: FarHills) -> AreaSurfaces:
-    x, y = way.network.host_points(scene.start, np.zeros(1))[0, :2].tolist()
-    areas = PavedAreas(way)
-    return AreaSurfaces(Ground(way, areas, scene.markings, replace(hills, center_world=(x, y))), areas)
-
-
-def _with_verges(scene: Scene, way: HostWay, hills: FarHills) -> Surfaces:
-    verges = Verges(way, scene.markings, hills)
-    return Surfaces(Ground(way, verges, scene.markings, hills), verges)
+def _around_host(hills: FarHills, scene: Scene, network: Network) -> FarHills:
+    x, y = network.host_points(scene.start, np.zeros(1))[0, :2].tolist()
+    return replace(hills, center_world=(x, y))
 
 
 # By how a scene has its roads; nothing else asks.
 KINDS: dict[type, RoadKind] = {
-    PaperRoad: RoadKind(lambda road, scene: paper_network(road, scene.terrain), EndlessWay, _with_verges),
-    RoadMap: RoadKind(_network_of, HostWay, _of_areas),
+    PaperRoad: RoadKind(
+        lambda road, scene: paper_network(road, scene.terrain), EndlessWay, Verges, lambda hills, *_: hills
+    ),
+    RoadMap: RoadKind(_network_of, HostWay, PavedAreas, _around_host),
 }

@@ -200,7 +200,7 @@ def test_paths_neighbours_and_successors_follow_from_links():
 def test_where_pavements_overlap_the_ground_is_theirs_and_clearance_is_to_the_nearest():
     across = street("near9", (-100.0, 100.0), 0.0)
     way = HostWay(network_of((street("near0", (0.0, 0.0)), across)), 20.0)
-    ground = Ground(way, Verges(way, FLAT.markings, NO_HILLS), FLAT.markings, NO_HILLS)
+    ground = Ground(Verges(way, FLAT.markings, NO_HILLS))
     assert ground.clearance(np.array([[0.0, 100.0], [8.0, 103.0], [5.5, 50.0]])) == pytest.approx([-2.5, 0.5, 3.0])
     crossing = np.array([[0.0, 100.0], [2.0, 101.0], [-2.4, 98.0]])
     np.testing.assert_allclose(ground.above_terrain(crossing), 0, atol=1e-12)

@@ -12,6 +12,7 @@ from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import SINGLE, Shots, clips
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world import meshes
+from synth3dlanes.world.horizon import HORIZON_M
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill, seen_on_flat_ground
 
@@ -125,10 +126,14 @@ def test_no_terrain_comes_through_a_road(topology):
     kept = near[terrain.faces].all(axis=1)
     terrain = replace(terrain, faces=terrain.faces[kept], material=terrain.material[kept])
     for mesh in world.site.surfaces.pavement:
-        points = mesh.vertices_world[::17]
-        points = points[(points[:, 1] > -50) & (points[:, 1] < 100)]
+        middles = mesh.vertices_world[mesh.faces].mean(axis=1)[::7]
+        # At its edges, where the terrain begins to go down, a steep slope of another road may cover a hand's breadth.
+        inside = ground.clearance(middles[:, :2]) < -0.2
+        points = middles[inside & (middles[:, 1] > -50) & (middles[:, 1] < 100)]
+        points[:, 2] = heights_at(mesh, points[:, :2])
         above = points[:, 2] - heights_at(terrain, points[:, :2])
-        assert np.nanmin(above) > 0.1
+        assert np.nanmin(above) > 0.005
+        assert np.nanmedian(above) > 0.25
 
 
 @pytest.mark.parametrize("topology", [2, 3, 4])
@@ -192,7 +197,8 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
                 mesh = strips[curve.id]
                 s = mesh.uv_m[0::2, 1]
                 middle = (mesh.vertices_world[0::2] + mesh.vertices_world[1::2]) / 2
-                near = (s > -47) & (s < 10)
+                # Where a line goes on along another road it may stand still for some centimetres.
+                near = (s > -47) & (s < 10) & ((s < -0.1) | (s > 0))
                 on_road, onwards, floating = (
                     project(view.img_from_cam, transform(invert(view.world_from_cam), points[near]))
                     for points in (curve.points_world(s), curve.points_world(s + 0.01), middle)
@@ -205,32 +211,16 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
 
 
 @pytest.mark.parametrize("topology", [2, 3, 4])
-def test_no_verge_begins_where_the_exits_pavement_meets_the_main_one(topology):
+def test_no_ground_comes_up_where_the_exits_pavement_meets_the_main_one(topology):
     """It would show through the seam, as single pixels of terrain on the road."""
     world = world_of(topology)
     main, branch = world.network.roads
     s = np.arange(5.0, branch.parting.station(0.0) - 5, 0.25)
     at, t = branch.line.project(main.xy(s, main.right(s)), s)
     s = s[(at > 0) & (branch.outside(at, t) < -0.5)]
-    seam = main.xy(s, main.right(s) + 1e-3)
+    seam = main.points(s, main.right(s) + 1e-3)
     assert len(s) > 20
-    for verge in world.site.surfaces.verges:
-        corners = verge.vertices_world[verge.faces][..., :2]
-        a, b = corners, np.roll(corners, -1, axis=1)
-        side = (b - a)[:, :, 0] * (seam[:, None, None, 1] - a[..., 1]) - (b - a)[:, :, 1] * (
-            seam[:, None, None, 0] - a[..., 0]
-        )
-        covers = (side > 0).all(axis=-1) | (side < 0).all(axis=-1)
-        assert not covers.any()
-
-
-def test_there_is_no_inner_verge_while_the_exit_touches_the_main_road():
-    """Just before a merge is over the roads touch all the way; Blender cannot take an empty mesh."""
-    road = {"topology": 2, "flip_lateral": True, "exit_angle_rad": 0.0175, "exit_offset_m": 0}
-    touching = resolve(changed(road=road, camera={"y_m": -5.0})).site.surfaces.verges
-    apart = world_of(2).site.surfaces.verges
-    assert [len(apart), len(touching)] == [4, 3]
-    assert all(len(mesh.faces) for mesh in apart + touching)
+    assert (heights_at(world.site.surfaces.terrain, seam[:, :2]) < seam[:, 2] - 0.1).all()
 
 
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
@@ -243,7 +233,7 @@ def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
     road, *exits = world.site.surfaces.pavement
     for mesh in [road, *through] + ([] if flip else exits):
         points = mesh.vertices_world[mesh.faces].reshape(-1, 3)
-        assert np.abs(points[:, :2]).max() > 0.93 * meshes.HORIZON_M
+        assert np.abs(points[:, :2]).max() > 0.93 * HORIZON_M
         far = points[(points[:, 1] > 400) & (points[:, 1] < 1500)][::23]
         assert np.nanmin(far[:, 2] - heights_at(terrain, far[:, :2])) > 0, "and no ground comes up through them"
 
@@ -273,9 +263,11 @@ def test_the_exit_goes_on_below_the_main_road_so_that_no_ground_shows_between(to
     road, exit_road = world.site.surfaces.pavement
     s = exit_road.uv_m[:, 1]
     touching = (s > 1) & (s < 0.8 * branch.parting.station(0.0))
-    first = np.flatnonzero(touching & (np.diff(s, prepend=-1) != 0))
+    first = np.unique(s, return_index=True)[1]
+    first = first[touching[first]]
     assert len(first) > 20
-    seam, edge = exit_road.vertices_world[first], exit_road.vertices_world[first + 1]
+    # Beside an upright face.
+    seam, edge = (exit_road.vertices_world[first + i] for i in (1, 2))
     at, t = main.line.project(edge[:, :2])
     np.testing.assert_allclose(t, main.right(at), atol=1e-3)
     assert (heights_at(road, seam[:, :2]) - seam[:, 2] > 0.005).all()

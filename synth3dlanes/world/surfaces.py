@@ -1,11 +1,11 @@
-"""The surfaces of a map as vertex and face arrays. World frame.
+"""The surfaces of a ground as vertex and face arrays, as `ground.py` defines it. World frame.
 
 Roads are strips along their lines; junctions, their walkways and islands are areas; the terrain is one surface below
 all of these.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -20,71 +20,71 @@ from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapLaneKind
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.areas import clipped, contains, difference, intersection, outset, union, valid
-from synth3dlanes.world.cells import Merged, beside, cut_cells, merged
+from synth3dlanes.world.cells import Merged, beside, corners_in, cut_cells, merged
 from synth3dlanes.world.decks import span_bodies
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, with_crease
+from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, where, with_crease
 from synth3dlanes.world.paved_areas import GroundArea, PavedAreas
 from synth3dlanes.world.solids import Body
 
-# Faces of lanes are no wider than this; cells of junctions, and faces of the kerbs around them, by how far these are
+# Cells of junctions, and faces of the kerbs around them, by how far these are
 # from the host.
-COLUMN_M, CELLS_M, KERBS_M, CELLS_TO_M = 0.9, (0.75, 1.5, 4.0), (1.0, 2.0, 4.0), (60.0, 150.0)
+CELLS_M, KERBS_M, CELLS_TO_M = (0.75, 1.5, 4.0), (1.0, 2.0, 4.0), (60.0, 150.0)
 # What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M down.
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
 SKIRT_M = 0.12
+# Overlap of a road that begins beside another below that one's edge, and the steps in which this edge is found.
+OVERLAP_M, EDGE_STEPS = 0.05, 7
 # Distance inside the edges of the pavement from which the terrain goes down to its bed.
 UNDER_M = 0.15
-# Pavement farther than this from the host's way is left out.
-REACH_M = 480.0
+# Greatest distance of places along the border of the bed whose heights are those of the ground.
+BED_STEP_M = 40.0
 SURFACES: dict[MapLaneKind, int] = {"shoulder": SHOULDER, "border": SHOULDER, "median": MEDIAN, "walkway": SHOULDER,
                                     "kerb": SHOULDER}  # fmt: skip
 AREA_SURFACES = {"road": ROAD, "walkway": SHOULDER, "paved": SHOULDER, "grass": MEDIAN}
 
 
 @dataclass(frozen=True, eq=False)
-class AreaSurfaces:
-    """What of a ground with paved areas is built, as `Surfaces` has it."""
+class Surfaces:
+    """What of a ground is built; each part is made on first access and kept."""
 
     ground: Ground
-    paved: PavedAreas
 
     @cached_property
     def pavement(self) -> list[Mesh]:
-        """The strips of all roads outside junctions, and the areas of junctions and islands."""
-        paved = self.paved
-        near = (_near(paved, mesh) for mesh in [*_strips(paved), *_area_meshes(paved)])
+        """The strips of all roads outside junctions, of one that begins beside another outside that one's pavement, and
+        the areas of junctions and islands."""
+        paved = self.ground.paved
+        near = (where(mesh, paved.is_built) for mesh in [*_strips(paved), *_area_meshes(paved)])
         return [mesh for mesh in near if len(mesh.faces)]
-
-    @property
-    def verges(self) -> list[Mesh]:
-        """None: the terrain meets the pavement."""
-        return []
 
     @cached_property
     def terrain(self) -> Mesh:
         """A grid with fine cells near the host, which grow to the horizon. It is one surface: it goes on below the
         pavement, a little lower at its edges and deeper inside, so that no gap shows the sky. Over tunnels it is the
         ground there, which ends in steps at their edges."""
-        ground, paved = self.ground, self.paved
+        ground, paved = self.ground, self.ground.paved
         xs, ys = paved.grid.axes
-        near = shapely.box(*paved.way.box(REACH_M - 20.0))
+        reach = shapely.box(*paved.way.box(paved.reach_m - 20.0))
         # Where below the pavement its border lies exactly, nobody sees.
-        bed = intersection(outset(valid(shapely.simplify(paved.graded_pavement, UNDER_M / 5)), -UNDER_M), near)
-        over = difference(intersection(union(span.area for span in paved.tunnels), near), bed)
+        bed = intersection(outset(valid(shapely.simplify(paved.graded_pavement, UNDER_M / 5)), -UNDER_M), reach)
+        bed = shapely.segmentize(bed, BED_STEP_M)
+        over = difference(intersection(union(span.area for span in paved.tunnels), reach), bed)
         for area in (bed, over):
             shapely.prepare(area)
         corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
         xs, ys = (beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
-        xy = np.stack(np.meshgrid(xs, ys), -1)
-        z, inside = np.zeros(xy.shape[:2]), contains(bed, xy.reshape(-1, 2)).reshape(xy.shape[:2])
-        z[inside] = paved.inner_bed_height(xy[inside]) + ground.hills.height(xy[inside])
-        z[~inside] = ground.mesh_heights(xy[~inside])
-        inside = contains(over, xy.reshape(-1, 2)).reshape(xy.shape[:2])
-        z[inside] = paved.beside_tunnels(xy[inside], is_over=True) + ground.hills.height(xy[inside])
+        xy, cells = np.stack(np.meshgrid(xs, ys), -1), [cut_cells(xs, ys, [area]) for area in (bed, over)]
+        (inside, near), (above, _) = (corners_in(xs, ys, *at) for at in zip((bed, over), cells, strict=True))
+        z, near = ground.hills.height(xy), near & ~inside
+        z[inside] += paved.inner_bed_height(xy[inside])
+        z[near] += paved.bed_height(xy[near])
+        # Away from the border of the bed there is no pavement.
+        away = ~inside & ~near
+        z[away] += paved.graded(xy[away], are_paved=False)
+        z[above] = ground.hills.height(xy[above]) + paved.beside_tunnels(xy[above], is_over=True)
         whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
-        cells = [cut_cells(xs, ys, [area]) for area in (bed, over)]
         free = cells[0] if over.is_empty else cut_cells(xs, ys, [union([bed, over])])
         _, column, row = np.concatenate([own.cut for own in cells], axis=1)
         vertices = [whole.vertices_world]
@@ -108,34 +108,30 @@ class AreaSurfaces:
     @cached_property
     def bodies(self) -> list[Body]:
         """The decks and tunnels."""
-        return span_bodies(self.ground, self.paved)
-
-
-def _near(paved: PavedAreas, mesh: Mesh) -> Mesh:
-    """The mesh without the faces beyond REACH_M."""
-    kept = (paved.way.away_at(mesh.vertices_world[:, :2]) < REACH_M)[mesh.faces].all(axis=1)
-    return mesh if kept.all() else replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
+        return span_bodies(self.ground, self.ground.paved)
 
 
 class _Strip(NamedTuple):
-    """Lanes beside each other of a stretch of a road: the number of that in the network's table, stations, the offsets
-    of columns at each, how far these are across the texture, the surfaces between them and at both sides, whether they
-    are raised, and whether the strip has upright faces where it begins and ends."""
+    """Lanes beside each other of a stretch of a road: the number of that in the table, stations, the offsets of columns
+    at each, how far these are across the texture, the surfaces between them and at both sides, one after another or
+    also row by row, whether they are raised, and whether the strip has upright faces where it begins and ends; and how
+    much lower its first column is."""
 
     number: int
     s: Scalars
     t: Float[np.ndarray, "r c"]
-    across: Float[np.ndarray, " c"]
-    surfaces: Int[np.ndarray, " k"]
+    across: Float[np.ndarray, "#r c"]
+    surfaces: Int[np.ndarray, "*#r k"]
     is_raised: bool
     has_ends: tuple[bool, bool]
+    fall_m: float = 0.0
 
 
 def _strips(paved: PavedAreas) -> list[Mesh]:
     """The lanes of all roads outside junctions, raised ones with kerbs on all sides. Others have upright faces on the
     sides of the road and at its ends, where what follows may be narrower."""
     outside, strips, number = {road.id for road in paved.outside}, list[_Strip](), -1
-    for road in paved.network.roads:
+    for road in paved.roads:
         for stretch in road.stretches:
             number += 1
             if road.id in outside and stretch.end_m > stretch.start_m and stretch.sections[0].lanes:
@@ -145,9 +141,12 @@ def _strips(paved: PavedAreas) -> list[Mesh]:
     places = [(np.repeat(at.number, at.t.size), np.repeat(at.s, at.t.shape[1]), at.t.ravel()) for at in strips]
     if not places:
         return []
-    points = paved.network.line_table.table.base_points(*map(np.concatenate, zip(*places, strict=True)))
+    # Textures that are along all roads go on as the host drives.
+    onwards = paved.network.onwards if paved.network.across.is_along else 1.0
+    points = paved.table.base_points(*map(np.concatenate, zip(*places, strict=True)))
+    points[:, 2] += paved.hills.height(points[:, :2])
     return [
-        _strip_mesh(strip, own.reshape(*strip.t.shape, 3))
+        _strip_mesh(strip, strip.s * onwards, own.reshape(*strip.t.shape, 3))
         for strip, own in zip(strips, parted(points, counts), strict=True)
     ]
 
@@ -157,7 +156,7 @@ def _strips_of(paved: PavedAreas, number: int, stretch: Road, is_end: tuple[bool
     s, (section,) = paved.stretch_rows(stretch), stretch.sections
     edges, i, last = section.edges(s), *section.paved
     widths_m = np.diff(edges, axis=0)
-    columns = np.maximum(np.ceil(widths_m.mean(axis=1) / COLUMN_M), 1).astype(int)
+    columns = np.maximum(np.ceil(widths_m.max(axis=1) / paved.column_m), 1).astype(int)
     surfaces = np.array([SURFACES.get(lane.kind, ROAD) for lane in section.lanes])
     while i < last:
         run = next((run for run in section.raised if run[0] == i), None)
@@ -167,15 +166,52 @@ def _strips_of(paved: PavedAreas, number: int, stretch: Road, is_end: tuple[bool
         lane = np.repeat(np.arange(i, end), n)
         share = (np.arange(len(lane)) - np.repeat(np.cumsum(n) - n, n) + 1) / n[lane - i]
         t = np.concatenate([edges[i : i + 1], edges[lane] + widths_m[lane] * share[:, None]]).T
-        across = np.append(i, lane + share) * paved.network.across.width_m
+        across = np.append(i, lane + share)[None] * paved.network.across.width_m
         own = surfaces[np.concatenate([[i], lane, [end - 1]])]
-        yield _Strip(
+        strip = _Strip(
             number, s, t, across, own, run is not None, (run is not None or is_end[0], run is not None or is_end[1])
         )
+        yield _beside_others(paved, stretch, strip) if paved.network.across.is_along else strip
         i = end
 
 
-def _strip_mesh(strip: _Strip, points: Float[np.ndarray, "r c 3"]) -> Mesh:
+def _beside_others(paved: PavedAreas, road: Road, strip: _Strip) -> _Strip:
+    """The strip of a road whose texture is along all roads: of one that begins beside another outside that one's
+    pavement, and with the surface of roads where their lanes cross its right shoulder."""
+    s, t, surfaces = strip.s, strip.t, strip.surfaces
+    if road.parting is not None:
+        inner = _edge_of(road.parting.road, road, s)[:, None]
+        t, surfaces = (
+            np.concatenate([inner - OVERLAP_M, np.maximum(t, inner)], axis=1),
+            np.append(surfaces[0], surfaces),
+        )
+    # The first and the last ones are upright.
+    shoulder = slice(int(np.flatnonzero(surfaces == ROAD)[-1]), len(surfaces) - 2)
+    middle = ((t[:-1, :-1] + t[:-1, 1:] + t[1:, :-1] + t[1:, 1:]) / 4)[:, shoulder]
+    at = np.broadcast_to((s[:-1, None] + s[1:, None]) / 2, middle.shape)
+    surfaces = np.tile(surfaces, (len(at), 1))
+    for branch in paved.network.branches(paved.network.road(road.id)):
+        surfaces[:, 1:][:, shoulder][branch.in_lanes(*branch.line.project(road.xy(at, middle), at))] = ROAD
+    return strip._replace(
+        t=t,
+        across=paved.network.rightward * t,
+        surfaces=surfaces,
+        fall_m=SEAM_FALL_M if road.parting is not None else 0.0,
+    )
+
+
+def _edge_of(other: Road, road: Road, s: Scalars) -> Scalars:
+    """Offsets on a road at which the right edge of another one's pavement is, within its own edges."""
+    left, right = road.left(s), road.right(s)
+    t = right
+    # Roads that part are nearly parallel: each step leaves a small part of the error.
+    for _ in range(EDGE_STEPS):
+        at, beside = other.line.project(road.xy(s, t), s)
+        t = np.clip(t - (beside - other.right(at)), left, right)
+    return t
+
+
+def _strip_mesh(strip: _Strip, along: Scalars, points: Float[np.ndarray, "r c 3"]) -> Mesh:
     """A strip with these points, and its upright faces."""
     # The texture goes on over kerbs.
     up_m, down_m, over_m = (KERB_M, KERB_M + FOOT_M, 0.2) if strip.is_raised else (0.0, SKIRT_M, 0.0)
@@ -183,13 +219,17 @@ def _strip_mesh(strip: _Strip, points: Float[np.ndarray, "r c 3"]) -> Mesh:
     row = np.concatenate([[0] * first, np.arange(n_rows), [n_rows - 1] * last]).astype(int)
     column = np.clip(np.arange(-1, n_columns + 1), 0, n_columns - 1)
     vertices, uv = points[row[:, None], column], np.zeros((len(row), len(column), 2))
-    uv[..., 0], uv[..., 1] = strip.across[column], strip.s[row, None]
+    uv[..., 0], uv[..., 1] = np.broadcast_to(strip.across, strip.t.shape)[row[:, None], column], along[row, None]
     uv[:, 0, 0] -= over_m
     uv[:, -1, 0] += over_m
     is_foot = np.zeros(vertices.shape[:2], dtype=bool)
     is_foot[:, [0, -1]] = is_foot[: int(first)] = is_foot[len(row) - int(last) :] = True
     vertices[..., 2] += np.where(is_foot, up_m - down_m, up_m)
-    mesh = grid(vertices, uv, strip.surfaces)
+    vertices[:, :2, 2] -= strip.fall_m
+    surfaces = strip.surfaces
+    if surfaces.ndim == 2:
+        surfaces = surfaces[np.concatenate([[0] * first, np.arange(n_rows - 1), [n_rows - 2] * last]).astype(int)]
+    mesh = grid(vertices, uv, surfaces)
     if strip.is_raised:
         return mesh
     # Shading of a level edge does not bend down to its skirt.
