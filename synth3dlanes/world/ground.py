@@ -1,8 +1,8 @@
 """The ground as built, as one height over (x, y): terrain, pavement and what is raised over it, banks, decks, tunnels.
 World frame, metres.
 
-How roads are given decides what lies beside them: `Verges` of roads between two edges, `PavedAreas` of those with
-sections. The meshes are exactly this surface; `visibility.py` tests lines of sight against it.
+`PavedAreas` says what is paved, and what lies beside that; of the paper's roads `Verges` does. `surfaces.py` builds this
+surface; `visibility.py` tests lines of sight against it.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,8 @@
-"""Roads with sections, junctions and islands from above, on the terrain or at their own heights, with embankments and
-cuts beside these. World frame.
+"""What is paved: roads with sections, junctions and islands from above, on the terrain or at their own heights, with
+embankments and cuts beside these. World frame.
 
-The pavement of roads that connect others in a junction is one area. Terrain meets the pavement at its edges.
+Roads are strips of lanes; the pavement of those that connect others in a junction is one area. Terrain meets the
+pavement at its edges.
 """
 
 from collections.abc import Iterator, Sequence
@@ -59,7 +60,7 @@ FINE_M = 40.0
 UNDER_FALL_M, PRESS_M = 0.03, 0.3
 # Beyond a distance from the host it is lower by this for each metre, less than a pixel: its cells are large there, and
 # faces of the pavement dip between its rows.
-FAR_FROM_M, FAR_FALL = 400.0, 0.0008
+FAR_FROM_M, FAR_FALL = 400.0, 0.0005
 # Distance from the host's way within which kerbs hide what is labelled; the tolerance of their simplified lines, and
 # the distance of points along these.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0

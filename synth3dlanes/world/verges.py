@@ -1,7 +1,7 @@
-"""Roads between two edges: their pavement, verges and embankments, as heights over the terrain. World frame.
+"""Roads between two edges as paved areas, and their verges and embankments, as heights over the terrain. World frame.
 
-A paved area ends in shoulders. From a shoulder's edge the ground falls gently (the verge), or down an embankment where
-the road is raised, until it meets the terrain.
+Pavement ends in shoulders. From a shoulder's edge the ground falls gently (the verge), or down an embankment where the
+road is raised, until it meets the terrain.
 """
 
 from collections.abc import Iterator, Sequence
@@ -127,10 +127,11 @@ class Verges(PavedAreas):
         medians, and the same on the right, where lanes that end take their width from the road."""
         under_m, lane_m = self.under_paint_m(road), road.lane_width_m
         outer: list[tuple[MapLaneKind, float]] = [("shoulder", road.shoulder_m - under_m), ("driving", under_m)]
-        medians = [[], *([*self._median(under_m, high_m - low_m)] for low_m, high_m in road.medians)]
+        medians = [(), *(self._median(under_m, high_m - low_m) for low_m, high_m in road.medians)]
         across = [*outer]
         for part, median in zip(road.carriageways, medians, strict=True):
-            across += [*median, *[("driving", lane_m)] * part.n_lanes]
+            across += median
+            across.extend([("driving", lane_m)] * part.n_lanes)
         across += outer[::-1]
         moves = road.right.moves.pieces if isinstance(road.right.moves, Profile) else ()
         n_ending = round(-moves[-1].a / lane_m) if moves else 0
