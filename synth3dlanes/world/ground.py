@@ -1,8 +1,8 @@
 """The ground as built, as one height over (x, y): terrain, pavement and what is raised over it, banks, decks, tunnels.
 World frame, metres.
 
-`PavedAreas` says what is paved, and what lies beside that; of the paper's roads `Verges` does. `surfaces.py` builds this
-surface; `visibility.py` tests lines of sight against it.
+`PavedAreas` says what is paved, and what lies beside that; of the paper's roads `Verges` does. `surfaces.py` builds
+this surface; `visibility.py` tests lines of sight against it.
 """
 
 from collections.abc import Iterator
