@@ -4,7 +4,7 @@ Pavement ends in shoulders. From a shoulder's edge the ground falls gently (the 
 road is raised, until it meets the terrain.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -127,7 +127,8 @@ class Verges(PavedAreas):
         medians, and the same on the right, where lanes that end take their width from the road."""
         under_m, lane_m = self.under_paint_m(road), road.lane_width_m
         outer: list[tuple[MapLaneKind, float]] = [("shoulder", road.shoulder_m - under_m), ("driving", under_m)]
-        medians = [(), *(self._median(under_m, high_m - low_m) for low_m, high_m in road.medians)]
+        medians: list[Iterable[tuple[MapLaneKind, float]]] = [()]
+        medians += (self._median(under_m, high_m - low_m) for low_m, high_m in road.medians)
         across = [*outer]
         for part, median in zip(road.carriageways, medians, strict=True):
             across += median
@@ -172,7 +173,7 @@ class Verges(PavedAreas):
         for road, s, (left, *grass, right) in self._pavement_lines(xy_world, reach_m):
             for t in (left, right, *grass):
                 points = road.points(s, t)
-                alone = stretches(~self.network.is_on_other(self.network.road(road.id), points[:, :2], s))
+                alone = stretches(~self.network.is_on_other(road, points[:, :2], s))
                 yield from (points[first:end] for first, end in alone if end - first > 1)
 
     def strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
@@ -197,8 +198,8 @@ class Verges(PavedAreas):
     ) -> Iterator[tuple[Road, Scalars, list[Scalars]]]:
         """Of every road the stations, and the offsets where pavement begins and ends in turn, as t grows."""
         stations = self.network.stations_near(xy_world, reach_m)
-        for road in self.roads:
-            s, (section,) = stations[(stations >= road.start_m) & (stations <= road.end_m)], road.sections
+        for road, paved in zip(self.network.roads, self.roads, strict=True):
+            s, (section,) = stations[(stations >= road.start_m) & (stations <= road.end_m)], paved.sections
             medians = [i for i, lane in enumerate(section.lanes) if lane.kind == "median"]
             yield road, s, [road.left(s), *(section.edge(k, s) for i in medians for k in (i, i + 1)), road.right(s)]
 
