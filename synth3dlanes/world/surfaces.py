@@ -289,13 +289,14 @@ def _area_faces(paved: PavedAreas, areas: Sequence[GroundArea]) -> list[_AreaFac
 
 
 def _wide(paved: PavedAreas, area: GroundArea) -> BaseGeometry:
-    """An area with what it has below the surfaces beside it: the pavement around it, which it is a part of."""
+    """An area with what it has below the surfaces beside it."""
     if area.raised_m:
         return area.polygon
     shapely.prepare(area.polygon)
     beyond = outset(area.polygon, SEAM_M)
     x0, y0, x1, y1 = shapely.bounds(beyond).tolist()
-    return intersection(beyond, clipped(paved.pavement, (x0, y0, x1, y1)))
+    # With the area's own corners: without them its faces leave gaps beside those of other surfaces.
+    return union([area.polygon, intersection(beyond, clipped(paved.pavement, (x0, y0, x1, y1)))])
 
 
 def _faces(areas: Sequence[BaseGeometry], cell_m: float) -> list[Merged]:
