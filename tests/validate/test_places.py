@@ -29,9 +29,11 @@ def worlds(preset: str) -> Iterator[World]:
 
 
 def ahead(world: World, mesh: meshes.Mesh, reach_m: float) -> meshes.Mesh:
-    """The faces from the camera to so far ahead of it."""
-    y_m = mesh.vertices_world[mesh.faces][..., 1] - world.scene.camera.y_m
-    kept = (y_m.min(axis=1) > 0) & (y_m.max(axis=1) < reach_m)
+    """The faces from the camera to so far ahead of it, without those that stand upright at edges."""
+    corners = mesh.vertices_world[mesh.faces]
+    y_m = corners[..., 1] - world.scene.camera.y_m
+    (ax, ay), (bx, by) = (corners[:, 2, :2] - corners[:, 0, :2]).T, (corners[:, 3, :2] - corners[:, 1, :2]).T
+    kept = (y_m.min(axis=1) > 0) & (y_m.max(axis=1) < reach_m) & (np.abs(ax * by - ay * bx) > 1e-6)
     return replace(mesh, faces=mesh.faces[kept], material=mesh.material[kept])
 
 
