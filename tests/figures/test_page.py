@@ -15,6 +15,7 @@ from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.params.params import load_params
 from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.surfaces import SKIRT_M
 
 VOID = {"meta", "link", "input", "img"}
 
@@ -75,7 +76,8 @@ def test_the_space_holds_the_road_of_the_scene(flat_scene):
     vertices, _, faces = space_of(flat_scene, "road")
     half_m = 1.5 * 3.5 + 0.4 * 3.5
     assert np.allclose([vertices[:, 0].min(), vertices[:, 0].max()], [-half_m, half_m], atol=1e-3)
-    assert np.abs(vertices[:, 2]).max() < 1e-3
+    # With upright faces at its edges.
+    assert [vertices[:, 2].min(), vertices[:, 2].max()] == pytest.approx([-SKIRT_M, 0.0], abs=1e-3)
     assert faces.max() == len(vertices) - 1
 
 
