@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from synth3dlanes.geometry.polylines import parted, stretches
 from synth3dlanes.roads.cross_section import KERB_M
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.world.cells import PlanPlaces
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.paved_areas import PavedAreas
 from synth3dlanes.world.solids import SINK_M, Body, GroundFrame, Quads
@@ -34,7 +35,6 @@ CONCRETE, DARK = (0.4, 0.39, 0.37), (0.24, 0.235, 0.225)
 
 AnyFlags = Bool[np.ndarray, " _"]
 Heights = Float[np.ndarray, " _"]
-Places = Float[np.ndarray, "_ 2"]
 
 
 class _Abutment(NamedTuple):
@@ -44,7 +44,7 @@ class _Abutment(NamedTuple):
     wall: Points2
     wings: Float[np.ndarray, "2 2 2"]
     top_m: Scalars
-    asked: Places
+    asked: PlanPlaces
 
     @classmethod
     def of(cls, span: Span, end_m: float, outward: float) -> "_Abutment":
@@ -84,7 +84,7 @@ class _Deck(NamedTuple):
         )
 
     @property
-    def asked(self) -> Places:
+    def asked(self) -> PlanPlaces:
         """The places where the ground below it is asked."""
         return np.concatenate([*(end.asked for end in self.abutments), self.piers_world[:, :2]])
 
@@ -101,13 +101,13 @@ def span_bodies(ground: Ground, paved: PavedAreas) -> list[Body]:
     return [_tunnel(paved, span) if span.is_tunnel else next(bodies) for span in paved.spans]
 
 
-def _of_each(told: Callable[[Places], Heights], places: Sequence[Places]) -> list[Heights]:
+def _of_each(told: Callable[[PlanPlaces], Heights], places: Sequence[PlanPlaces]) -> list[Heights]:
     """What is told of places."""
     return parted(told(np.concatenate(places)), list(map(len, places)))
 
 
 def _points(span: Span, s: Scalars, t: Scalars, up_m: Scalars | float) -> Points3:
-    """Places across a road, outside its pavement as high as its edge."""
+    """PlanPlaces across a road, outside its pavement as high as its edge."""
     road = span.road
     inside = np.clip(t, road.left(s), road.right(s))
     z = road.base_points(s, inside)[:, 2] + up_m

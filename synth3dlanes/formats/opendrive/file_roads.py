@@ -39,7 +39,7 @@ BESIDE_M, NEAREST = 0.005, 6
 
 
 @dataclass(frozen=True, eq=False)
-class FileRoad:
+class WrittenRoad:
     """A road as its file tells it, and the segments of our lane graph by the names of its lanes. It runs along a road
     of the network, the `source`, between two stations of that, and along its edges if it `has_edges`."""
 
@@ -99,7 +99,7 @@ class FileRoad:
 class RoadPlace(NamedTuple):
     """A road, and (s, t, h) of a point there."""
 
-    road: FileRoad
+    road: WrittenRoad
     sth: Float[np.ndarray, "3"]
 
     @property
@@ -109,7 +109,7 @@ class RoadPlace(NamedTuple):
         return math.atan2(axes[0, 0, 1], axes[0, 0, 0])
 
 
-def beside(roads: Sequence[FileRoad], points_world: Points3) -> list[RoadPlace]:
+def beside(roads: Sequence[WrittenRoad], points_world: Points3) -> list[RoadPlace]:
     """Where each point is beside a road: the nearest of those that it is neither before nor behind, or else the end of
     the nearest of all."""
     away_m = np.array([road.tree.query(points_world[:, :2])[0] for road in roads])

@@ -10,7 +10,7 @@ import numpy as np
 
 from synth3dlanes.formats.format import SampleFormat, SampleFrame
 from synth3dlanes.formats.opendrive.elements import Element, add
-from synth3dlanes.formats.opendrive.file_roads import FileRoad, lane_ascends, on_planes
+from synth3dlanes.formats.opendrive.file_roads import WrittenRoad, lane_ascends, on_planes
 from synth3dlanes.formats.opendrive.marks import PaintedMark
 from synth3dlanes.formats.opendrive.parts import part_links, parts
 from synth3dlanes.formats.opendrive.things import add_things
@@ -127,15 +127,15 @@ def opendrive(world: World, name: str) -> str:
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _file_roads(world: World) -> tuple[list[FileRoad], Iterable[tuple[LaneName, LaneName]]]:
+def _file_roads(world: World) -> tuple[list[WrittenRoad], Iterable[tuple[LaneName, LaneName]]]:
     """The roads of a world as its file tells them, and the links of their lanes: those with sections of their own as
     they are, others in parts."""
-    network, found = world.network, list[FileRoad]()
+    network, found = world.network, list[WrittenRoad]()
     for road in network.roads:
         if road.given is not None:
             segments = {name: name for name in _driving_lanes(road.given)}
             told = on_planes(road.given, road, np.zeros_like)
-            found.append(FileRoad(told, segments, road.id, (road.start_m, road.end_m)))
+            found.append(WrittenRoad(told, segments, road.id, (road.start_m, road.end_m)))
     if found:
         return found, network.links
     parted = parts(network)

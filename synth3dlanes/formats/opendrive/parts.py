@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from synth3dlanes.formats.opendrive.file_roads import FileRoad, on_planes
+from synth3dlanes.formats.opendrive.file_roads import WrittenRoad, on_planes
 from synth3dlanes.formats.opendrive.marks import LaneEdge, marks
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.roads.from_map import bare_road
@@ -35,7 +35,7 @@ Width = float | Callable[[Scalars], Scalars]
 
 
 @dataclass(frozen=True)
-class Strip:
+class WrittenStrip:
     """A strip of a road of the network: its type, its lane, its width."""
 
     kind: MapLaneKind
@@ -43,11 +43,11 @@ class Strip:
     width_m: Width
 
 
-Strips = tuple[Strip, ...]
+WrittenStrips = tuple[WrittenStrip, ...]
 
 
 @dataclass(frozen=True)
-class Part:
+class WrittenPart:
     """A part of a road of the network: its stations, its reference line, its strips as t grows, the number of those
     before lane 0, the offset of lane 0 from the line, the parts before and behind it in ascending stations, and whether
     it is a connecting road of a junction. It runs as the host drives or, if it `is_oncoming`, the other way."""
@@ -56,7 +56,7 @@ class Part:
     span_m: tuple[float, float]
     road: Road
     line: Offset
-    strips: Strips
+    strips: WrittenStrips
     n_left: int
     lane_0_m: Width
     before: str | None = None
@@ -80,7 +80,7 @@ class Part:
         """The number of the lane that a strip is in the file."""
         return self.leftward(network) * (strip - self.n_left + (strip >= self.n_left))
 
-    def told(self, world: World) -> FileRoad:
+    def told(self, world: World) -> WrittenRoad:
         """The part as its file tells it."""
         network, (low_m, high_m) = world.network, self.span_m
         ascends = (network.onwards > 0) != self.is_oncoming
@@ -122,7 +122,7 @@ class Part:
         def raised(at: Scalars) -> Scalars:
             return self.road.raised(np.interp(at, s_m, s))
 
-        return FileRoad(
+        return WrittenRoad(
             told=on_planes(flat, bare_road(flat, network.terrain), raised),
             segments=self.lanes(network),
             source=self.road.id,
@@ -140,7 +140,7 @@ def _plan(s_m: Scalars, xy_world: Points2) -> Iterator[PlanPiece]:
         yield PlanPiece(x_m=x, y_m=y, heading_rad=heading, length_m=length_m, **cubic)
 
 
-def part_links(network: Network, parts: Sequence[Part]) -> tuple[tuple[LaneName, LaneName], ...]:
+def part_links(network: Network, parts: Sequence[WrittenPart]) -> tuple[tuple[LaneName, LaneName], ...]:
     """The links between the lanes of parts that follow each other, as traffic drives."""
     by_name, found = {part.name: part for part in parts}, dict[tuple[LaneName, LaneName], None]()
     for part in parts:
@@ -154,32 +154,34 @@ def part_links(network: Network, parts: Sequence[Part]) -> tuple[tuple[LaneName,
     return tuple(found)
 
 
-def _driving(lanes: Sequence[NetworkLane]) -> Strips:
-    return tuple(Strip("driving", lane.id, lane.width_m) for lane in lanes)
+def _driving(lanes: Sequence[NetworkLane]) -> WrittenStrips:
+    return tuple(WrittenStrip("driving", lane.id, lane.width_m) for lane in lanes)
 
 
-def parts(network: Network) -> list[Part]:
+def parts(network: Network) -> list[WrittenPart]:
     """The parts of all roads of a network. Where others part from the host's, these are its part before that, the
     connecting roads of a junction up to where the lanes have parted, and the roads beyond; with a median, also one for
     oncoming traffic."""
-    road, found = network.main, list[Part]()
+    road, found = network.main, list[WrittenPart]()
     partings = [(branch, branch.parting) for branch in network.branches(road) if branch.parting]
     parted_m = max((parting.station(APART_M) for _, parting in partings), default=0.0)
     end_m = max(REACH_M, parted_m + MIN_END_M)
     first, beyond = ([lane for lane in road.lanes_at(s) if lane.direction == "same"] for s in (-REACH_M, parted_m))
     oncoming = _driving([lane for lane in road.lanes_at(-REACH_M) if lane.direction == "oncoming"])
-    shoulder = Strip("shoulder", None, road.shoulder_m)
+    shoulder = WrittenStrip("shoulder", None, road.shoulder_m)
     facing, own = road.carriageways[0], road.carriageways[-1]
     left, middle_m = (shoulder, *oncoming), (facing.left_m + own.right_m) / 2
     if oncoming and own.left_m - facing.right_m > APART_M:
-        median = Strip("median", None, (own.left_m - facing.right_m) / 2)
+        median = WrittenStrip("median", None, (own.left_m - facing.right_m) / 2)
         line, half_m = Offset((facing.left_m + facing.right_m) / 2), (facing.right_m - facing.left_m) / 2
         strips = (*left, median)
-        found = [Part("oncoming", (-REACH_M, end_m), road, line, strips, len(strips) - 1, half_m, is_oncoming=True)]
+        found = [
+            WrittenPart("oncoming", (-REACH_M, end_m), road, line, strips, len(strips) - 1, half_m, is_oncoming=True)
+        ]
         oncoming, left, middle_m = (), (median,), (own.left_m + own.right_m) / 2
 
-    def part(name: str, span_m: tuple[float, float], left: Strips, right: Strips) -> Part:
-        return Part(name, span_m, road, Offset(middle_m), (*left, *right), len(left), own.left_m - middle_m)
+    def part(name: str, span_m: tuple[float, float], left: WrittenStrips, right: WrittenStrips) -> WrittenPart:
+        return WrittenPart(name, span_m, road, Offset(middle_m), (*left, *right), len(left), own.left_m - middle_m)
 
     before, after = first[0].section, beyond[0].section
     if not partings:
@@ -189,7 +191,7 @@ def parts(network: Network) -> list[Part]:
     # A lane that opens begins on its neighbour's; connecting roads are for one direction.
     opening = [lane for lane in beyond if lane.middle.moves]
     connecting = [
-        Part("opening", junction, road, lane.middle, _driving([lane]), 0, -lane.width_m / 2) for lane in opening
+        WrittenPart("opening", junction, road, lane.middle, _driving([lane]), 0, -lane.width_m / 2) for lane in opening
     ]
     if oncoming:
         connecting.append(replace(part("facing", junction, left, ()), is_oncoming=True))
@@ -198,15 +200,15 @@ def parts(network: Network) -> list[Part]:
     branch, parting = partings[0]
     lanes, line, edge_m = branch.lanes_at(parted_m), Offset(0.0), branch.carriageways[0].left_m
     # The room between both roads is shared until both have their whole shoulders.
-    inner = Strip("shoulder", None, lambda s: np.clip(parting.gap_m(s) / 2, 0, road.shoulder_m))
+    inner = WrittenStrip("shoulder", None, lambda s: np.clip(parting.gap_m(s) / 2, 0, road.shoulder_m))
     name, strips = lanes[0].section, (*_driving(lanes), shoulder)
     return [
         *found,
         *(replace(at, before=before, after=after, in_junction=True) for at in connecting),
         part(before, (-REACH_M, 0.0), left, (*_driving(first), shoulder)),
-        Part("leaving", junction, branch, line, strips, 0, edge_m, before, name, in_junction=True),
+        WrittenPart("leaving", junction, branch, line, strips, 0, edge_m, before, name, in_junction=True),
         part(after, apart, left, (*_driving(beyond), inner)),
-        Part(name, apart, branch, line, (inner, *strips), 1, edge_m),
+        WrittenPart(name, apart, branch, line, (inner, *strips), 1, edge_m),
     ]
 
 
@@ -224,10 +226,10 @@ def _moved(width_m: Width, lane_0: Width, was_m: Width, s: Scalars) -> Scalars:
     return _at(width_m, s) + _at(lane_0, s) - _at(was_m, s)
 
 
-def _along_works(network: Network, whole: Part) -> list[Part]:
+def _along_works(network: Network, whole: WrittenPart) -> list[WrittenPart]:
     """A road without exit in its sections along road works, one behind the other. Where the outermost lines are not at
     the edges of the lanes, what is between is no lane."""
-    road, found = network.main, list[Part]()
+    road, found = network.main, list[WrittenPart]()
     starts = sorted({lane.start_m for lane in road.lanes if np.isfinite(lane.start_m)})
     ends = [whole.span_m[0], *starts, max(whole.span_m[1], starts[-1] + MIN_END_M)]
     for span_m in pairwise(ends):
@@ -240,10 +242,10 @@ def _along_works(network: Network, whole: Part) -> list[Part]:
         ]
         first, *_, last = sorted(lines, key=lambda line: float(line(middle)[0]))
         strips = (
-            Strip("none", None, _between(first, lanes[0].edges[0])),
-            *(Strip("driving", lane.id, _between(*lane.edges)) for lane in lanes),
-            Strip("none", None, _between(lanes[-1].edges[1], last)),
-            Strip("shoulder", None, _between(last, road.right)),
+            WrittenStrip("none", None, _between(first, lanes[0].edges[0])),
+            *(WrittenStrip("driving", lane.id, _between(*lane.edges)) for lane in lanes),
+            WrittenStrip("none", None, _between(lanes[-1].edges[1], last)),
+            WrittenStrip("shoulder", None, _between(last, road.right)),
         )
         s = np.linspace(*span_m, 200)
         there = [at for at in strips if at.kind != "none" or _at(at.width_m, s).max() > LEAST_WIDTH_M]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive.elements import Element, add
-from synth3dlanes.formats.opendrive.file_roads import FileRoad, RoadPlace, beside, lane_ascends
+from synth3dlanes.formats.opendrive.file_roads import RoadPlace, WrittenRoad, beside, lane_ascends
 from synth3dlanes.roads.maps.elements import ARROW_LIGHT, LIGHT
 from synth3dlanes.scene.road_map import MapPaint, lane_key
 from synth3dlanes.scene.roadside import Rail
@@ -62,10 +62,10 @@ RAIL_WIDTH_M = {"guardrail": 0.1, "concrete": 0.6, "noise_wall": 0.2}
 # Rails are straight in (s, t) over this length; shorter ones are left out.
 RAIL_STEP_M, LEAST_RAIL_M = 10.0, 1.0
 
-Placed = Iterator[tuple[FileRoad, Element]]
+Placed = Iterator[tuple[WrittenRoad, Element]]
 
 
-def add_things(world: World, roads: Sequence[FileRoad], elements: Mapping[str, Element]) -> None:
+def add_things(world: World, roads: Sequence[WrittenRoad], elements: Mapping[str, Element]) -> None:
     """Add the objects and signals of a world to the elements of its roads, by their ids."""
     objects = [*_symbols(world, roads), *_islands(world, roads), *_rails(world, roads), *_uprights(world, roads)]
     for number, (_, item) in enumerate(objects):
@@ -88,7 +88,7 @@ def _object(kind: tuple[str, str], sth: Float[np.ndarray, "3"], **attributes: st
 # -- paint and islands
 
 
-def _symbols(world: World, roads: Sequence[FileRoad]) -> Placed:
+def _symbols(world: World, roads: Sequence[WrittenRoad]) -> Placed:
     for item, form in zip(symbol_items(world.network, world.scene), world.symbol_shapes, strict=True):
         if item.kind == "crosswalk":
             yield _crosswalk(form, roads)
@@ -96,7 +96,7 @@ def _symbols(world: World, roads: Sequence[FileRoad]) -> Placed:
             yield _in_lane(item, form, [road for road in roads if item.lane in road.segments.values()] or roads)
 
 
-def _in_lane(item: Symbol | MapPaint, form: SymbolShape, roads: Sequence[FileRoad]) -> tuple[FileRoad, Element]:
+def _in_lane(item: Symbol | MapPaint, form: SymbolShape, roads: Sequence[WrittenRoad]) -> tuple[WrittenRoad, Element]:
     """Paint with its outline in (s, t), at its middle; what is in a lane faces its traffic."""
     outline = form.points_world(form.polygons[0] if item.kind.startswith("arrow") else form.outline)
     middle = outline.mean(axis=0) if item.lane is None else form.points_world(np.zeros((1, 2)))[0]
@@ -120,7 +120,7 @@ def _in_lane(item: Symbol | MapPaint, form: SymbolShape, roads: Sequence[FileRoa
     return road, element
 
 
-def _crosswalk(form: SymbolShape, roads: Sequence[FileRoad]) -> tuple[FileRoad, Element]:
+def _crosswalk(form: SymbolShape, roads: Sequence[WrittenRoad]) -> tuple[WrittenRoad, Element]:
     """A crosswalk, turned so that people walk along u. Its outline is where readers of version 1.4 look, as CARLA, and
     closed as they want it."""
     (x0, y0), (x1, y1) = form.outline.min(axis=0), form.outline.max(axis=0)
@@ -134,7 +134,7 @@ def _crosswalk(form: SymbolShape, roads: Sequence[FileRoad]) -> tuple[FileRoad, 
     return place.road, element
 
 
-def _islands(world: World, roads: Sequence[FileRoad]) -> Placed:
+def _islands(world: World, roads: Sequence[WrittenRoad]) -> Placed:
     for island in world.network.islands:
         corners_world = on_ground(world.ground, np.array(island.outline, float))
         (place,) = beside(roads, corners_world.mean(axis=0)[None])
@@ -156,7 +156,7 @@ def _add_corners(outline: Element, place: RoadPlace, corners_world: Points3, tur
 # -- what stands beside roads
 
 
-def _rails(world: World, roads: Sequence[FileRoad]) -> Placed:
+def _rails(world: World, roads: Sequence[WrittenRoad]) -> Placed:
     for rail in world.scene.roadside.rails:
         for road in roads if rail.kind in RAILS else ():
             low, high = np.clip(sorted((rail.from_m, rail.to_m)), *road.span_m).tolist()
@@ -164,7 +164,7 @@ def _rails(world: World, roads: Sequence[FileRoad]) -> Placed:
                 yield road, _rail(world, rail, road, low, high)
 
 
-def _rail(world: World, rail: Rail, road: FileRoad, low_m: float, high_m: float) -> Element:
+def _rail(world: World, rail: Rail, road: WrittenRoad, low_m: float, high_m: float) -> Element:
     """The stretch of a rail along a road between two stations of the network's."""
     stations = np.linspace(low_m, high_m, 2 + int((high_m - low_m) / RAIL_STEP_M))
     line = beside_road.beside(world.ground, rail.road, rail.side, stations, rail.aside_m)
@@ -178,7 +178,7 @@ def _rail(world: World, rail: Rail, road: FileRoad, low_m: float, high_m: float)
     return element
 
 
-def _uprights(world: World, roads: Sequence[FileRoad]) -> Placed:
+def _uprights(world: World, roads: Sequence[WrittenRoad]) -> Placed:
     """Posts, trees and buildings, these with the heading of their length."""
     scene, ground = world.scene, world.ground
     posts, trees, buildings = scene.roadside.posts, scene.trees, scene.roadside.buildings
@@ -200,7 +200,7 @@ def _uprights(world: World, roads: Sequence[FileRoad]) -> Placed:
 # -- signals and signs
 
 
-def _signals(world: World, roads: Sequence[FileRoad]) -> Placed:
+def _signals(world: World, roads: Sequence[WrittenRoad]) -> Placed:
     """Signals and signs, each beside the road that is nearest to its head, with the lanes of it that it governs, and
     references to it at the others. Those that govern none are left out."""
     for number, item in enumerate(world.scene.roadside.free_elements):
@@ -236,7 +236,7 @@ def _signals(world: World, roads: Sequence[FileRoad]) -> Placed:
                 yield road, _reference(str(number), road, governed[road.told.id])
 
 
-def _reference(signal: str, road: FileRoad, lanes: Sequence[tuple[str, int, int]]) -> Element:
+def _reference(signal: str, road: WrittenRoad, lanes: Sequence[tuple[str, int, int]]) -> Element:
     """A reference to a signal, where the first of the lanes of a road that it governs ends."""
     _, section, number = lanes[0]
     ascends = lane_ascends(road.told, section, number)
