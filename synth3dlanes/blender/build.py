@@ -36,7 +36,7 @@ OF_VIEW = ("paint", "objects", "host", "grass", "lens", "lights")
 # Shade of a blade of grass at both corners of its foot and at its tip.
 FOOT_TO_TIP = np.array([0.5, 0.5, 1.0])
 # Arrays of a mesh, its materials and its instance id.
-Covered = tuple[Mesh | Body | Blades, Sequence[bpy.types.Material], int]
+BuiltMesh = tuple[Mesh | Body | Blades, Sequence[bpy.types.Material], int]
 
 
 @dataclass(eq=False)
@@ -112,7 +112,7 @@ class Prepared:
     """What a world and a view add to Blender, by collection. `is_built` says that the world is there, so that only what
     depends on the view is added."""
 
-    surfaces: dict[str, list[Covered]]
+    surfaces: dict[str, list[BuiltMesh]]
     instances: dict[str, list[MeshInstance]]
     is_built: bool
 
@@ -124,7 +124,7 @@ def prepare(studio: Studio, world: World, view: View, labelled: Sequence[str] = 
     """
     materials, is_built = studio.materials, studio.ground is world.ground
     road, shoulder, terrain = materials.ground(world.scene.surface)
-    surfaces: dict[str, list[Covered]] = {}
+    surfaces: dict[str, list[BuiltMesh]] = {}
     if not is_built:
         made = world.site.surfaces
         surfaces["ground"] = [(made.terrain, [terrain], 0)]
@@ -191,7 +191,7 @@ def _name_in_order() -> None:
         item.name = name
 
 
-def _paint(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> Iterator[Covered]:
+def _paint(materials: Materials, world: World, view: View, labelled: Sequence[str]) -> Iterator[BuiltMesh]:
     """What lies on the road, moved a little so that it looks in place from the view."""
     seams = (
         (world.tar(view), materials.tar),

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.polylines import all_feet, feet_of
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage
@@ -410,7 +411,7 @@ def _order_problems(points: Points, line: OurLine, rule: Rule) -> Iterator[str]:
 def back_along(points: Points, line: Points, slack: float = 0.0) -> float:
     """How far points that should follow a line go back on it. In an image it may pass a place twice: of the places that
     are nearest to a point, but for `slack`, the first that goes on is taken."""
-    apart, share = _all_feet(points, line)
+    apart, share = all_feet(points, line)
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(lengths)])[: share.shape[1]] + share * (lengths if len(lengths) else 0.0)
     reached, back = -np.inf, 0.0
@@ -419,21 +420,6 @@ def back_along(points: Points, line: Points, slack: float = 0.0) -> float:
         back = max(back, 0.0 if len(ahead) else float(reached - places.max()))
         reached = max(reached, float(ahead.min())) if len(ahead) else reached
     return back
-
-
-def feet_of(points: Points, line: Points) -> tuple[Distances, Int[np.ndarray, " _"], Distances]:
-    """Distances from a polyline, the steps of it that are nearest, and where on these."""
-    apart, share = _all_feet(points, line)
-    every, at = np.arange(len(points)), apart.argmin(axis=1)
-    return apart[every, at], at, share[every, at]
-
-
-def _all_feet(points: Points, line: Points) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
-    """Distances of points from each step of a polyline, and where on it they are nearest."""
-    starts, steps = (line[:-1], np.diff(line, axis=0)) if len(line) > 1 else (line, np.zeros_like(line))
-    to = points[:, None] - starts
-    share = np.clip((to * steps).sum(axis=2) / np.maximum((steps**2).sum(axis=1), 1e-12), 0, 1)
-    return np.linalg.norm(to - share[..., None] * steps, axis=2), share
 
 
 FROM_MIDDLE = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])

@@ -20,11 +20,10 @@ from synth3dlanes.formats.comparing import (
     Rule,
     SourceSample,
     distances,
-    feet_of,
     too_far,
 )
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.polylines import lengths_along, resampled
+from synth3dlanes.geometry.polylines import feet_of, lengths_along, resampled
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.world.world import scene_network

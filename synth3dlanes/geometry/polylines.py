@@ -56,3 +56,23 @@ def thinned(lines: Float[np.ndarray, "n k d"], most_m: float) -> Float[np.ndarra
             kept.add(at)
             stack += [(first, at), (at, last)]
     return lines[sorted(kept)]
+
+
+def all_feet(
+    points: Float[np.ndarray, "n d"], line: Float[np.ndarray, "k d"]
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
+    """Distances of points from each step of a polyline, and where on it they are nearest, from 0 to 1. A line of one
+    point is one step of no length."""
+    starts, steps = (line[:-1], np.diff(line, axis=0)) if len(line) > 1 else (line, np.zeros_like(line))
+    to = points[:, None] - starts
+    share = np.clip((to * steps).sum(axis=2) / np.maximum((steps**2).sum(axis=1), 1e-12), 0, 1)
+    return np.linalg.norm(to - share[..., None] * steps, axis=2), share
+
+
+def feet_of(
+    points: Float[np.ndarray, "n d"], line: Float[np.ndarray, "k d"]
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Distances of points from a polyline, the steps of it that are nearest, and where on these, from 0 to 1."""
+    apart, share = all_feet(points, line)
+    every, at = np.arange(len(points)), apart.argmin(axis=1)
+    return apart[every, at], at, share[every, at]

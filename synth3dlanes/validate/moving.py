@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.polylines import feet_of
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Instant, MovingObject
@@ -76,13 +77,9 @@ def between(before: Instant, after: Instant) -> Iterator[Finding]:
 
 def _from_line(line: Float[np.ndarray, "m 3"], points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " _"]:
     """Distances of the points that are beside a line, not beyond its ends."""
-    starts, ways = line[:-1], np.diff(line, axis=0)
-    to = points[:, None] - starts
-    share = np.clip((to * ways).sum(axis=2) / np.maximum((ways**2).sum(axis=1), 1e-12), 0, 1)
-    away_m = np.linalg.norm(to - share[..., None] * ways, axis=2)
-    nearest = away_m.argmin(axis=1)
-    at = nearest + share[np.arange(len(points)), nearest]
-    return away_m.min(axis=1)[(at > 0) & (at < len(ways))]
+    away_m, step, share = feet_of(points, line)
+    at = step + share
+    return away_m[(at > 0) & (at < len(line) - 1)]
 
 
 def _text(vector: Float[np.ndarray, "3"]) -> str:

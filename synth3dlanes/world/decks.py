@@ -107,7 +107,7 @@ def _of_each(told: Callable[[PlanPlaces], Heights], places: Sequence[PlanPlaces]
 
 
 def _points(span: Span, s: Scalars, t: Scalars, up_m: Scalars | float) -> Points3:
-    """PlanPlaces across a road, outside its pavement as high as its edge."""
+    """Places across a road, outside its pavement as high as its edge."""
     road = span.road
     inside = np.clip(t, road.left(s), road.right(s))
     z = road.base_points(s, inside)[:, 2] + up_m

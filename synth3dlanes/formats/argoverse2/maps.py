@@ -23,7 +23,7 @@ import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, distances, feet_of, is_beside
+from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, distances, is_beside
 from synth3dlanes.formats.comparing_maps import (
     FoundLane,
     area_problems,
@@ -37,7 +37,7 @@ from synth3dlanes.formats.comparing_maps import (
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.polylines import resampled, thinned
+from synth3dlanes.geometry.polylines import feet_of, resampled, thinned
 from synth3dlanes.labels.labels import MIRRORED, Lane, LaneGraph, Marking, PaintColor, Pair, Segment
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Points3

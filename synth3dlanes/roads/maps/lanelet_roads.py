@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.geometry.polylines import feet_of, lengths_along
 from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.line_forms import plan_line, plan_points
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound
@@ -411,7 +411,4 @@ def _is_near(plan: Sequence[PlanPiece], points: Polyline2, near_m: float) -> boo
     bend = max(abs(piece.curvature) for piece in plan)
     n = 2 + int(length_m * math.sqrt(max(bend, 1e-6) / (8 * ARCS_M / 20)))
     line = plan_points(plan, np.linspace(0.0, length_m, n))[:, :2]
-    steps = np.diff(line, axis=0)
-    to = points[:, None] - line[:-1]
-    share = np.clip((to * steps).sum(axis=2) / (steps**2).sum(axis=1), 0, 1)
-    return bool(np.linalg.norm(to - share[..., None] * steps, axis=2).min(axis=1).max() <= near_m)
+    return bool(feet_of(points, line)[0].max() <= near_m)
