@@ -59,8 +59,7 @@ pictures: .venv/ready  ## draw the pictures of frames, of the network and of res
 	$(BIN)/python -m scripts.network_picture
 	$(BIN)/python -m scripts.results_picture
 
-golden: .venv/ready  ## rewrite tests/golden from the code; review the diff
-	$(BIN)/python -m tests.golden.make
+golden: .venv/ready  ## rewrite tests/golden/frozen.json from the code; review the diff
 	$(BIN)/python -m tests.golden.frozen > /dev/null
 
 assets: .venv/ready  ## rebuild cars, trees, textures and skies from their scripts

@@ -2,9 +2,12 @@
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from copy import deepcopy
 from typing import Any
+from xml.etree import ElementTree
 
+import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
@@ -92,3 +95,36 @@ def refused_or_read(read: Callable[[], Any], *where: str, error: type[Synth3dlan
             assert len(line) < 400
             assert not LEAKED.search(line), line
         return None
+
+
+VALUES = ("", "nan", "inf", "-1", "0", "1e-9", "0.0005", "1e8", "1e300", "x", "-7", "99", "1", "2", "4", "9", "30")
+WORDS = (*VALUES, "start", "end", "road", "lanelet", "10001")
+TAGS = ("road", "lane", "junction", "spiral", "width", "object", "node", "x")
+
+
+def edited_xml(data: bytes, n: int, seed: int) -> Iterator[bytes]:
+    """`n` times a document with one to four changes: attributes of other values or gone, elements gone, twice,
+    elsewhere, in another order or of another name."""
+    for i in range(n):
+        rng, root = np.random.default_rng([seed, i]), ElementTree.fromstring(data)
+
+        def one_of(items: Any, rng: np.random.Generator = rng) -> Any:
+            found = list(items)
+            return found[int(rng.integers(len(found)))]
+
+        for _ in range(int(rng.choice([1, 1, 2, 4]))):
+            kind, above = int(rng.integers(10)), one_of(at for at in root.iter() if len(at))
+            at = one_of(at for at in root.iter() if at.attrib)
+            if kind < 4:
+                at.set(one_of(at.attrib), one_of(WORDS))
+            elif kind == 4:
+                del at.attrib[one_of(at.attrib)]
+            elif kind == 5:
+                above.remove(one_of(above))
+            elif kind == 6:
+                above[:] = rng.permutation(np.array([*above, None], dtype=object)[:-1]).tolist()
+            elif kind == 7:
+                at.tag = one_of(TAGS) if at is not root else at.tag
+            else:
+                (above if kind == 8 else one_of(root.iter())).append(deepcopy(one_of(above)))
+        yield ElementTree.tostring(root)

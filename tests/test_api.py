@@ -52,11 +52,6 @@ def test_names_are_listed_and_others_refused() -> None:
         _ = synth3dlanes.no_such_name
 
 
-def test_every_name_is_in_the_page() -> None:
-    page = (ROOT / "docs" / "api.md").read_text()
-    assert not [name for name in synth3dlanes.__all__ if f"`{name}" not in page]
-
-
 def test_importing_it_loads_nothing_of_it() -> None:
     command = [sys.executable, "-c", "import sys, synth3dlanes; print(*sys.modules)"]
     loaded = subprocess.run(command, capture_output=True, text=True, check=True, timeout=240).stdout.split()

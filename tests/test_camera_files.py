@@ -236,11 +236,6 @@ def test_every_ready_camera_draws_scenes(name: str) -> None:
     assert CameraSpec.model_validate(spec.model_dump(mode="json")) == spec
 
 
-def test_another_name_is_refused() -> None:
-    with pytest.raises(InputError, match=r"pinhole: expected one of comma, .*, or the path of a \.yaml file"):
-        load_camera("pinhole")
-
-
 NARROW = {"width_px": 480, "height_px": 360, "fx": 200, "model": "opencv", "k1": -0.5}
 
 

@@ -1,6 +1,7 @@
-"""The documentation says what the code does; as a site it builds without a warning and asks no other host."""
+"""The documentation says what the code does, its files for clusters work, and as a site it asks no other host."""
 
 import functools
+import importlib.util
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import click
 import pytest
+import yaml
 from playwright.sync_api import Browser
 
 import synth3dlanes
@@ -71,17 +73,6 @@ def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
     assert set(preset_comments()) == keys
 
 
-def test_every_column_pass_and_id_is_in_the_format_page() -> None:
-    from synth3dlanes.dataset.columns import SCHEMA
-    from synth3dlanes.dataset.index import ADDED
-    from synth3dlanes.scene.settings import PASSES
-    from synth3dlanes.scene.things import SEMANTIC_IDS
-
-    text = re.sub(r"```.*?```", "", (DOCS / "format.md").read_text(), flags=re.DOTALL)
-    named = set(re.findall(r"`([^`]+)`", text))
-    assert set(SCHEMA.names) | set(ADDED) | set(PASSES) | set(SEMANTIC_IDS) <= named
-
-
 def test_every_package_is_installed() -> None:
     """A folder with code that pyproject.toml forgets would be missing from the wheel alone."""
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
@@ -130,41 +121,6 @@ def test_the_changelog_and_the_citation_know_this_version() -> None:
 
     assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text()
     assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
-
-
-# The stages of the columns of the table of speed; older rows have meshes in build, and textures in bvh.
-COLUMNS = (
-    *(("path tracing",), ("denoise",), ("meshes", "build"), ("textures", "bvh")),
-    *(("sync",), ("develop",), ("occlusion",), ("sample", "labels")),
-)
-
-
-def seconds_of(stages: dict[str, float], *names: str) -> float:
-    return sum(stages.get(name, 0.0) for name in names)
-
-
-def test_the_table_of_speed_has_the_rows_of_the_bench() -> None:
-    """Each row by its order: images an hour to ten, the rest to a hundredth."""
-    found = re.findall(
-        r"^\| `(\w+)`, (\d) samples?(.*?) \| ([\d,]+) \| (.+) \|$", (DOCS / "speed.md").read_text(), re.M
-    )
-    rows = json.loads((DOCS / "bench.json").read_text())["rows"]
-    assert len(found) == 9
-    for (params, samples, what, rate, rest), row in zip(found, rows, strict=False):
-        stages = row["stages"]
-        told = params, int(samples), "clips" in what, "on a map" in what
-        assert told == (row["params"], row["samples"], row["frames"] > 1, bool(row.get("map")))
-        assert rate == f"{round(row['images_per_hour'], -1):,.0f}"
-        seconds = [row["core_seconds_per_image"], row["ratio"], *(seconds_of(stages, *names) for names in COLUMNS)]
-        assert rest.split(" | ") == [f"{value:.2f}" for value in seconds]
-    for params in ("appendix_i", "town"):
-        views = {row["views"]: row for row in rows[9:] if row["params"] == params}
-        assert list(views) == [1, 2, 4, 8]
-        for what, key in (("core-seconds", "core_seconds_per_image"), ("ratio", "ratio")):
-            cells = " | ".join(f"{row[key]:.2f}" for row in views.values())
-            assert f"| `{params}`, {what} | {cells} |" in (DOCS / "speed.md").read_text()
-    told = f"With `--quality train` they make {round(rows[1]['images_per_hour'], -2):,.0f}."
-    assert told in (ROOT / "README.md").read_text()
 
 
 pytestmark = pytest.mark.thorough
@@ -222,32 +178,104 @@ def test_pages_fit_any_screen_and_ask_no_other_host(browser: Browser, address: s
     page.close()
 
 
-def test_pages_quote_the_stored_bench() -> None:
-    """README, questions and the page on speed say what the row of appendix_i with 4 samples says."""
-    (row,) = (
-        row
-        for row in json.loads((DOCS / "bench.json").read_text())["rows"]
-        if (row["params"], row["samples"], row["frames"]) == ("appendix_i", 4, 1) and not row.get("map")
-    )
-    seconds, stages = f"{row['core_seconds_per_image']:.1f} core-seconds", row["stages"]
-    quotes = {
-        ROOT / "README.md": [seconds, f"{round(row['images_per_hour'], -1):,.0f} images", f"{row['ratio']:.2f} times"],
-        DOCS / "faq.md": [seconds],
-        DOCS / "speed.md": [seconds, *(f"{seconds_of(stages, *names):.2f}" for names in COLUMNS[:4])],
-    }
-    for page, texts in quotes.items():
-        assert [text for text in texts if text not in page.read_text()] == [], page.name
+CLUSTER = ROOT / "docs/cluster"
+N = 3
+PROGRAM = f"""#!{sys.executable}
+import functools
+import sys
+sys.path.insert(0, {str(ROOT)!r})
+from synth3dlanes.production import plan
+from synth3dlanes_cli.main import main
+from tests import fake_samples
+plan.Plan = functools.partial(plan.Plan, shard_size=1, maker=fake_samples.make)
+if __name__ == "__main__":
+    main([{str(N)!r} if word == "300000" else word for word in sys.argv[1:]])
+"""
 
 
-def test_the_times_of_the_faq_follow_from_the_bench() -> None:
-    """The table gives the hours of (images x core-seconds / cores), rounded."""
-    cost_s = json.loads((DOCS / "bench.json").read_text())["rows"][0]["core_seconds_per_image"]
-    unit_s = {"min": 60, "h": 3600}
-    rows = re.findall(r"^\| ([\d,]+) \| (.+?) \| (.+?) \| (.+?) \|$", (DOCS / "faq.md").read_text(), re.MULTILINE)
-    assert [row[0] for row in rows] == ["10,000", "100,000", "300,000"]
-    for images, *times in rows:
-        for cores, time in zip((8, 64, 512), times, strict=True):
-            number, unit = time.split()
-            assert float(number) * unit_s[unit] == pytest.approx(
-                int(images.replace(",", "")) * cost_s / cores, rel=0.04, abs=30
-            )
+@pytest.fixture
+def run_script(tmp_path: Path):
+    """`run_script(text, **environment)` in a shell where our program is the small one and `srun` runs what it gets."""
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name, text in (("synth3dlanes", PROGRAM), ("srun", '#!/bin/sh\nexec "$@"\n')):
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+
+    def run(text: str, **environment: str) -> str:
+        path = {"PATH": f"{programs}:{os.environ['PATH']}", "SCRATCH": str(tmp_path), "HOME": str(tmp_path)}
+        done = subprocess.run(
+            ["bash", "-c", text], env={**path, **environment}, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+def assert_whole(out: Path, run_script) -> None:
+    from synth3dlanes.dataset.read import Reader
+
+    assert [sample.key for sample in Reader(str(out / "train"))] == [f"{i:08d}" for i in range(N)]
+    again = json.loads(run_script(f"synth3dlanes generate --n 300000 --out {out} --json"))
+    assert (again["made"], again["done"], again["asked"]) == (0, N, N)
+
+
+@pytest.mark.thorough
+def test_the_slurm_array_makes_a_whole_data_set(tmp_path, run_script):
+    script = (CLUSTER / "lanes.sbatch").read_text()
+    assert re.search(r"^#SBATCH --array=1-(\d+)$", script, re.MULTILINE)
+    for part in range(1, N + 1):
+        array = {"SLURM_ARRAY_TASK_ID": str(part), "SLURM_ARRAY_TASK_COUNT": str(N)}
+        assert "1 of 1 sample, 1 made now" in run_script(script, **array)
+    assert_whole(tmp_path / "lanes", run_script)
+
+
+@pytest.mark.thorough
+def test_the_kubernetes_job_makes_a_whole_data_set(tmp_path, run_script):
+    job = yaml.safe_load((CLUSTER / "job.yaml").read_text())["spec"]
+    (container,) = job["template"]["spec"]["containers"]
+    (command,) = container["args"]
+    assert container["command"] == ["bash", "-c"]
+    assert command.endswith(f'/{job["completions"]}"')
+    assert container["volumeMounts"][0]["mountPath"] == "/shared"
+    command = command.replace(f"/{job['completions']}", f"/{N}").replace("/shared", str(tmp_path))
+    for index in range(N):
+        run_script(command, JOB_COMPLETION_INDEX=str(index))
+    assert_whole(tmp_path / "lanes", run_script)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
+def test_ray_accepts_its_cluster_file():
+    # Ray's code warns of its own.
+    check = """
+import sys, yaml
+from ray.autoscaler._private.util import prepare_config, validate_config
+config = prepare_config(yaml.safe_load(open(sys.argv[1])))
+validate_config(config)
+print(config["available_node_types"]["maker"]["min_workers"], config["docker"]["image"])
+"""
+    command = [sys.executable, "-c", check, str(CLUSTER / "ray.yaml")]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[0] == "16"
+
+
+def test_the_container_has_what_blender_and_we_need():
+    from synth3dlanes.system.system_libraries import PACKAGES
+
+    text = (CLUSTER / "Containerfile").read_text().replace("\\\n", " ")
+    instructions = [line for line in text.splitlines() if line and not line.startswith("#")]
+    assert [line.split()[0] for line in instructions] == ["FROM", "RUN", "COPY", "RUN"]
+    packages = instructions[1].split("--no-install-recommends")[1].split("&&")[0].split()
+    assert set(packages) == {"rsync", *PACKAGES.values()}
+    for line in instructions:
+        if line.startswith("RUN"):
+            subprocess.run(["bash", "-n", "-c", line.removeprefix("RUN ")], check=True)
+
+
+def test_the_container_gets_every_file_that_pip_needs():
+    ignored = (CLUSTER / "Containerfile.dockerignore").read_text().split()
+    kept = {name.removeprefix("!") for name in ignored if name.startswith("!")}
+    project = (ROOT / "pyproject.toml").read_text()
+    folders = {"synth3dlanes", *re.findall(r'_?\w+"? = "(baseline_model|cli|params|blender_assets)"', project)}
+    assert kept == folders | {"LICENSE", "README.md", "constraints.txt", "pyproject.toml"}
+    assert all((ROOT / name).exists() for name in kept)

@@ -1,7 +1,7 @@
 """Every command and every Python example of the pages runs, in its page's order and folder, and prints what they say.
 
 What is made smaller: `small` says. What is only parsed stands under `<!-- not run: why -->` in the page. Blocks under
-`<!-- file NAME -->` are files of docs/, which test_docs_cluster.py runs; docs/loaders.md has tests/formats's own test.
+`<!-- file NAME -->` are files of docs/, which test_docs.py runs; docs/loaders.md has tests/formats's own test.
 Inline commands have placeholders, so there only names and options are looked up.
 """
 

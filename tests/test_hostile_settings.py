@@ -83,14 +83,6 @@ def test_settings(tmp_path_factory, name, data):
     assert not LEAKED.search(problems), problems
 
 
-@pytest.mark.parametrize("name", READERS)
-def test_control_characters_are_no_text(tmp_path, name):
-    """YAML 1.2, 5.1: of the characters below a space, only tab and line breaks may be in a document."""
-    (tmp_path / "x.yaml").write_bytes((presets_folder() / name).read_bytes() + b"# \x07")
-    with pytest.raises(InputError, match=r"x\.yaml.*: not YAML: character 0x07 at \d+ is not text$"):
-        READERS[name](str(tmp_path / "x.yaml"))
-
-
 SCORES = json.dumps({"source": "nowhere/test", "samples": [{"key": "00000001"}, {"key": "00000002"}]})
 
 

@@ -350,20 +350,3 @@ def test_a_spread_out_of_bounds_or_of_no_numbers_is_named() -> None:
     for change in ("camera.pitch_deg=59 +- 2", "cars.n=5 +- 0.5", "light.exposure=1..2 +- 1", "light.exposure=2 +- -1"):
         with pytest.raises(InputError, match="expected"):
             load_params("tiny", [change])
-
-
-def test_appendix_i_has_the_papers_ranges() -> None:
-    params = load_params("appendix_i")
-    assert params.terrain.n_gaussians == Integers(1, 7)
-    assert params.terrain.magnitude_m == Uniform(-50, 50)
-    assert params.terrain.sd_m == Uniform(25, 250)
-    assert params.road.topology == Integers(1, 4)
-    assert params.road.flip_lateral == Choice((True, False), (1, 1))
-    assert params.road.lane_width_m == Uniform(3.2, 4.0)
-    assert params.road.ramp_slope == Uniform(0.5, 4.5)
-    assert params.markings.dash_fraction == Uniform(0.3, 1)
-    assert params.cars.n == Integers(1, 24)
-    assert params.trees.n == Integers(40, 800)
-    assert params.camera.pitch_deg == Uniform(0, 5)
-    assert params.camera.width_px == Choice((480,), (1,))
-    assert params.light.exposure == Uniform(1, 3)

@@ -12,7 +12,7 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.assets.catalogue import THINGS
-from synth3dlanes.scene.scene import Scene, to_json
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.motion import host_speed
 from synth3dlanes.world.world import World
@@ -22,7 +22,6 @@ from tests.thorough import first
 from tests.town_checks import bodies
 
 MANY = ("people.per_100_m=20", "people.crossing=4", "riders.cyclists=8", "riders.motorcyclists=3")
-NONE = ("people.per_100_m=0", "people.crossing=0", "riders.cyclists=0", "riders.motorcyclists=0")
 WALKWAYS = (
     "town.n_more=0",
     "trees.n=0",
@@ -213,13 +212,6 @@ def test_people_climb_kerbs_smoothly() -> None:
     assert climbed.any()
     assert np.abs(np.diff(feet[:, climbed, 2], axis=0)).max() < 0.04
     assert np.ptp(feet[:, climbed, 2], axis=0).min() > 0.09
-
-
-def test_people_change_nothing_else() -> None:
-    full, empty = town(3).scene, town(3, *NONE).scene
-    assert full.things
-    assert full.model_copy(update={"things": ()}) == empty
-    assert "things" not in to_json(empty)
 
 
 def test_umbrellas_are_for_rain() -> None:

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
+from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world, world_in_shot
 from synth3dlanes.geometry.frames import invert, transform, turned
 from synth3dlanes.params.params import load_params
+from synth3dlanes.params.shots import clips
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import label
-from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 from synth3dlanes.world.world import World, resolve
 from tests.scenes import changed
 from tests.thorough import presets
+from tests.town_checks import bodies, touching
 
-N = 250
+N = 150
 # With some 40 tests of uniformity, a true null falls below this once in 250 runs; the draws are fixed, so never here.
 P_VALUE = 1e-4
 
@@ -117,15 +118,29 @@ def test_the_host_stands_in_every_lane_present_alike(scenes):
     assert np.mean(places) == pytest.approx(0.5, abs=0.05)
 
 
-def test_groups_have_streams_of_their_own(params):
+# Changes, and the parts of a scene that differ by them; all else is drawn as without them.
+TOWN = ("town.traffic=0.1", "people.per_100_m=9", "riders.cyclists=2")
+ALONE = (
+    ("appendix_i", ("terrain.n_gaussians=5", "light.exposure=1", "trees.n=50"), "terrain light trees"),
+    ("appendix_i", ("vegetation.translucency=1", "vegetation.grass_m=0.2"), "vegetation"),
+    ("diverse", ("weather.kind=rain", "weather.daytime=night"), "air light sensor surface weather"),
+    (
+        "streets",
+        ("roadside.outer=none", "roadside.lamps=both", "roadside.n_signs=9", "roadside.n_houses=9"),
+        "roadside trees",
+    ),
+    ("streets", ("works.present=true",), "cars road symbols things"),
+    ("town", ("people.per_100_m=0", "people.crossing=0", "riders.cyclists=0", "riders.motorcyclists=0"), "things"),
+)
+
+
+@pytest.mark.parametrize(("preset", "changes", "parts"), ALONE)
+def test_groups_have_streams_of_their_own(preset, changes, parts):
     """Changing one group leaves every other as it was, unless it depends on it by its meaning."""
-    scene = sample_scene(Scenes(params), 3)
-    other = sample_scene(
-        Scenes(load_params("appendix_i", ["terrain.n_gaussians=2", "light.exposure=1", "trees.n=50"])), 3
-    )
-    for part in ("road", "markings", "surface", "cars", "camera"):
-        assert getattr(other, part) == getattr(scene, part)
-    assert other.light.sun_azimuth_rad == scene.light.sun_azimuth_rad, "a constant still uses up its draw"
+    always = TOWN if preset == "town" else ("road.topology=1", "works.present=false")
+    one, other = (sample_scene(Scenes(load_params(preset, (*always, *own))), 3) for own in ((), changes))
+    differ = {part for part in type(one).model_fields if getattr(one, part) != getattr(other, part)}
+    assert differ == {*parts.split()}
 
 
 def test_scenes_differ_by_seed_split_and_index(params):
@@ -136,28 +151,16 @@ def test_scenes_differ_by_seed_split_and_index(params):
     assert len(texts) == 4
 
 
-def test_cars_keep_apart(scenes):
-    """Circles along each car's axis, an independent and stricter-than-none test of overlap."""
-    from synth3dlanes.scene.assets.catalogue import CARS
-    from synth3dlanes.world.placement import car_place
-
-    for scene in scenes[:60]:
-        network = resolve(scene).network
-        circles, owners = [], []
-        for i, car in enumerate(scene.cars):
-            middle, heading = car_place(network, car.lane, car.s_m)
-            model = CARS[car.model - 1]
-            reach = (model.length_m - model.width_m) / 2 * car.scale
-            for along in np.linspace(-reach, reach, 7):
-                circles.append([*(middle + along * heading), model.width_m / 2 * car.scale])
-                owners.append(i)
-        circles, owners = np.array(circles), np.array(owners)
-        gap = (
-            np.linalg.norm(circles[:, None, :2] - circles[None, :, :2], axis=2)
-            - circles[:, None, 2]
-            - circles[None, :, 2]
-        )
-        assert gap[owners[:, None] != owners[None, :]].min(initial=1) > 0
+@pytest.mark.parametrize("preset", ["appendix_i", "streets"])
+def test_no_two_cars_ever_touch(preset):
+    """At any instant of a clip, the host included."""
+    shots = clips(6, 2.5)
+    scenes = Scenes(load_params(preset, ["trees.n=40"]), shots=shots)
+    for index in range(6):
+        world = sample_world(scenes, shots.frames * index)
+        assert world.scene.cars
+        for frame in range(shots.frames):
+            assert touching(bodies(world_in_shot(scenes, world, shots.place(frame)))) == [], (index, frame)
 
 
 SOLD = ["cars.palette=sold", "cars.model={2: 3, 11: 1}", "cars.n=10", "trees.n=0"]
@@ -211,13 +214,6 @@ def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
     assert 5 <= min(counts) <= max(counts) <= 60 / 3.5
 
 
-def test_vegetation_changes_nothing_else():
-    scene = sample_scene(Scenes(load_params("appendix_i")), 0)
-    lush = sample_scene(Scenes(load_params("appendix_i", ["vegetation.translucency=1", "vegetation.grass_m=0.2"])), 0)
-    assert (lush.vegetation.translucency, lush.vegetation.grass_m) == (1, 0.2)
-    assert lush.model_copy(update={"vegetation": scene.vegetation}) == scene
-
-
 # Distance of a chord's middle from a sharp bend, and the end of a lane without points: those of maps are 1 m apart.
 LAW_M, CHORD_M, REST_M = 0.001, 0.03, 2.0
 
@@ -248,26 +244,13 @@ def asides_m(points: np.ndarray, foot: np.ndarray) -> tuple[float, ...]:
     return across_m, float(np.copysign(np.hypot(x, y), across_m)), across_m - bent_m
 
 
-def cars_in_the_host(world: World) -> list[int]:
-    pose = world.view.world_from_host
-    body = footprint(pose[:2, 3], pose[:2, 1] / np.linalg.norm(pose[:2, 1]), *HOST_SIZE_M)
-    found = []
-    for i, item in enumerate(item for item in world.view.objects if not item.kind):
-        along = item.world_from_object[:2, 1]
-        place = item.world_from_object[:2, 3]
-        width_m, length_m, _ = item.size_m
-        outline = footprint(place, along / np.linalg.norm(along), length_m, width_m)
-        found += [i] if overlaps_any(body, outline[None]) else []
-    return found
-
-
 @pytest.mark.parametrize("preset", presets("appendix_i", "streets"))
 def test_every_drawn_host_is_in_its_lane_and_clear_of_cars(preset: str) -> None:
     for index in range(3):
         world = sample_world(Scenes(load_params(preset)), index)
         law_m = CHORD_M if world.scene.map else LAW_M
         assert abs(off_its_lane_m(world)) < law_m
-        assert cars_in_the_host(world) == []
+        assert touching(bodies(world)) == []
 
 
 def test_so_it_is_where_a_lane_through_a_junction_ends() -> None:

@@ -1,7 +1,6 @@
 """Traffic elements: places by closed forms, states by phases, lanes that exist, ids through clips and rigs, and what
 presets draw."""
 
-import json
 from collections import Counter
 
 import numpy as np
@@ -10,14 +9,13 @@ from pydantic import ValidationError
 
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.geometry.frames import rotation, transform
-from synth3dlanes.labels import labels as label_file
 from synth3dlanes.labels.object_labels import as_seen, stacked
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.roadside import Crossing, Roadside
-from synth3dlanes.scene.scene import Scene, from_json, to_json
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import LaneSignal, Phase, SignKind, TrafficSign, TrafficSignal
 from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.truth.object_truth import meets_quads, with_pixel_shares
@@ -105,21 +103,6 @@ def test_lanes_that_are_not_there_are_refused():
     )
     with pytest.raises(ValidationError, match=r"roadside.crossings.0.signals: expected lanes among"):
         Scene.model_validate(with_roadside(crossings=(gantry,)).model_dump())
-
-
-def test_scenes_and_labels_are_read_as_written():
-    scene = signals_scene()
-    assert from_json(to_json(scene), "scene") == scene
-    labels = ground_truth(scene)
-    text = label_file.to_json(labels)
-    again = label_file.from_json(text, "labels")
-    assert label_file.to_json(again) == text
-    for found, expected in zip(again.traffic_elements, labels.traffic_elements, strict=True):
-        np.testing.assert_allclose(found.corners_cam, expected.corners_cam, atol=1.5e-4)
-        assert found.lanes == expected.lanes
-    older = json.loads(text)
-    del older["traffic_elements"]
-    assert label_file.from_json(json.dumps(older), "labels").traffic_elements is None
 
 
 def test_arrays_have_what_labels_have():

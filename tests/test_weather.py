@@ -61,14 +61,6 @@ def test_at_night_the_sun_is_down_the_lamps_are_on_and_the_camera_works_harder()
     assert min(map(film, night)) > 50 * np.median([film(scene) for scene in day])
 
 
-def test_weather_changes_nothing_but_what_it_names():
-    for plain, rainy in zip(drawn(n=6), drawn("weather.kind=rain", "weather.daytime=night", n=6), strict=True):
-        for part in ("terrain", "road", "markings", "cars", "trees", "camera", "host", "assets"):
-            assert getattr(plain, part) == getattr(rainy, part)
-        assert plain.light.sun_azimuth_rad == rainy.light.sun_azimuth_rad
-        assert plain.surface.model_copy(update={"wetness": rainy.surface.wetness}) == rainy.surface
-
-
 # A value of each key that weather or time of day replaces, which neither of them gives.
 OWN = {
     "air.visibility_m": 55,
@@ -173,37 +165,6 @@ def test_what_weather_replaces_is_recorded_where_it_is_not_as_usual():
     assert plain == {name: group for name, group in document.items() if name != "fog"}
     assert Params.model_validate(document) == load_params("streets", ["fog.visibility_m=50"])
     assert Params.model_validate(plain) == load_params("streets")
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ("fog.visibility_m=5", "fog.visibility_m: expected numbers in [20, 1e+06]"),
-        ("fog.visibilty_m=50", "fog.visibilty_m: unknown key; did you mean visibility_m?"),
-        ("fog.rain=0.5", "fog.rain: unknown key"),
-        ("night=3", "expected group.key=value"),
-    ],
-)
-def test_a_mistake_in_what_weather_replaces_is_one_line(change, told):
-    with pytest.raises(InputError) as error:
-        load_params("streets", [change])
-    (line,) = error.value.problems
-    assert told in line
-
-
-def test_what_no_weather_replaces_is_not_recorded():
-    assert load_params("diverse", [f"{path}={str(value).lower()}" for path, value in OWN.items()]).kept == ()
-    assert load_params("streets", ["weather.daytime=day", "light.exposure=2", "cars.n=3"]).kept == ()
-    assert "kept" not in load_params("streets").model_dump(mode="json")
-
-
-def test_statistics_know_own_values():
-    params = load_params("diverse", [*FEW, "weather.kind=rain", "surface.wetness=0", "weather.rain=[0.8, 1]"])
-    scenes = [sample_scene(Scenes(params, 3, "weather"), index) for index in range(30)]
-    rows = {row.key: row for row in scene_statistics(scenes, params).parameters}
-    assert [row.key for row in rows.values() if not is_fine(row)] == []
-    assert (rows["weather.rain"].low, rows["weather.rain"].high) == (0.8, 1)
-    assert rows["surface.wetness"].maximum == 0
 
 
 @pytest.mark.parametrize(

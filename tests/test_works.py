@@ -10,7 +10,7 @@ import shapely
 from pydantic import ValidationError
 
 from synth3dlanes.dataset.columns import numbers_of
-from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
+from synth3dlanes.draw.sample import Scenes, draw_world, world_in_shot
 from synth3dlanes.formats.lanelet_map import lanelets_of
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.params.params import load_params
@@ -269,16 +269,6 @@ def test_cars_of_scenes_name_the_lanes_along_works() -> None:
     assert road.segments_at(41) == ("after_1", "after_2", "after_3")
     assert len(road.segments) == 8
     assert Scene.model_validate_json(to_json(scene)) == scene
-
-
-def test_works_change_nothing_but_the_lanes_and_what_is_on_them() -> None:
-    params = load_params("streets", ("road.topology=1", "works.present=false"))
-    without = sample_scene(Scenes(params, 11), 3)
-    scene = drawn(3).scene
-    assert "works" not in json.loads(to_json(without))["road"]
-    assert scene.paper_road.model_copy(update={"works": None}) == without.paper_road
-    for name in ("terrain", "markings", "surface", "light", "air", "sensor", "weather", "host", "roadside"):
-        assert getattr(scene, name) == getattr(without, name)
 
 
 def test_the_index_says_them() -> None:

@@ -1,4 +1,4 @@
-"""The built assets: sizes, wheels, triangle caps, semantic ids, tiling textures."""
+"""The built assets: sizes, wheels, triangle caps, semantic ids, tiling textures, and their quick copies."""
 
 from collections import defaultdict
 from collections.abc import Iterator
@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+
+from synth3dlanes.blender.quick_copy import quick_copy
+from synth3dlanes.scene.settings import SCRATCH
 
 bpy = pytest.importorskip("bpy")
 
@@ -164,29 +167,6 @@ def test_colours_of_things_are_those_of_their_objects(assets: LoadedAssets) -> N
             assert read == expected
 
 
-def test_tyres_are_dark_whatever_the_paint(assets: LoadedAssets) -> None:
-    for mesh in assets.cars:
-        tyre = next(material for material in mesh.materials if material.name == "car_tyre")
-        kinds = {node.bl_idname: node for node in tyre.node_tree.nodes}
-        assert "ShaderNodeObjectInfo" not in kinds, "the object's colour is that of its paint"
-        assert max(kinds["ShaderNodeBsdfDiffuse"].inputs["Color"].default_value[:3]) < 0.04
-
-
-def test_only_lamps_that_light_the_road_are_made_of_what_shines_white(assets: LoadedAssets) -> None:
-    """Reversing lamps are off as a car drives, and head lamps stand in frames darker than any paint."""
-    for mesh in assets.cars:
-        head = points(mesh, "car_head")
-        assert head[:, 1].min() > 0, mesh.name
-        trim = points(mesh, "car_trim")
-        for side in (1, -1):
-            lamp = head[side * head[:, 0] > 0]
-            frame = trim[(side * trim[:, 0] > 0.3) & (np.abs(trim[:, 2] - lamp[:, 2].mean()) < 0.09)]
-            frame = frame[frame[:, 1] > lamp[:, 1].min() - 0.05]
-            for axis in (0, 2):
-                assert frame[:, axis].min() < lamp[:, axis].min() - 0.02, mesh.name
-                assert frame[:, axis].max() > lamp[:, axis].max() + 0.02, mesh.name
-
-
 def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Materials) -> None:
     expected = [(materials.terrains, 1), (materials.roads, 2), (materials.shoulders, 3), ((materials.marking,), 4)]
     expected += [(mesh.materials, 5) for mesh in assets.cars] + [(mesh.materials, 6) for mesh in assets.trees]
@@ -231,3 +211,30 @@ def test_far_roads_are_as_rough_as_their_bumps() -> None:
 
 def test_assets_stay_small() -> None:
     assert sum(path.stat().st_size for path in assets_dir().rglob("*") if path.is_file()) < MAX_BYTES
+
+
+@pytest.fixture
+def jpeg(tmp_path, rng):
+    path = tmp_path / "stone.jpg"
+    Image.fromarray(rng.integers(0, 255, (32, 48, 3), dtype=np.uint8)).save(path)
+    return path
+
+
+def test_a_copy_holds_the_very_pixels_and_is_made_once(jpeg, tmp_path, monkeypatch):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setenv(SCRATCH, str(scratch))
+    copy = quick_copy(jpeg)
+    assert copy.parent == scratch
+    assert np.array_equal(np.asarray(Image.open(copy)), np.asarray(Image.open(jpeg)))
+    made_at = copy.stat().st_mtime_ns
+    assert quick_copy(jpeg) == copy
+    assert copy.stat().st_mtime_ns == made_at
+    assert list(scratch.iterdir()) == [copy]
+
+
+def test_without_a_folder_or_room_the_file_itself_serves(jpeg, tmp_path, monkeypatch):
+    monkeypatch.delenv(SCRATCH, raising=False)
+    assert quick_copy(jpeg) == jpeg
+    monkeypatch.setenv(SCRATCH, str(tmp_path / "gone"))
+    assert quick_copy(jpeg) == jpeg

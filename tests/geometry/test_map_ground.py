@@ -1,15 +1,31 @@
-"""The ground of maps: one surface without steps, terrain that meets it, kerbs, heights; OpenLane-V2's map."""
+"""The ground of maps: one surface without gaps or steps, terrain that meets it, kerbs, heights; OpenLane-V2's map."""
 
 import numpy as np
 import pytest
 
+from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.lane_map import REACH_M, lane_segments
+from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland, Polynomial, RoadMap
+from synth3dlanes.system.arrays import Points3
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.faces import MeshFaces
-from synth3dlanes.world.world import resolve
-from tests.map_scenes import ARM_M, FOUR_WAY, HALF_M, HILLS, WIDTH_M, crossing, map_scene, sections_road
+from synth3dlanes.world.meshes import Mesh
+from synth3dlanes.world.world import World, resolve
+from tests.map_scenes import (
+    ARM_M,
+    FOUR_WAY,
+    HALF_M,
+    HILLS,
+    LEFT_TURN,
+    T_JUNCTION,
+    WIDTH_M,
+    crossing,
+    map_scene,
+    sections_road,
+)
+from tests.thorough import first
 
 ISLAND = MapIsland(outline=((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)), height_m=0.2, surface="grass")
 
@@ -56,19 +72,6 @@ def test_the_terrain_goes_on_below_the_pavement_and_meets_its_edges(world):
     assert (np.abs(gap_m - 0.12) < 0.06).all(), "a kerb above the terrain that goes on under it"
 
 
-def test_pavement_is_closed_at_the_ends_of_its_road_too(world):
-    """What follows may be narrower: nobody looks below the pavement there."""
-    for name, end_m in (("south", 0.0), ("east", world.network.road("east").end_m)):
-        road = world.network.road(name)
-        at = np.full(9, end_m)
-        across = np.linspace(0.4, 0.6, 9) * (road.right(at) - road.left(at)) + road.left(at)
-        xy = road.xy(at, across)
-        vertices = np.concatenate([mesh.vertices_world for mesh in world.site.surfaces.pavement])
-        near = np.abs(vertices[:, None, :2] - xy).sum(axis=2).min(axis=1) < 0.5
-        feet = vertices[near, 2] - height_at(HILLS, vertices[near, :2])
-        assert feet.min() < -0.1
-
-
 def test_walkways_and_islands_are_raised(world):
     arm, s = world.network.road("north"), np.linspace(2, 40, 20)
     middle = arm.xy(s, arm.right(s) - 1.0)
@@ -87,13 +90,6 @@ def test_clearance_is_the_distance_from_the_nearest_edge(world):
     half_m = WIDTH_M + 0.4 + 2.0
     xy = np.array([[half_m + 1.5, -60.0], [0.0, -60.0], [-60.0, half_m + 3.0], [1.0, HALF_M + ARM_M + 4.0]])
     assert world.ground.clearance(xy) == pytest.approx([1.5, -half_m, 3.0, 4.0], abs=0.01)
-
-
-def test_kerbs_hide_what_is_close_behind_them(world):
-    labels = label(world, world.view)
-    lanes = {lane.id: lane for lane in labels.lanes}
-    seen = lanes["south.0.1.line"]
-    assert seen.terrain_visible[1:20].all(), "in front of its own kerb"
 
 
 def test_roads_with_heights_leave_the_terrain_and_fall_to_it_beside_their_edges():
@@ -151,3 +147,52 @@ def test_what_is_far_from_the_host_is_left_out():
     assert [road.id for road in more.network.roads] == [road.id for road in near.network.roads]
     xy = np.random.default_rng(0).uniform(-80, 80, (500, 2))
     np.testing.assert_array_equal(near.ground.height(xy), more.ground.height(xy))
+
+
+MAPS = {"four_way": FOUR_WAY, "left_turn": LEFT_TURN, "t": T_JUNCTION, "sections": sections_road()}
+
+
+def world_of(name: str | int) -> World:
+    """A map made by hand, on hills, or a town."""
+    if isinstance(name, int):
+        return sample_world(Scenes(load_params("town"), 7001), name)
+    return resolve(map_scene(MAPS[name], 9.0, terrain=HILLS.model_dump()))
+
+
+def open_edges(mesh: Mesh) -> tuple[Points3, Points3]:
+    """The ends of the edges that belong to one face alone. Vertices at one place are one."""
+    rows = np.ascontiguousarray(np.round(mesh.vertices_world, 5) + 0.0).view("V24").reshape(-1)
+    _, which = np.unique(rows, return_inverse=True)
+    corners = which[mesh.faces]
+    edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+    vertices = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    is_edge = edges[:, 0] != edges[:, 1]
+    low, high = np.sort(edges[is_edge], axis=1).T
+    _, at, count = np.unique(low * len(rows) + high, return_index=True, return_counts=True)
+    alone = vertices[is_edge][at[count == 1]]
+    return mesh.vertices_world[alone[:, 0]], mesh.vertices_world[alone[:, 1]]
+
+
+def gaps(terrain: Mesh) -> Points3:
+    """Where edges inside a terrain belong to one face alone."""
+    start, end = open_edges(terrain)
+    low, high = terrain.vertices_world[:, :2].min(axis=0), terrain.vertices_world[:, :2].max(axis=0)
+    on_border = ((start[:, :2] == low) & (end[:, :2] == low)) | ((start[:, :2] == high) & (end[:, :2] == high))
+    return start[~on_border.any(axis=1)]
+
+
+@pytest.mark.parametrize("name", [*MAPS, *first(1, [6, 39, 1, 14, 21, 33])])
+def test_the_terrain_is_one_surface_below_the_pavement(name: str | int) -> None:
+    world = world_of(name)
+    terrain = world.site.surfaces.terrain
+    assert not len(gaps(terrain)), name
+    rng, ground = np.random.default_rng(0), world.ground
+    (x0, y0, x1, y1) = ground.way.box(120.0)
+    xy = rng.uniform((x0, y0), (x1, y1), (3000, 2))
+    z = MeshFaces([terrain]).height(xy)
+    assert np.isfinite(z).all()
+    inside_m = -ground.clearance(xy)
+    over_m = MeshFaces(world.site.surfaces.pavement).height(xy) - z
+    assert np.nanmin(over_m[inside_m > 0.2]) > 0, f"{name}: terrain over the pavement"
+    near = (inside_m < -2.0) & (ground.way.away_at(xy) < 60)
+    assert np.abs(ground.height(xy[near]) - z[near]).max() < 0.06

@@ -1,29 +1,14 @@
 """Maps as networks: paths, directions, links, lines and what drives on them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from synth3dlanes.labels import labels as label_file
-from synth3dlanes.roads.from_paper import paths_through
-from synth3dlanes.roads.lane_curves import LaneCurve, Piece
 from synth3dlanes.roads.line_forms import Chain, Cubic, Spiral
-from synth3dlanes.roads.line_table import RoadLines
-from synth3dlanes.roads.network import LanePattern, Network
-from synth3dlanes.roads.reference_line import Offset
-from synth3dlanes.roads.roads import NetworkLane, Road
-from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.road_map import RoadMap
-from synth3dlanes.scene.scene import Terrain
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.horizon import FarHills
-from synth3dlanes.world.host_way import HostWay
-from synth3dlanes.world.verges import Verges
+from synth3dlanes.world.motion import car_at
 from synth3dlanes.world.world import resolve
-from tests.map_scenes import FOUR_WAY, HILLS, LEFT_TURN, T_JUNCTION, map_scene, sections_road
-from tests.scenes import FLAT, hill
+from tests.map_scenes import ARM_M, FOUR_WAY, HALF_M, HILLS, LEFT_TURN, T_JUNCTION, WIDTH_M, map_scene, sections_road
 
 MAPS = {"four way": FOUR_WAY, "left turn": LEFT_TURN, "T": T_JUNCTION, "sections": sections_road()}
 
@@ -95,14 +80,6 @@ def test_a_mark_of_two_stripes_is_told_from_the_left_as_its_line_goes():
     assert len(lanes["r.0.-1.line"].xyz_cam) > 90, "an edge line goes on along the lane that opens"
 
 
-def test_scenes_and_labels_of_maps_come_back_from_their_files():
-    scene = map_scene(FOUR_WAY, 60.0)
-    assert scene_file.from_json(scene_file.to_json(scene), "a") == scene
-    labels = ground_truth(scene)
-    text = label_file.to_json(labels)
-    assert label_file.to_json(label_file.from_json(text, "a")) == text
-
-
 def test_neighbours_and_numbers_count_from_the_left_of_the_traffic():
     graph = ground_truth(map_scene(sections_road(), 60.0)).graph
     at = {segment.id: segment for segment in graph.segments}
@@ -157,51 +134,85 @@ def test_a_polyline_runs_through_its_points_by_length():
     np.testing.assert_allclose(line.frames(np.array([10.0])).points_world, [[3.0, 9.0]], atol=1e-9)
 
 
-TERRAIN = Terrain(gaussians=(hill(40, 60, 12, 90), hill(-80, 20, -8, 70)))
-NO_HILLS = FarHills(0.0, np.zeros((2, 1)), np.zeros(1))
+TRACK = ((0.0, 0.0), (2.0, 18.0), (4.0, 28.5), (6.0, 28.5), (10.0, 70.0))
+CAR = {
+    "model": 1, "scale": 1.0, "color": (0.8, 0.1, 0.1), "gloss": 0.5, "lane": "east.0.1", "s_m": 30.0,
+    "route": ("east_south.0.-1", "south.0.-1"), "track": TRACK,
+}  # fmt: skip
+RADIUS_M = HALF_M + WIDTH_M / 2
 
 
-def street(name, start, heading_rad=np.pi / 2, length_m=200.0):
-    lane = NetworkLane(f"{name}_1", name, name, 1, Offset(0.0), 3.5, 0.0, length_m)
-    line = Spiral(length_m, start, heading_rad)
-    return Road(name, line, TERRAIN, Offset(-2.5), Offset(2.5), 0.75, (lane,), 0.0, length_m)
+def frame(time_s: float, **parts):
+    shot = {"frame": round(time_s * 10), "n_frames": 110, "fps": 10.0, "speed_m_s": 8.0}
+    return resolve(map_scene(LEFT_TURN, 90.0, shot=shot, **parts))
 
 
-def network_of(roads, links=()):
-    """The roads; the host drives along the first one."""
-    lanes = [lane for road in roads for lane in road.lanes]
-    piece = Piece(roads[0], Offset(0.0), 0.0, roads[0].end_m)
-    way = LaneCurve("way", "centerline", roads[0].id, "none", (), (piece,), 0.0, roads[0].end_m)
-    paths = paths_through(roads, lanes, links, (), to_right=True)
-    by_id = {lane.id: lane for lane in lanes}
-    lines = RoadLines(paths, {road.id: road for road in roads}, 1.0)
-    return Network(TERRAIN, roads, by_id, links, paths, (), way, lines, LanePattern(3.5, 1))
+def test_the_host_drives_its_route_and_looks_along_its_tangent():
+    for time_s in np.arange(0, 10, 0.7):
+        pose, driven_m = frame(float(time_s)).view.world_from_host, 90 + 8 * round(time_s * 10) / 10
+        turning_m = driven_m - ARM_M
+        if turning_m < 0:
+            place, heading = [WIDTH_M / 2, -HALF_M + turning_m], [0, 1]
+        elif turning_m < RADIUS_M * np.pi / 2:
+            a = turning_m / RADIUS_M
+            place = [WIDTH_M / 2 - RADIUS_M * (1 - np.cos(a)), -HALF_M + RADIUS_M * np.sin(a)]
+            heading = [-np.sin(a), np.cos(a)]
+        else:
+            place, heading = [-HALF_M - turning_m + RADIUS_M * np.pi / 2, WIDTH_M / 2], [-1, 0]
+        np.testing.assert_allclose(pose[:2, 3], place, atol=0.002)
+        np.testing.assert_allclose(pose[:2, 1], heading, atol=2e-3)
 
 
-def test_paths_neighbours_and_successors_follow_from_links():
-    """A street that splits into two, and one of the two that another joins."""
-    spans = {"stem": (0.0, 200.0), "main": (200.0, 400.0)}
-    lanes = [NetworkLane(f"{name}_1", "main", name, 1, Offset(0.0), 3.5, *span) for name, span in spans.items()]
-    main = replace(street("main", (0.0, 0.0), length_m=400.0), lanes=tuple(lanes))
-    roads = main, street("exit", (0.0, 200.0), 1.4)
-    split = network_of(roads, (("stem_1", "main_1"), ("stem_1", "exit_1")))
-    assert [(path.id, [lane.id for lane in path.lanes]) for path in split.paths] == [
-        ("main_1", ["stem_1", "main_1"]), ("exit_1", ["stem_1", "exit_1"])
-    ]  # fmt: skip
-    graph = split.graph(["main_1", "exit_1"])
-    assert graph.successors == {"stem_1": ("main_1", "exit_1")}
-    assert {at.id: at.centerlines for at in graph.segments} == {
-        "stem_1": ("main_1", "exit_1"), "main_1": ("main_1",), "exit_1": ("exit_1",)
-    }  # fmt: skip
-    merge = network_of(roads, (("main_1", "stem_1"), ("exit_1", "stem_1")))
-    assert [path.id for path in merge.paths] == ["main_1", "exit_1"]
+def test_a_car_is_at_the_lengths_of_its_track_and_never_drives_back():
+    network = frame(0.0, cars=(CAR,)).network
+    car = frame(0.0, cars=(CAR,)).scene.cars[0]
+    way, start_m = network.car_way(car)
+    line = way.points_world(np.linspace(0, way.end_m, 40_000))
+    lengths_m = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    places = []
+    for time_s, length_m in TRACK:
+        at = car_at(network, car, time_s)
+        lane = network.lanes[at.lane]
+        s = np.array([at.s_m])
+        places.append(network.road(lane.road).points(s, lane.middle(s))[0])
+        expected = [np.interp(start_m + length_m, lengths_m, line[:, k]) for k in (0, 1, 2)]
+        np.testing.assert_allclose(places[-1], expected, atol=0.01)
+    assert (places[2] == places[3]).all(), "it waits"
+    driven = [car_at(network, car, float(t)) for t in np.arange(0, 10, 0.25)]
+    along = [
+        network.car_way(at)[1] + {"east.0.1": 0, "east_south.0.-1": 120, "south.0.-1": 142}[at.lane] for at in driven
+    ]
+    assert (np.diff(along) >= -1e-6).all()
+    assert [at.lane for at in driven][-1] == "south.0.-1"
+    assert all(at.speed_m_s == 0 for at in driven[17:24]), "with no speed"
 
 
-def test_where_pavements_overlap_the_ground_is_theirs_and_clearance_is_to_the_nearest():
-    across = street("near9", (-100.0, 100.0), 0.0)
-    way = HostWay(network_of((street("near0", (0.0, 0.0)), across)), 20.0)
-    ground = Ground(Verges(way, FLAT.markings, NO_HILLS))
-    assert ground.clearance(np.array([[0.0, 100.0], [8.0, 103.0], [5.5, 50.0]])) == pytest.approx([-2.5, 0.5, 3.0])
-    crossing = np.array([[0.0, 100.0], [2.0, 101.0], [-2.4, 98.0]])
-    np.testing.assert_allclose(ground.above_terrain(crossing), 0, atol=1e-12)
-    assert (ground.above_terrain(np.array([[6.0, 104.5]])) < 0).all(), "a verge"
+@pytest.mark.parametrize("lane", ["east.0.1", "north.0.-1", "south_west.0.-1"])
+def test_a_car_stands_on_the_surface_and_heads_as_its_lane_does(lane):
+    car = CAR | {"lane": lane, "s_m": 8.0, "route": (), "track": ()}
+    world = resolve(map_scene(LEFT_TURN, 90.0, cars=(car,), terrain=HILLS.model_dump()))
+    (pose,), network = world.view.world_from_cars, world.network
+    at, road = network.lanes[lane], network.road(network.lanes[lane].road)
+    s = np.array([8.0, 8.0 + (0.01 if at.ascends else -0.01)])
+    foot, ahead = road.points(s, at.middle(s))
+    heading = (ahead - foot)[:2] / np.linalg.norm((ahead - foot)[:2])
+    np.testing.assert_allclose(pose[:2, 1] / np.linalg.norm(pose[:2, 1]), heading, atol=5e-3)
+    assert np.linalg.norm(pose[:3, 3] - foot) < 0.02
+
+
+def test_the_labelled_velocity_of_a_car_on_a_track_is_that_of_the_frame():
+    """A car that brakes, waits and starts anew: its places a tenth of a second before and behind tell its speed."""
+    labels = {
+        time_s: ground_truth(frame(time_s, cars=(CAR,)).scene)
+        for time_s in (0.9, 1.0, 1.1, 4.9, 5.0, 5.1, 7.9, 8.0, 8.1)
+    }
+    places = {
+        time_s: (at.camera.world_from_cam @ at.objects[0].cam_from_object)[:3, 3] for time_s, at in labels.items()
+    }
+    speeds = []
+    for before, now, after in ((0.9, 1.0, 1.1), (4.9, 5.0, 5.1), (7.9, 8.0, 8.1)):
+        moved = (places[after] - places[before]) / 0.2
+        told = labels[now].camera.world_from_cam[:3, :3] @ labels[now].objects[0].velocity_cam
+        np.testing.assert_allclose(told, moved, atol=0.3)
+        speeds.append(np.linalg.norm(told))
+    assert speeds[1] == 0 < 2 < speeds[0] < speeds[2]

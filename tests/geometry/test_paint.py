@@ -16,8 +16,8 @@ from synth3dlanes.scene.scene import Symbol
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.validate.faces import MeshFaces
-from synth3dlanes.world.paint import DOT_HEIGHT_M, DOT_M, DOTS_M, PAINT_LIFT_M
-from synth3dlanes.world.seams import CLEAR_M, OLD_ASPHALT, WANDER_M, clear_lanes, joint
+from synth3dlanes.world.paint import PAINT_LIFT_M
+from synth3dlanes.world.seams import CLEAR_M, OLD_ASPHALT, WANDER_M, joint
 from synth3dlanes.world.symbols import ARROWS, LENGTHS_M, shape
 from synth3dlanes.world.world import resolve
 from tests.map_scenes import FOUR_WAY, LEFT_TURN, map_scene, sections_road
@@ -97,16 +97,6 @@ def test_the_stripes_of_a_mixed_pair_are_never_dots_and_lose_the_same_stretches(
     assert n < 20, "a dash is one piece, not four dots"
 
 
-@pytest.mark.parametrize("flip", [False, True])
-def test_left_edges_have_no_paint_to_their_left(flip):
-    world = resolve(changed(road={"topology": 4, "flip_longitudinal": flip}))
-    assert {line.id for line in world.site.lines if line.is_inner} == {"main_line_0", "exit_line_0"}
-    strips = world.paint(world.view)
-    behind = {name: mesh.vertices_world[mesh.vertices_world[:, 1] < -30, 0] for name, mesh in strips.items()}
-    leftmost = min((x.min(), name) for name, x in behind.items() if len(x))[1]
-    assert leftmost == ("exit_line_0" if flip else "main_line_0")
-
-
 @pytest.mark.thorough
 def test_missing_paint_is_the_share_asked_for_in_stretches_that_stay_where_they_are():
     shares = []
@@ -123,41 +113,6 @@ def test_all_of_the_paint_may_be_missing_and_none_is_by_default():
     bare = resolve(changed(markings={"missing": 1.0}))
     assert [painted_share(bare, f"main_line_{i}") for i in range(4)] == pytest.approx([0] * 4)
     assert painted_share(resolve(changed()), "main_line_0") == pytest.approx(1.0)
-
-
-def test_dashed_lines_are_dots_where_they_were_dashes_and_solid_lines_stay():
-    markings = {"dash_cycle_m": 9.0, "dash_fraction": 0.4, "width_m": 0.2}
-    dashed, dotted = (resolve(changed(markings=markings | {"dots": dots})) for dots in (False, True))
-    before, after = dashed.paint(dashed.view), dotted.paint(dotted.view)
-    for name in ("main_line_0", "main_line_3"):
-        np.testing.assert_array_equal(after[name].vertices_world, before[name].vertices_world)
-    mesh = after["main_line_1"]
-    corners = seen_on_flat_ground(dotted, mesh.vertices_world)[mesh.faces]
-    y = dotted.network.stations(mesh.uv_m[mesh.faces][:, :, 1])
-    near = (y.max(axis=1) < dotted.scene.camera.y_m + DOTS_M) & (y.min(axis=1) > -44.5)
-    assert np.ptp(corners[near, :, 0]) == pytest.approx(DOT_M, abs=0.004), "as wide as a dot, about the line"
-    assert corners[near, :, 0].mean() == pytest.approx(-1.75, abs=0.002)
-    painted = np.zeros(5000, dtype=bool)
-    at = np.arange(5000) / 100 - 44.5
-    for low, high in zip(y[near].min(axis=1), y[near].max(axis=1), strict=True):
-        painted |= (at > low - 1e-6) & (at < high + 1e-6)
-    dots, n = clusters(painted)
-    middles = np.array([at[dots == i].mean() for i in range(1, n + 1)])
-    phase = middles % 9.0
-    assert np.abs(phase[:, None] - [0.05, 0.05 + 3.5 / 3, 0.05 + 7 / 3, 3.55]).min(axis=1).max() < 0.01
-    top = mesh.vertices_world[mesh.faces][near][:, :, 2].max()
-    assert DOT_HEIGHT_M < top < DOT_HEIGHT_M + 0.005
-    near_share, far_share = (_area(mesh, *at) / _area(before["main_line_2"], *at) for at in ((12, 30), (150, 250)))
-    assert 0.35 < near_share < 0.48, "at 70 m the dots cover a part of a dash as wide as they are"
-    assert far_share == pytest.approx(DOT_M / 0.2), "at 200 m they hide each other's gaps"
-
-
-def _area(mesh, low, high):
-    """Of the faces seen from above, between two distances."""
-    a, b, c, d = (mesh.vertices_world[mesh.faces[:, i], :2] for i in range(4))
-    p, q = c - a, d - b
-    inside = (a[:, 1] > low) & (a[:, 1] < high)
-    return np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])[inside].sum() / 2
 
 
 def test_paint_of_an_exit_lies_over_the_other_roads_pavement_in_a_hollow():
@@ -204,30 +159,6 @@ def test_what_runs_along_the_road_keeps_clear_of_every_line(road):
         assert distance_from_lines(world, middles[::4]).min() > CLEAR_M - WANDER_M - 0.05
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_seams_lie_on_the_main_road_below_the_paint(road):
-    for world in worlds(road):
-        for mesh in (world.ghost_lines(world.view), world.tar(world.view)):
-            z = mesh.vertices_world[:, 2]
-            near = np.abs(mesh.vertices_world[:, 1] - world.ground.way.near_m) < 40
-            assert z.min() > 0
-            assert z[near].max() < 0.7 * PAINT_LIFT_M[1]
-            s, t = world.network.main.line.project(seen_on_flat_ground(world, mesh.vertices_world)[:, :2])
-            drawn = world.scene.road
-            half_m = drawn.n_lanes * drawn.lane_width_m / 2
-            right = np.where(s < 0, half_m, drawn.n_main_after * drawn.lane_width_m - half_m)
-            assert ((t > -half_m - 0.3) & (t < right + 0.3)).all()
-
-
-def test_tar_and_ghost_lines_are_off_by_default_and_differ_by_scene():
-    world = resolve(changed())
-    assert world.tar(world.view) is None
-    assert world.ghost_lines(world.view) is None
-    sizes = {len(world.tar(world.view).faces) for world in worlds({}, range(10))}
-    assert len(sizes) == 10
-    assert resolve(changed(surface={"tar": 0.05})).tar(world.view) is None or min(sizes) > 100
-
-
 @pytest.mark.parametrize("flip", [False, True])
 def test_a_joint_lies_inside_a_lane_and_either_side_may_be_older(flip):
     found = [joint(world.network, 1.0, world.scene.stream) for world in worlds({"flip_longitudinal": flip}, range(40))]
@@ -266,13 +197,6 @@ def test_on_a_map_seams_lie_on_the_hosts_lanes_below_the_paint_and_clear_of_line
         found[kind] = int(is_along.sum())
         assert is_along.all() or kind == "tar"
     assert min(found.values()) > 50
-
-
-def test_a_lane_too_narrow_to_keep_clear_of_its_lines_has_no_removed_line():
-    roads = sections_road()
-    world = resolve(map_scene(roads, surface=SEAMS))
-    names = {lane.id for at in world.network.host_stretches for lane in clear_lanes(world.network, at)}
-    assert names == {"r.0.-1", "r.1.-1", "r.2.-1", "r.2.-2"}, "r.1.-2 opens from nothing"
 
 
 def test_no_joint_runs_through_the_lanes_of_a_map():

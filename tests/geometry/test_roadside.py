@@ -13,9 +13,7 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.validate.bodies import inside, structures
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.world.beside import beside
 from synth3dlanes.world.placement import car_place
-from synth3dlanes.world.roadside import bodies
 from synth3dlanes.world.sign_faces import FACES, SIGNS
 from synth3dlanes.world.solids import SURFACES
 from synth3dlanes.world.world import resolve
@@ -121,33 +119,6 @@ def test_feet_are_on_the_ground_and_bodies_reach_into_it(worlds):
                 assert np.hypot(*(corners[corners[:, 2] < z[0]][:, :2] - xy[0]).T).max() < 2.0
 
 
-def test_every_guardrail_post_reaches_into_the_ground():
-    """Of a post's box, found by its vertical edges, the lower end is below the ground and the upper end over it."""
-    scene = changed(FLAT, terrain={"gaussians": HILLS}, road={**CURVED, "topology": 2})
-    world = resolve(with_roadside(scene, rails=(rail(), rail(road="exit", aside_m=0.3, from_m=40.0))))
-    for body in world.site.structures:
-        a, d = body.corners_world[:, 0], body.corners_world[:, 3]
-        is_edge = np.hypot(*(a - d)[:, :2].T) < 1e-6
-        assert is_edge.sum() >= 16
-        low, high = np.minimum(a, d)[is_edge], np.maximum(a, d)[is_edge]
-        assert (low[:, 2] < world.ground.height(low[:, :2]) - 0.02).all()
-        assert (high[:, 2] > world.ground.height(low[:, :2]) + 0.3).all()
-
-
-def test_a_guardrail_is_as_high_over_the_ramp_as_over_the_road():
-    scene = changed(FLAT, road={**CURVED, "topology": 2, "ramp_slope": 8})
-    world = resolve(with_roadside(scene, rails=(rail(road="exit", aside_m=0.3, from_m=30.0, to_m=95.0),)))
-    (body,) = world.site.structures
-    s = np.arange(40.0, 85.0, 2.0)
-    line = beside(world.ground, "exit", "right", s, 0.3)
-    corners = body.corners_world.reshape(-1, 3)
-    for (x, y), station in zip(line, s, strict=True):
-        near = corners[np.hypot(corners[:, 0] - x, corners[:, 1] - y) < 2.5]
-        road_z = world.network.lift(np.array([[x, y]]), world.network.road("exit").raised(np.array([station])))[0, 2]
-        assert near[:, 2].max() == pytest.approx(road_z + 0.8, abs=0.5)
-    assert world.network.road("exit").raised(s).max() > 2
-
-
 @pytest.mark.parametrize("kind", ["gantry", "bridge"])
 @pytest.mark.parametrize("topology", [1, 2])
 def test_a_crossing_leaves_its_clearance_over_hills_and_ramps(kind, topology):
@@ -165,30 +136,6 @@ def test_a_crossing_leaves_its_clearance_over_hills_and_ramps(kind, topology):
         assert (low[face, 2] - lanes[i, 2]).min() > 4.7
 
 
-@pytest.mark.parametrize("flips", [(True, False), (False, True), (True, True)])
-def test_flips_mirror_all_but_what_the_host_reads(flips):
-    """World = plan * flips: the quads of a flipped scene are mirrored ones, on a flat plain."""
-    parts = {
-        "rails": (rail(), rail("noise_wall", side="left", height_m=3), rail("concrete", "exit", "right", from_m=10)),
-        "posts": (post(), post("delineator", "left", 7.0)),
-        "crossings": (Crossing(kind="bridge", s_m=-20, clearance_m=5, width_m=10, color=GRAY),),
-    }
-    road = {**CURVED, "topology": 2}
-    plain = resolve(with_roadside(changed(FLAT, road=road), **parts))
-    mirrored = {"flip_longitudinal": flips[0], "flip_lateral": flips[1]}
-    flipped = resolve(with_roadside(changed(FLAT, road={**road, **mirrored}, camera={"y_m": -50}), **parts))
-    # Rows and posts are denser near the host, which is elsewhere in the plan: compare what does not depend on it.
-    sign = np.array([-1.0 if flips[0] else 1.0, -1.0 if flips[1] else 1.0, 1.0])
-    for ours, theirs in zip(plain.site.structures[3:], flipped.site.structures[3:], strict=True):
-        ours_xyz = np.round(ours.corners_world.reshape(-1, 3) * sign, 4) + 0.0
-        theirs_xyz = np.round(theirs.corners_world.reshape(-1, 3), 4) + 0.0
-        gap = np.abs(ours_xyz[:, None] - theirs_xyz).max(axis=2).min(axis=1)
-        assert gap.max() < 2e-3
-    for ours, theirs in zip(plain.site.structures[:3], flipped.site.structures[:3], strict=True):
-        a, b = (body.corners_world.reshape(-1, 3) for body in (ours, theirs))
-        assert np.abs((a * sign).min(axis=0) - b.min(axis=0)).max() < 0.15
-
-
 def test_lamp_heads_are_over_the_road_and_on_both_sides_of_a_median():
     world = resolve(with_roadside(FLAT, posts=(post(), post(side="median", aside_m=0.0, s_m=20.0))))
     one, left, right = world.site.street_lamps[
@@ -201,14 +148,6 @@ def test_lamp_heads_are_over_the_road_and_on_both_sides_of_a_median():
     assert right[0] > 2
     corners = world.site.structures[0].corners_world.reshape(-1, 3)
     assert np.abs(corners - one).max(axis=1).min() < 0.4
-
-
-def test_a_median_rail_stands_at_its_offset():
-    world = resolve(with_roadside(FLAT, rails=(rail("concrete", side="median", aside_m=-2.0),)))
-    (body,) = world.site.structures
-    x = body.corners_world[..., 0]
-    assert (x.min() + x.max()) / 2 == pytest.approx(-2.0, abs=1e-6)
-    assert np.ptp(x) == pytest.approx(2 * 0.37 * 0.8, abs=1e-6)
 
 
 def test_faces_are_in_their_boxes_and_the_check_finds_what_stands_on_a_road(worlds):
@@ -242,12 +181,6 @@ def test_trees_keep_clear(worlds):
             assert trunks.query(middles)[0].min(initial=1) > 0.5, (world.scene.index, body.kind)
 
 
-def test_without_the_group_nothing_stands():
-    world = sample_world(Scenes(load_params("appendix_i"), 0, "test"), 0)
-    assert bodies(world.ground, Roadside()) == world.site.structures == []
-    assert len(world.site.street_lamps) == 0
-
-
 @pytest.mark.parametrize(("kind", "n"), [("sign", "n_signs=20"), ("gantry", "n_gantries=3")])
 def test_things_keep_the_distance_that_they_are_told(kind, n):
     key = "signs_apart_m" if kind == "sign" else "crossings_apart_m"
@@ -261,16 +194,6 @@ def test_things_keep_the_distance_that_they_are_told(kind, n):
             gaps += np.diff(sorted(thing.s_m for thing in things)).tolist()
         nearest[apart_m] = min(gaps)
     assert 12 <= nearest[12] < 60 <= nearest[60]
-
-
-def test_draws_do_not_touch_those_of_other_groups():
-    """With everything beside the road, roads, cameras and cars are those of the same parameters without it."""
-    with_it = sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene
-    bare = load_params("streets", [*DENSE, "roadside.outer=none", "roadside.n_signs=0", "roadside.n_houses=0"])
-    without = sample_world(Scenes(bare, 3, "test"), 5).scene
-    for part in ("terrain", "road", "markings", "surface", "camera", "light", "air", "sensor", "cars"):
-        assert getattr(with_it, part) == getattr(without, part)
-    assert with_it == sample_world(Scenes(load_params("streets", DENSE), 3, "test"), 5).scene
 
 
 NO_ENTRY, TO_THE_ROAD = 6, {12, 15}

@@ -1,7 +1,7 @@
 """Samples of all kinds, as they were made: `python -m tests.golden.frozen` writes frozen.json anew.
 
-Of every sample are kept: the digest of its scene, its labels with long lists thinned, the number of pixels of each
-instance and semantic id, and depths on a grid.
+Of every sample are kept: the digest of its scene, its labels with long lists thinned, where and how large is what is
+built and painted, the number of pixels of each instance and semantic id, and depths on a grid.
 """
 
 import hashlib
@@ -28,6 +28,8 @@ from synth3dlanes.roads.maps.places import read_place
 from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import RenderSettings
+from synth3dlanes.world.solids import QuadCorners
+from synth3dlanes.world.world import World
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
 
 FILE = Path(__file__).parent / "frozen.json"
@@ -46,6 +48,23 @@ STREET = section(
     lane(1),
     lane(-1, '<width sOffset="0" a="3" b="0.002" c="0" d="0"/><roadMark sOffset="0" type="broken" color="yellow"/>'),
     lane(-2, PLAIN.replace("3.5", "0.5"), "shoulder"),
+)
+# All that paint, seams and what stands beside the road may have.
+PAINT = (
+    *("road.topology=4", "trees.n=0", "cars.n=0", "markings.left_double=true", "markings.left_pair=dashed_solid"),
+    *("markings.dots=true", "markings.missing=0.3", "surface.tar=1", "surface.ghost_lines=1", "surface.joint=1"),
+)
+BESIDE = (
+    *(
+        "road.topology=2",
+        "road.n_oncoming=2",
+        "road.median_m=6",
+        "roadside.outer=noise_wall",
+        "roadside.inner=concrete",
+    ),
+    *("roadside.median=guardrail", "roadside.ramp_rail=true", "roadside.lamps=both", "roadside.delineators=true"),
+    *("roadside.n_signs=9", "roadside.n_gantries=2", "roadside.n_bridges=1", "roadside.lane_signals=true", "trees.n=0"),
+    *("roadside.n_houses=4", "roadside.n_halls=1", "roadside.n_blocks=1", "roadside.power_line=left", "cars.n=0"),
 )
 # Files of maps and the host's place in each.
 MAPS = {
@@ -97,6 +116,9 @@ def _rows() -> Iterator[tuple[str, Row]]:
     yield "clip on a map, frame 3", Row("streets", 3, clip, "bends")
     for index in (1, 2):
         yield f"works {index}", Row("streets", index, changes=("works.present=true", "road.topology=1"))
+        yield f"paint {index}", Row("appendix_i", index, changes=PAINT)
+        yield f"beside {index}", Row("streets", index, changes=BESIDE)
+    yield "mountain", Row("mountain", 1, changes=("mountain.lay_by=true", "mountain.rail=guardrail"))
 
 
 ROWS = dict(_rows())
@@ -125,10 +147,40 @@ def sample(name: str) -> dict[str, Any]:
     return {
         "scene": digest(world.scene),
         "labels": thinned(json.loads(label_file.to_json(picture.labels))),
+        "built": built(world),
         "instance": counts(picture.passes["instance"]),
         "semantic": counts(picture.passes["semantic"]),
         "depth_m": np.where(np.isfinite(depth_m), depth_m, -1.0)[np.ix_(rows, columns)].round(3).tolist(),
     }
+
+
+def built(world: World) -> dict[str, dict[str, Any]]:
+    """Of all faces of each kind together, in whatever polygons: the middle; the square roots of their area and of what
+    of it faces up; and the usual distance from the middle. Terrain is left out: the depths see it."""
+    view = world.view
+    found: dict[str, list[QuadCorners]] = {body.kind: [] for body in world.site.structures}
+    for body in world.site.structures:
+        found[body.kind].append(body.corners_world)
+    seams = {"tar": world.tar(view), "ghosts": world.ghost_lines(view), "removed": world.removed_lines(view)}
+    painted = [("paint", mesh) for mesh in world.paint(view).values()] + [("symbols", it) for it in world.symbols(view)]
+    for name, mesh in [*painted, *((name, mesh) for name, mesh in seams.items() if mesh is not None)]:
+        found.setdefault(name, []).append(mesh.vertices_world[mesh.faces])
+    for mesh in world.site.surfaces.pavement:
+        for slot in np.unique(mesh.material).tolist():
+            found.setdefault(f"pavement {slot}", []).append(mesh.vertices_world[mesh.faces[mesh.material == slot]])
+    if blades := world.grass(view):
+        found["grass"] = [blades.corners_world[:, [0, 1, 2, 2]]]
+    return {kind: _moments(np.concatenate(quads)) for kind, quads in sorted(found.items())}
+
+
+def _moments(quads: QuadCorners) -> dict[str, Any]:
+    a, b, c, d = quads.transpose(1, 0, 2)
+    normals, middles = np.cross(c - a, d - b) / 2, quads.mean(axis=1)
+    areas, up = np.linalg.norm(normals, axis=1), normals[:, 2].sum()
+    middle = areas @ middles / areas.sum()
+    away_m = np.sqrt(areas @ ((middles - middle) ** 2).sum(axis=1) / areas.sum())
+    sizes = {"side_m": np.sqrt(areas.sum()), "up_m": np.sign(up) * np.sqrt(abs(up)), "away_m": away_m}
+    return {"middle_world": middle.round(5).tolist(), **{name: round(float(at), 5) for name, at in sizes.items()}}
 
 
 def digest(scene: Scene) -> str:

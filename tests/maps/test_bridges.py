@@ -15,7 +15,7 @@ from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.height_map import height_map
 from synth3dlanes.world.spans import CEILING_M, COVER_M, DECK_M
 from synth3dlanes.world.world import World
-from tests.geometry.test_map_surface import gaps
+from tests.geometry.test_map_ground import gaps
 from tests.maps.files import TWO, opendrive, plan, road
 
 EAST, NORTH = plan(("<line/>", 400.0)), plan(("<line/>", 400.0), start=(200.0, -200.0, np.pi / 2))

@@ -3,11 +3,7 @@ with its reason, and the rest is used. Mutations of small maps end in no traceba
 road to drive on."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from copy import deepcopy
-from typing import TypeVar
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
@@ -16,6 +12,7 @@ from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.roads.maps.part import part_around
 from synth3dlanes.roads.maps.places import draw_place
 from synth3dlanes.system.errors import FormatError, InputError
+from tests.hostile import edited_xml
 from tests.maps.files import lane, opendrive, plan, road, section
 from tests.maps.test_parts import link
 
@@ -237,87 +234,6 @@ def a_map() -> bytes:
     )
 
 
-VALUES = (
-    "nan",
-    "inf",
-    "-1",
-    "0",
-    "1e-9",
-    "0.0005",
-    "1e8",
-    "1e300",
-    "",
-    "x",
-    "-7",
-    "99",
-    "1",
-    "2",
-    "4",
-    "9",
-    "30",
-    "start",
-    "end",
-)
-
-
-T = TypeVar("T")
-
-
-def one_of(items: Sequence[T], rng: np.random.Generator) -> T:
-    """Any of some items."""
-    return items[int(rng.integers(len(items)))]
-
-
-def _attribute(root: Element, rng: np.random.Generator) -> None:
-    at = one_of([at for at in root.iter() if at.attrib], rng)
-    at.set(one_of(list(at.attrib), rng), one_of(VALUES, rng))
-
-
-def _drop_attribute(root: Element, rng: np.random.Generator) -> None:
-    at = one_of([at for at in root.iter() if at.attrib], rng)
-    del at.attrib[one_of(list(at.attrib), rng)]
-
-
-def _drop_element(root: Element, rng: np.random.Generator) -> None:
-    above = one_of([at for at in root.iter() if len(at)], rng)
-    above.remove(one_of(list(above), rng))
-
-
-def _twice(root: Element, rng: np.random.Generator) -> None:
-    above = one_of([at for at in root.iter() if len(at)], rng)
-    above.append(deepcopy(one_of(list(above), rng)))
-
-
-def _elsewhere(root: Element, rng: np.random.Generator) -> None:
-    one_of(list(root.iter()), rng).append(deepcopy(one_of(list(root), rng)))
-
-
-def _shuffled(root: Element, rng: np.random.Generator) -> None:
-    above = one_of([at for at in root.iter() if len(at) > 1], rng)
-    items = list(above)
-    above[:] = [items[i] for i in rng.permutation(len(items))]
-
-
-def _renamed(root: Element, rng: np.random.Generator) -> None:
-    one_of(list(root.iter())[1:], rng).tag = one_of(["road", "lane", "junction", "spiral", "width", "object", "x"], rng)
-
-
-MUTATIONS: tuple[Callable[[Element, np.random.Generator], None], ...] = (
-    *(_attribute,) * 4,
-    *(_drop_attribute, _drop_element, _twice, _elsewhere, _shuffled, _renamed),
-)
-
-
-def mutants(n: int, seed: int) -> Iterator[bytes]:
-    """Maps with one to four mutations."""
-    for i in range(n):
-        rng = np.random.default_rng([seed, i])
-        root = ElementTree.fromstring(a_map())
-        for _ in range(int(rng.choice([1, 1, 2, 4]))):
-            one_of(MUTATIONS, rng)(root, rng)
-        yield ElementTree.tostring(root)
-
-
 def refusal(data: bytes) -> tuple[GivenMap | None, str]:
     """The map, or why it is refused."""
     try:
@@ -345,7 +261,7 @@ def no_place(found: GivenMap, rng: np.random.Generator) -> str:
 def examined(n: int, seed: int) -> tuple[int, int]:
     """Read mutants and draw a place on each; return how many had a broken road, and how many were refused."""
     broken = refused = 0
-    for data in mutants(n, seed):
+    for data in edited_xml(a_map(), n, seed):
         found, reason = refusal(data)
         if found is None:
             assert re.fullmatch("map x.xodr: [^\n]+", reason)

@@ -1,8 +1,11 @@
-"""Hostile files are refused in one line, and quickly."""
+"""A map costs as much as its file says, not as its roads are long; hostile files are refused quickly, in one line."""
 
 import gzip
 import hashlib
+import math
 import time
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +16,13 @@ from synth3dlanes_cli.main import main
 from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps import document
+from synth3dlanes.roads.maps.cubics import times, value, values
 from synth3dlanes.roads.maps.given_map import read_opendrive
+from synth3dlanes.roads.maps.lanelet_map import read_lanelet2
 from synth3dlanes.roads.maps.read import read_map
-from synth3dlanes.scene.road_map import PlanPiece
+from synth3dlanes.scene.road_map import PlanPiece, Polynomial
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.map_scenes import FOUR_WAY, map_scene
@@ -88,17 +94,48 @@ HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_file_is_refused_in_one_line(name: str) -> None:
-    data, wanted = HOSTILE[name]
+LANELET = '<relation id="9"><member type="way" ref="1" role="left"/><member type="way" ref="2" role="right"/>'
+TAGS = '<tag k="type" v="lanelet"/><tag k="subtype" v="road"/></relation>'
+LANELETS = {
+    "nothing": (b"", "expected XML, got no element found"),
+    "another root": (b"<OpenDRIVE/>", "expected an OSM file, got one of 'OpenDRIVE'"),
+    "entities": (b'<!DOCTYPE x [<!ENTITY a "aaa">]><osm>&a;</osm>', "without a document type"),
+    "depth": (b"<osm>" + b"<a>" * 100_000 + b"</a>" * 100_000 + b"</osm>", "within each other"),
+    "gzip cut off": (gzip.compress(b"<osm/>")[:-9], "expected data of gzip, got a file that is cut off"),
+    "no nodes": (b"<osm/>", "expected nodes with places, got none"),
+    "nodes without places": (b'<osm><node id="1"/></osm>', "expected nodes with lat and lon, or all with local_x"),
+    "streets of OpenStreetMap": (
+        b'<osm><node id="1" lat="49" lon="8"/><way id="2"><nd ref="1"/><tag k="highway" v="road"/></way></osm>',
+        "expected a lanelet of traffic, got none",
+    ),
+    "a bound without length": (
+        f'<osm><node id="1" lat="49" lon="8"/><way id="1"><nd ref="1"/><nd ref="1"/></way>'
+        f'<way id="2"><nd ref="1"/></way>{LANELET}{TAGS}</osm>'.encode(),
+        "lanelet 9: expected a left bound of some length",
+    ),
+    "one line twice": (
+        f'<osm><node id="1" lat="49" lon="8"/><node id="2" lat="49.001" lon="8"/>'
+        f'<way id="1"><nd ref="1"/><nd ref="2"/></way>'
+        f'<way id="2"><nd ref="1"/><nd ref="2"/></way>{LANELET}{TAGS}</osm>'.encode(),
+        "lanelet 9: expected a left and a right bound beside each other",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("read", "data", "wanted"),
+    [*((read_opendrive, *row) for row in HOSTILE.values()), *((read_lanelet2, *row) for row in LANELETS.values())],
+    ids=[*HOSTILE, *(f"lanelets: {name}" for name in LANELETS)],
+)
+def test_a_hostile_file_is_refused_in_one_line(read: Callable[..., object], data: bytes, wanted: str) -> None:
     start = time.process_time()
     with pytest.raises(FormatError) as caught:
-        read_opendrive(data, "x.xodr", "map x.xodr")
+        read(data, "x.xodr", "map x.xodr")
     text = str(caught.value)
     assert text.startswith("map x.xodr: ")
     assert wanted in text
     assert "\n" not in text
-    assert len(text) < 200
+    assert len(text) < 220
     assert time.process_time() - start < 1.0
 
 
@@ -236,3 +273,70 @@ def test_roads_of_a_scene_that_cannot_reach_each_other_are_refused(where: str) -
     document["roads"][0]["plan"] = [piece.model_dump() for piece in plan]
     with pytest.raises(ValueError, match=f"{where}: expected"):
         type(FOUR_WAY).model_validate(document)
+
+
+LENGTH_M = 99_000.0
+WIDTH = '<width sOffset="0" a="3.5" b="0" c="0" d="0"/>'
+BANKED = (
+    '<elevationProfile><elevation s="0" a="0" b="0.01" c="0" d="0"/></elevationProfile>'
+    '<lateralProfile><superelevation s="0" a="0.05" b="1e-6" c="0" d="0"/></lateralProfile>'
+)
+
+
+def far(name: int, form: str = "<line/>") -> str:
+    """A banked road of 99 km with 20 lanes."""
+    pieces = (
+        f'<planView><geometry s="0" x="0" y="{300 * name}" hdg="0" length="{LENGTH_M}">{form}</geometry></planView>'
+    )
+    lanes = section(*(lane(n, WIDTH) for n in range(-10, 11) if n))
+    return road(pieces, lanes, str(name), profile=BANKED)
+
+
+def test_roads_of_a_hundred_kilometres_cost_what_their_file_says() -> None:
+    start = time.process_time()
+    given = read_opendrive(opendrive(*(far(i) for i in range(20))), "x.xodr", "map x.xodr")
+    assert not given.broken
+    params = load_params("tiny", ("cars.n=1", "trees.n=0"))
+    world = sample_world(Scenes(params, 1, "train", map=MapPlace(given)), 0)
+    assert time.process_time() - start < 10.0
+    assert max(at.length_m for at in world.scene.map.roads) < 2500
+    assert len(world.scene.model_dump_json()) < 100_000
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["<line/>", '<arc curvature="1e-4"/>', '<spiral curvStart="-1e-4" curvEnd="2e-4"/>'],
+    ids=["line", "arc", "spiral"],
+)
+def test_the_parts_of_a_long_piece_are_the_piece(form: str) -> None:
+    pieces = f'<planView><geometry s="0" x="5" y="7" hdg="0.3" length="{{}}">{form}</geometry></planView>'
+    short, whole = _plan(pieces.format(999.0)), _plan(pieces.format(5700.0))
+    assert len(short) == 1
+    assert len(whole) == 10
+    one = whole[0].model_copy(update={"length_m": 5700.0, "curvature_end": whole[-1].curvature_end})
+    s = np.linspace(0, 5700, 400)
+    assert plan_points(whole, s) == pytest.approx(plan_points([one], s), abs=1e-6)
+
+
+def _plan(pieces: str) -> tuple[PlanPiece, ...]:
+    (only,) = read_opendrive(opendrive(road(pieces)), "x.xodr", "map x.xodr").roads.values()
+    return only.plan
+
+
+def _cosine(bank: Sequence[Polynomial], s_m: float, end_m: float) -> float:
+    return math.cos(value(bank, s_m, end_m))
+
+
+def test_products_are_as_exact_with_few_pieces_as_with_many() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        starts = [0.0, *np.sort(rng.uniform(10, 900, 3)).tolist()]
+        one = [
+            Polynomial(s_m=s, a=a, b=b)
+            for s, a, b in zip(starts, rng.uniform(-4, 4, 4), rng.normal(0, 0.01, 4), strict=True)
+        ]
+        bank = [Polynomial(s_m=0.0, a=0.1, b=float(rng.normal(0, 1e-3)), c=float(rng.normal(0, 1e-6)))]
+        found = times(one, partial(_cosine, bank), 1000.0)
+        s = np.linspace(0, 1000, 3001)
+        assert values(found, s) == pytest.approx(values(one, s) * np.cos(values(bank, s)), abs=5e-5)
+        assert len(found) < 150

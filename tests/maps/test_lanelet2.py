@@ -2,8 +2,6 @@
 
 import gzip
 import pickle
-import re
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.world.world import World
 from tests.formats.test_lanelet2 import SEGMENT, File
+from tests.hostile import edited_xml
 from tests.maps.lanelet_files import Sheet, along, street
 from tests.maps.test_round_trip import HEIGHT_M, NEAR_M, middle, off
 from tests.thorough import first
@@ -306,48 +305,6 @@ def test_a_broken_lanelet_is_left_out_with_its_id_and_the_rest_is_used(name: str
     assert given.broken[0] in given.text()
 
 
-LANELET = '<relation id="9"><member type="way" ref="1" role="left"/><member type="way" ref="2" role="right"/>'
-TAGS = '<tag k="type" v="lanelet"/><tag k="subtype" v="road"/></relation>'
-HOSTILE = {
-    "nothing": (b"", "expected XML, got no element found"),
-    "another root": (b"<OpenDRIVE/>", "expected an OSM file, got one of 'OpenDRIVE'"),
-    "entities": (b'<!DOCTYPE x [<!ENTITY a "aaa">]><osm>&a;</osm>', "without a document type"),
-    "depth": (b"<osm>" + b"<a>" * 100_000 + b"</a>" * 100_000 + b"</osm>", "within each other"),
-    "gzip cut off": (gzip.compress(b"<osm/>")[:-9], "expected data of gzip, got a file that is cut off"),
-    "no nodes": (b"<osm/>", "expected nodes with places, got none"),
-    "nodes without places": (b'<osm><node id="1"/></osm>', "expected nodes with lat and lon, or all with local_x"),
-    "streets of OpenStreetMap": (
-        b'<osm><node id="1" lat="49" lon="8"/><way id="2"><nd ref="1"/><tag k="highway" v="road"/></way></osm>',
-        "expected a lanelet of traffic, got none",
-    ),
-    "a bound without length": (
-        f'<osm><node id="1" lat="49" lon="8"/><way id="1"><nd ref="1"/><nd ref="1"/></way>'
-        f'<way id="2"><nd ref="1"/></way>{LANELET}{TAGS}</osm>'.encode(),
-        "lanelet 9: expected a left bound of some length",
-    ),
-    "one line twice": (
-        f'<osm><node id="1" lat="49" lon="8"/><node id="2" lat="49.001" lon="8"/>'
-        f'<way id="1"><nd ref="1"/><nd ref="2"/></way>'
-        f'<way id="2"><nd ref="1"/><nd ref="2"/></way>{LANELET}{TAGS}</osm>'.encode(),
-        "lanelet 9: expected a left and a right bound beside each other",
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_file_is_refused_in_one_line(name: str) -> None:
-    data, wanted = HOSTILE[name]
-    start = time.process_time()
-    with pytest.raises(FormatError) as caught:
-        read(data)
-    text = str(caught.value)
-    assert text.startswith("map x.osm: ")
-    assert wanted in text
-    assert "\n" not in text
-    assert len(text) < 220
-    assert time.process_time() - start < 1.0
-
-
 def test_numbers_that_are_none_cost_their_node_alone() -> None:
     data = street().data()
     for bad in (b"nan", b"1e300", b"x", b""):
@@ -358,18 +315,13 @@ def test_numbers_that_are_none_cost_their_node_alone() -> None:
 
 
 def test_mutations_of_a_file_end_in_no_traceback() -> None:
-    """Values of a small map replaced one at a time."""
-    data, rng = lit().data().decode(), np.random.default_rng(5)
-    values = [match.span(1) for match in re.finditer(r'="([^"]*)"', data)]
-    wild = ["", "-1", "1e9", "nan", "0", "road", "lanelet", "10001", "1000000"]
     n_read, told = 0, []
-    for _ in range(100):
-        first_at, end = values[int(rng.integers(len(values)))]
+    for data in edited_xml(lit().data(), 100, seed=5):
         try:
-            n_read += bool(read((data[:first_at] + str(rng.choice(wild)) + data[end:]).encode()).lanes)
+            n_read += bool(read(data).lanes)
         except FormatError as error:
             told.append(str(error))
-    assert n_read > 90
+    assert n_read > 60
     assert not any("\n" in line for line in told)
 
 

@@ -1,12 +1,24 @@
-"""Drawn maps with all that the standard allows, against a second reading of their numbers (`standard`): all lanes, at
-the ends of sections too."""
+"""Where lanes of OpenDRIVE files are, against a second reading of their numbers (`standard`): drawn files with all that
+is allowed, and files whose values step, where lines end where they were going."""
+
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
-from synth3dlanes.roads.maps.given_map import read_opendrive
-from tests.maps.comparing import everywhere
-from tests.maps.files import lane, opendrive, plan, road, section
+from synth3dlanes.draw.given_map import MapPlace
+from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.formats.opendrive.format import opendrive as opendrive_of
+from synth3dlanes.geometry.frames import transform
+from synth3dlanes.labels.labels import Labels
+from synth3dlanes.params.params import load_params
+from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
+from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.world import World
+from tests.maps.comparing import apart, everywhere
+from tests.maps.files import PLAIN, lane, opendrive, plan, road, section
 from tests.maps.standard import read
 from tests.thorough import first
 
@@ -94,3 +106,159 @@ def test_every_lane_of_a_drawn_road_is_where_the_standard_says(seed: int) -> Non
     assert found.n_points > 50
     assert found.plan_m < 0.004
     assert found.height_m < 0.004
+
+
+ON = '<predecessor id="{0}"/><successor id="{0}"/>'
+LINE = plan(("<line/>", 300.0))
+PIECE = '<geometry s="{0}" x="{0}" y="{1}" hdg="0" length="{2}"><line/></geometry>'
+GAP = f"<planView>{PIECE.format(0.0, 0.0, 100.0)}{PIECE.format(100.0, 0.4, 200.0)}</planView>"
+BEND = plan(("<line/>", 60.0), ('<arc curvature="0.01"/>', 100.0), ("<line/>", 140.0))
+
+
+def cubic(tag: str, *rows: tuple[float, float, float], key: str = "s") -> str:
+    """Entries of a value along a road: station, value, slope."""
+    return "".join(f'<{tag} {key}="{s}" a="{a}" b="{b}" c="0" d="0"/>' for s, a, b in rows)
+
+
+def lanes(*sections: float, inside: str = PLAIN, offsets: str = "") -> str:
+    """Sections of four lanes that begin at stations; `inside` is what lane -1 of the last one has."""
+    found = [offsets]
+    for s in sections:
+        own = {-1: inside} if s == sections[-1] else {}
+        found.append(section(*(lane(n, own.get(n, PLAIN), link=ON.format(n)) for n in (2, 1, -1, -2)), s=s))
+    return "".join(found)
+
+
+def lateral(text: str, climb: float) -> str:
+    """A lateral profile, on a road that climbs."""
+    heights = cubic("elevation", (0, 2, climb))
+    return f"<elevationProfile>{heights}</elevationProfile><lateralProfile>{text}</lateralProfile>"
+
+
+OFFSETS = cubic("laneOffset", (0, 0, 0), (100, -1.2, 0.01))
+WIDTHS = cubic("width", (0, 3.5, 0), (50, 4.6, -0.01), key="sOffset") + MARK
+HEIGHTS = f"<elevationProfile>{cubic('elevation', (0, 1, 0.02), (100, 4.2, -0.01))}</elevationProfile>"
+BANKS = lateral(cubic("superelevation", (0, 0.02, 0), (100, 0.09, -0.0002)), 0.002)
+# Files whose values step at a section's border, where all lanes step, or within a section.
+STEPS = {
+    "offset at a border": road(LINE, lanes(0, 100, offsets=OFFSETS)),
+    "offset within": road(LINE, lanes(0, offsets=OFFSETS)),
+    "offset a hair before the border": road(LINE, lanes(0, 100.0004, offsets=OFFSETS)),
+    "width at a border": road(BEND, lanes(0, 100, inside=cubic("width", (0, 2.4, 0), key="sOffset") + MARK)),
+    "width within": road(BEND, lanes(0, inside=WIDTHS)),
+    "width beyond the section": road(
+        LINE,
+        section(lane(-1, cubic("width", (0, 3, 0), (100, 9, 0.5), key="sOffset") + MARK, link=ON.format(-1)))
+        + section(lane(-1, link=ON.format(-1)), s=100.0),
+    ),
+    "border within": road(
+        LINE, section(lane(1), lane(-1, cubic("border", (0, -3, 0), (100, -4, 0), key="sOffset") + MARK))
+    ),
+    "elevation at a border": road(LINE, lanes(0, 100), profile=HEIGHTS),
+    "elevation within": road(LINE, lanes(0), profile=HEIGHTS),
+    "elevation at the end": road(
+        LINE, lanes(0), profile=f"<elevationProfile>{cubic('elevation', (0, 1, 0.02), (300, 50, 0))}</elevationProfile>"
+    ),
+    "bank at a border": road(BEND, lanes(0, 100), profile=BANKS),
+    "bank within": road(BEND, lanes(0), profile=BANKS),
+    "plan at a border": road(GAP, lanes(0, 100)),
+    "plan within": road(GAP, lanes(0)),
+}  # fmt: skip
+
+
+@cache
+def given(name: str) -> tuple[GivenMap, bytes]:
+    """A file of these, read, and its text."""
+    data = opendrive(STEPS[name])
+    return read_opendrive(data, "steps.xodr", "map steps.xodr"), data
+
+
+@cache
+def scene(name: str) -> tuple[World, Labels]:
+    """A world with the host before the step, and its labels."""
+    return drawn(given(name)[0], "1:260:-1" if name.endswith("end") else "1:60:-1")
+
+
+def drawn(file: GivenMap, at: str) -> tuple[World, Labels]:
+    """A world with nothing but the road, and its labels."""
+    bare = "cars.n=0", "trees.n=0", "terrain.n_gaussians=0"
+    place = MapPlace(file, read_place(file, at))
+    world = sample_world(Scenes(load_params("realistic", bare), 1, "train", map=place), 0)
+    return world, ground_truth(world.scene)
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_labels_are_where_the_file_says_and_no_line_has_a_jump(name: str) -> None:
+    found = apart(*scene(name), given(name)[0], read(given(name)[1]))
+    assert found.n_points > 80
+    assert found.plan_m < 0.002
+    assert not found.height_m > 0.002
+    # The bends themselves: a metre of 0.01 per metre.
+    assert found.jump_m < 0.02
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_pavement_steps_where_the_labels_do(name: str) -> None:
+    world, _ = scene(name)
+    vertices = np.concatenate([mesh.vertices_world for mesh in world.site.surfaces.pavement])
+    for stretch in world.ground.network.roads[0].stretches:
+        (across,) = stretch.sections
+        for s_m in (across.start_m, across.end_m):
+            s = np.full(len(across.lanes) + 1, s_m)
+            edges = stretch.points(s, across.edges(s[:1])[:, 0])
+            for point in edges[np.linalg.norm(edges[:, :2], axis=1) < 200]:
+                assert np.linalg.norm(vertices - point, axis=1).min() < 1e-3
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_an_exported_map_steps_where_the_labels_do(name: str) -> None:
+    world, labels = scene(name)
+    roads = {str(at.element.get("name")): at for at in read(opendrive_of(world, "scene").encode()).values()}
+    assert world.scene.map is not None
+    in_world = world.scene.map.model_copy(update={"given_frame": (0.0, 0.0, 0.0, 0.0)})
+    found = apart(replace(world, scene=world.scene.model_copy(update={"map": in_world})), labels, given(name)[0], roads)
+    assert found.plan_m < 0.02
+    assert not found.height_m > 0.03
+
+
+def test_a_mark_told_from_before_its_section_is_painted_in_it_on_the_lanes_edge() -> None:
+    before = cubic("width", (0, 3.5, 0.1), key="sOffset") + (
+        '<roadMark sOffset="0" type="none"/><roadMark sOffset="-12" type="broken" color="yellow"/>'
+        '<roadMark sOffset="260" type="solid"/>'
+    )
+    file = opendrive(road(LINE, lanes(0, 100, inside=before)))
+    read_map = read_opendrive(file, "x.xodr", "map x.xodr")
+    world, labels = drawn(read_map, "1:60:-1")
+    assert apart(world, labels, read_map, read(file)).plan_m < 0.002
+    (line,) = [at for at in labels.lanes if at.id == "1.1.-1.line"]
+    assert line.marking == "dashed"
+    x = transform(labels.camera.world_from_cam, line.xyz_cam)[:, 1] + 60
+    assert x.min() == pytest.approx(100, abs=0.01)
+    marks = [mark for part in read_map.roads["1"].sections for at in part.lanes for mark in at.marks]
+    assert [mark.s_m for mark in marks] == [0.0] * 8
+
+
+def test_level_lanes_of_a_banked_road_have_the_height_of_their_inner_edge() -> None:
+    sides = section(
+        *(lane(n, kind="driving" if abs(n) < 3 else "sidewalk", link=ON.format(n)) for n in (3, 2, 1, -1, -2, -3))
+    )
+    for n in (3, -2, -3):
+        sides = sides.replace(f'id="{n}" type="sidewalk" level="false"', f'id="{n}" type="sidewalk" level="true"')
+        sides = sides.replace(f'id="{n}" type="driving" level="false"', f'id="{n}" type="driving" level="1"')
+    shape = cubic("shape", (0, 0, 0.002)).replace('s="0"', 's="0" t="-20"') + cubic("shape", (0, 0.05, 0)).replace(
+        's="0"', 's="150" t="-20"'
+    )
+    for extra in ("", shape):
+        file = opendrive(road(BEND, sides, profile=lateral(cubic("superelevation", (0, 0.08, 0.0002)) + extra, 0.04)))
+        read_map = read_opendrive(file, "level.xodr", "map level.xodr")
+        assert read_map.text().endswith("left out: nothing")
+        world, labels = drawn(read_map, "1:100:-1")
+        found = apart(world, labels, read_map, read(file))
+        assert found.n_points > 500
+        assert max(found.plan_m, found.height_m) < 0.01
+        (across,) = world.network.roads[0].sections
+        t = across.edges(np.array([100.0]))[:, 0]
+        heights = across.height(np.full(len(t), 100.0), t)
+        assert np.ptp(heights[-3:]) < 1e-9
+        assert np.ptp(heights[:2]) < 1e-9
+        assert abs(heights[2] - heights[1]) > 0.2
