@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from synth3dlanes.formats.opendrive.format import opendrive
+from synth3dlanes.formats.opendrive import opendrive
 from synth3dlanes.production.bench import bench
 from synth3dlanes.production.job import Job
 from synth3dlanes.system.files import write

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -322,13 +322,6 @@ def distances(points: Points, line: Points) -> Distances:
     return feet_of(points, line)[0]
 
 
-def stations(points: Points, line: Points) -> Distances:
-    """Where along a polyline the nearest places to points are, by its length."""
-    _, at, share = feet_of(points, line)
-    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return np.asarray(np.concatenate([[0.0], np.cumsum(lengths)])[at] + share * np.append(lengths, 0.0)[at])
-
-
 def is_beside(points: Points, line: Points) -> Flags:
     """Which points are beside a polyline from above, not before its beginning or behind its end."""
     _, at, share = feet_of(points[:, :2], line[:, :2])
@@ -480,28 +473,39 @@ def compare_sweep(found_cam: Points | None, truth: SourceSample, limit_m: float)
     return Comparison.within([Gap.of("points of the lidar", "m", apart, "sweep")], {"m": limit_m})
 
 
+class FoundBox(NamedTuple):
+    """A box: its track, its pose (x forward, y left, z up), length, width and height, and what else is told of it."""
+
+    track: str
+    pose: Matrix4
+    size_m: Float[np.ndarray, "3"]
+    told: Mapping[str, object]
+
+
 def compare_boxes(
-    found: Iterable[tuple[str, Points3, Mapping[str, object]]],
+    found: Iterable[FoundBox],
     items: Sequence[ObjectLabel],
     expected: Callable[[ObjectLabel], Mapping[str, object]],
-    b_from_cam: Matrix4,
+    cam_from_b: Matrix4,
     of: str,
     limit_m: float,
+    words: tuple[str, str] = ("object", "box"),
 ) -> Comparison:
-    """Boxes by their tracks, with their corners in a frame and what else they tell, each beside the nearest of our
-    objects that is left, of which as much is expected. `of` says where tracks name one object."""
+    """Boxes in a frame, each beside the nearest of our objects that is left, of which as much is expected as is told.
+    `of` says where tracks name one object; `words` are what one of ours and one of theirs is called."""
     gaps, problems, tracks, left = list[Gap](), list[str](), dict[str, str](), {item.id: item for item in items}
-    for name, corners, told in found:
+    for box in found:
         if not left:
-            problems.append(f"object {name}: expected one of the labels, got none left")
+            problems.append(f"{words[0]} {box.track}: expected one of the labels, got none left")
             continue
-        ours = {key: transform(b_from_cam, item.corners_cam) for key, item in left.items()}
+        corners = transform(cam_from_b @ box.pose, FLU_CORNERS * box.size_m / 2)
         middle = corners.mean(axis=0)
-        nearest = min(ours, key=lambda key: float(np.linalg.norm(ours[key].mean(axis=0) - middle)))
-        gaps.append(Gap.of(f"object {nearest}", "m", np.linalg.norm(corners - ours[nearest], axis=1), "box"))
-        tracks[name] = f"object {nearest} of {of}"
-        for what, wanted in expected(left.pop(nearest)).items():
-            if told[what] != wanted:
-                problems.append(f"object {nearest}: expected the {what} {wanted}, got {told[what]}")
+        nearest = min(left, key=lambda key: float(np.linalg.norm(left[key].center_cam - middle)))
+        item, name = left.pop(nearest), f"{words[0]} {nearest}"
+        gaps.append(Gap.of(name, "m", np.linalg.norm(corners - item.corners_cam, axis=1), words[1]))
+        tracks[f"{words[0]} {box.track}"] = f"{name} of {of}"
+        for what, wanted in expected(item).items():
+            if box.told[what] != wanted:
+                problems.append(f"{name}: expected the {what} {wanted}, got {box.told[what]}")
     problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
     return Comparison.within(gaps, {"m": limit_m}).because(problems) + Comparison(tracks=tracks)

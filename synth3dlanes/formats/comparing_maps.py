@@ -1,11 +1,10 @@
 """How far the map of an export is from the lane graph and the labels of a sample: lanes beside centre lines, their
 boundaries, links, crossings and areas. Nothing here is shared with the writers."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import pairwise
-from typing import NamedTuple
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain, product
 
 import numpy as np
 import shapely
@@ -20,10 +19,12 @@ from synth3dlanes.formats.comparing import (
     Rule,
     SourceSample,
     distances,
+    is_beside,
     too_far,
 )
-from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import feet_of, lengths_along, resampled
+from synth3dlanes.labels.labels import MIRRORED, Marking, PaintColor, Pair
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.world.world import scene_network
@@ -34,17 +35,70 @@ SIDE_M, SIDE_STEP_M = 0.05, 1.0
 MOST_LONG_M = 1e4
 # Length over which an endless road of the paper is measured.
 ENDLESS_M = 300.0
+# A boundary is painted as a delimiter if the share ON_LINE of those of its PLACES that the labels reach is within
+# ON_LINE_M of it, and bare if no more than the others are within BESIDE_M of any: where lanes part, lines are not quite
+# at their edges. It is compared if the labels reach more than COMPARED_SHARE of it.
+ON_LINE_M, BESIDE_M, ON_LINE, PLACES, COMPARED_SHARE = 0.05, 0.5, 0.9, 200, 0.6
+# The labels have all paint between these distances: the first ahead of the camera, the second from it.
+AHEAD_M, SURE_M = 5.0, 80.0
 
 
-class FoundLane(NamedTuple):
-    """A lane of a map, or a piece of one: its id, the segment of the lane graph that it is, its middle, and the ids of
-    what follows and precedes it."""
+@dataclass(frozen=True, eq=False)
+class FoundLane:
+    """A lane of a map, or a piece of one: its id, the segment of the lane graph that it is, and its middle. What a map
+    does not tell is left out: boundaries by their side (left or right, as traffic drives), the words of their paint,
+    and the ids of what follows and precedes it."""
 
     id: str
     segment: str
     middle: Points
-    after: Iterable[str]
-    before: Iterable[str]
+    sides: Mapping[str, Points] = field(default_factory=dict)
+    paint: Mapping[str, str] = field(default_factory=dict)
+    after: Collection[str] | None = None
+    before: Collection[str] | None = None
+
+
+@dataclass(frozen=True)
+class MapRule(Rule):
+    """How lanes of a map are compared. `word` is what the map calls paint (its marking, colour, whether it is double,
+    its pair); pieces of a segment have paint of their own if it is `of_pieces`. Lanes that follow each other meet
+    within `gap_m`, but for what our own do not; those whose gap is more than `joined_m` in our map need no link."""
+
+    name: str = "lane"
+    word: Callable[[Marking, PaintColor | None, bool | None, Pair | None], str] | None = None
+    of_pieces: bool = False
+    gap_m: float = 0.005
+    joined_m: float = np.inf
+
+
+def compare_lanes(
+    lanes: Sequence[FoundLane],
+    truth: SourceSample,
+    rule: MapRule,
+    b_from_world: Matrix4 | None = None,
+    is_in_area: Callable[[Points], Flags] = lambda points: np.ones(len(points), dtype=bool),
+) -> Comparison:
+    """Lanes beside those of the labels: middles in metres (`compare_map`), sides, links and paint. `b_from_world` is
+    given for a map in another frame than the world, in which `truth` then is, too."""
+    by_segment = dict[str, list[FoundLane]]()
+    for lane in lanes:
+        by_segment.setdefault(lane.segment, []).append(lane)
+    middles = [(lane.segment, lane.middle) for lane in lanes]
+    if not rule.of_pieces:
+        middles = [(name, np.concatenate([lane.middle for lane in own])) for name, own in by_segment.items()]
+    compared = compare_map(middles, truth, rule, is_in_area)
+    segments = {segment.id for segment in truth.labels.graph.segments}
+    known = {name: own for name, own in by_segment.items() if name in segments}
+    sided = [lane for own in known.values() for lane in own if lane.sides]
+    halves_m = half_widths(truth.scene, {lane.segment for lane in sided}, b_from_world)
+    pieces = [[lane] for own in known.values() for lane in own]
+    return compared.because(
+        [
+            *(text for at in sided for text in side_problems(at.segment, at.middle, at.sides, halves_m[at.segment])),
+            *link_problems(known, truth, rule),
+            *_paint_problems(pieces if rule.of_pieces else known.values(), truth, rule),
+        ]
+    )
 
 
 def middle_of(left: Points3, right: Points3) -> Points3:
@@ -100,28 +154,34 @@ def _to_left(steps: Points, along: Points) -> np.ndarray:
     return np.asarray((dx * y - dy * x) / np.maximum(np.hypot(dx, dy), 1e-9))
 
 
-def link_problems(lanes: Sequence[FoundLane], truth: SourceSample, limit_m: float) -> Iterator[str]:
-    """Findings where links are not those of the lane graph and between the pieces of a lane, which are in its order, or
-    where lanes do not meet: our own may not quite do so either."""
-    pieces = dict[str, list[FoundLane]]()
-    for lane in lanes:
-        pieces.setdefault(lane.segment, []).append(lane)
-    graph = truth.labels.graph
-    pairs = [(a, b) for a in pieces for b in graph.successors.get(a, ()) if b in pieces]
-    gaps_m = link_gaps(truth.scene, pairs)
-    links = [(a, b, limit_m) for own in pieces.values() for a, b in pairwise(own)]
-    links += [(pieces[a][-1], pieces[b][0], limit_m + gaps_m[a, b]) for a, b in pairs]
-    for lane in lanes:
-        after = {b.id for a, b, _ in links if a is lane}
-        before = {a.id for a, b, _ in links if b is lane}
-        for word, got, expected in (("follow", lane.after, after), ("precede", lane.before, before)):
-            if sorted(got) != sorted(expected):
-                told = [", ".join(sorted(ids)) or "none" for ids in (expected, got)]
+def link_problems(found: Mapping[str, Sequence[FoundLane]], truth: SourceSample, rule: MapRule) -> Iterator[str]:
+    """Findings where links are not those of the lane graph and between the pieces of a lane, or where lanes do not
+    meet: our own may not quite do so either. Where a map cuts lanes off, they do not meet and need no link."""
+    pairs = [(a, b) for a, after in truth.labels.graph.successors.items() for b in after if a in found and b in found]
+    apart_m = dict.fromkeys(((name, name) for name in found), 0.0) | link_gaps(truth.scene, pairs)
+    gaps_m, limits_m = dict[tuple[str, str], float](), dict[tuple[str, str], float]()
+    needed = {True: defaultdict[str, set[str]](set), False: defaultdict[str, set[str]](set)}
+    for (a, b), own_m in apart_m.items():
+        for one, other in product(found[a], found[b]):
+            if one is not other or (a, b) in pairs:
+                link = one.id, other.id
+                gaps_m[link], limits_m[link] = float(np.linalg.norm(one.middle[-1] - other.middle[0])), own_m
+                if gaps_m[link] <= rule.gap_m + own_m and own_m <= rule.joined_m:
+                    needed[True][one.id].add(other.id)
+                    needed[False][other.id].add(one.id)
+    for lane in chain.from_iterable(found.values()):
+        for word, got, is_after in (("follow", lane.after, True), ("precede", lane.before, False)):
+            if got is None:
+                continue
+            links = {other: (lane.id, other) if is_after else (other, lane.id) for other in got}
+            wanted = needed[is_after][lane.id]
+            if wanted - {*got} or any(link not in gaps_m for link in links.values()):
+                told = [", ".join(sorted(ids)) or "none" for ids in (wanted, got)]
                 yield f"lane {lane.segment}: expected {told[0]} to {word} it, got {told[1]}"
-    for one, other, most_m in links:
-        gap_m = float(np.linalg.norm(one.middle[-1] - other.middle[0]))
-        if not gap_m <= most_m:
-            yield f"lane {one.segment}: expected {other.id} to begin where it ends, got it {gap_m:.3f} m away"
+            for name, link in links.items():
+                if is_after and link in gaps_m and not gaps_m[link] <= rule.gap_m + limits_m[link]:
+                    told_m = f"{gaps_m[link]:.3f} m"
+                    yield f"lane {lane.segment}: expected {name} to begin where it ends, got it {told_m} away"
 
 
 def link_gaps(scene: Scene, links: Iterable[tuple[str, str]]) -> dict[tuple[str, str], float]:
@@ -154,7 +214,7 @@ def compare_map(
     }
     segments = labels.graph.segments
     paths = {segment.id: [name for name in segment.centerlines if name in ours] for segment in segments}
-    gaps, problems, strange, outside = list[Gap](), list[str](), Counter[str](), Counter[str]()
+    gaps, problems, strange, outside = list[Gap](), list[str](), Counter[str](), set[str]()
     covered = {name: np.zeros(len(ours[name][0]), dtype=bool) for name in ours}
     for name, points in found:
         if name not in paths:
@@ -165,7 +225,7 @@ def compare_map(
         for path in paths[name]:
             covered[path] |= distances(ours[path][0], points) < COVERED_M
         if gap is None:
-            outside[rule.name] += 1
+            outside.add(name)
             continue
         gaps.append(replace(gap, name=name))
         if not gap.worst <= rule.limit:
@@ -176,7 +236,8 @@ def compare_map(
         if bare.sum() >= SURE_POINTS:
             apart = min((float(distances(points[bare], line).max()) for _, line in found), default=np.inf)
             problems.append(f"{rule.name} along {name}: expected one, got none nearer than {apart:.3g} m")
-    return Comparison(tuple(gaps), tuple(problems), strange=strange, outside=outside)
+    beyond = Counter({rule.name: len(outside - {gap.name for gap in gaps})})
+    return Comparison(tuple(gaps), tuple(problems), strange=strange, outside=beyond)
 
 
 ASIDE_M = 8.0
@@ -217,6 +278,64 @@ def _bows(line: Points) -> Scalars:
     turn = np.abs(np.diff(np.unwrap(np.arctan2(step[:, 1], step[:, 0]))))
     sharper = np.maximum(np.append(0.0, turn), np.append(turn, 0.0))
     return np.asarray(np.linalg.norm(step, axis=1) * np.tan(sharper / 4) / 2)
+
+
+def _paint_problems(groups: Iterable[Sequence[FoundLane]], truth: SourceSample, rule: MapRule) -> Iterator[str]:
+    """Findings where a boundary has other paint than a delimiter along which it runs, or some where there is none; the
+    pieces of a group are painted alike. Where lines follow each other along a boundary, either may have its paint."""
+    word, pose, graph = rule.word, truth.labels.camera.world_from_cam, truth.labels.graph
+    if word is None:
+        return
+    world = {lane.id: transform(pose, lane.xyz_cam) for lane in truth.labels.lanes if len(lane.xyz_cam) > 1}
+    ours = [(lane, world[lane.id]) for lane in truth.labels.lanes if lane.kind == "delimiter" and lane.id in world]
+    paths = {segment.id: [world[at] for at in segment.centerlines if at in world] for segment in graph.segments}
+    for group in groups:
+        beside, name = paths.get(group[0].segment, ()), group[0].segment
+        for side in group[0].paint if beside else ():
+            line = np.concatenate([lane.sides[side] for lane in group])
+            if len(line) < 2:
+                continue
+            fine = resampled(line, PLACES)
+            fine = fine[np.any([is_beside(fine, path) for path in beside], axis=0)]
+            # Paint changes along a lane, as at the nose of an exit, and the labels may not reach most of it.
+            if len(fine) <= COMPARED_SHARE * PLACES:
+                continue
+            close = [(paint, line) for paint, line in ours if len(on_line(fine, line)) >= ON_LINE * len(fine)]
+            expected = set[str]()
+            for paint, line in close:
+                pair = MIRRORED[paint.pair] if paint.pair is not None and goes_back(fine, line) else paint.pair
+                expected.add(word(paint.marking, paint.color, paint.double, pair))
+            if (
+                not close
+                and _is_sure(fine, truth)
+                and sum(len(on_line(fine, line, BESIDE_M)) for _, line in ours) < (1 - ON_LINE) * len(fine)
+            ):
+                expected.add(word("none", None, None, None))
+            told = {lane.paint[side] for lane in group}
+            if expected and not told <= expected:
+                like = f", as {close[0][0].id} is painted" if close else ""
+                texts = [" or ".join(sorted(words)) for words in (expected, told)]
+                yield f"lane {name}: expected {texts[0]} on its {side}{like}, got {texts[1]}"
+
+
+def on_line(points: Points, line: Points, limit_m: float = ON_LINE_M) -> Points:
+    """Which points are on a line; most lines are too far away to be asked point by point."""
+    low, high = line.min(axis=0) - limit_m, line.max(axis=0) + limit_m
+    around = points[((points > low) & (points < high)).all(axis=1)]
+    return around[distances(around, line) < limit_m] if len(around) else around
+
+
+def goes_back(points: Points, line: Points) -> bool:
+    """Whether points along a line go against it: from the far end to the near one, as the host drives."""
+    middle = len(points) // 2
+    _, (at,), _ = feet_of(points[middle : middle + 1], line)
+    return bool((line[at + 1] - line[at]) @ (points[middle] - points[middle - 1]) < 0)
+
+
+def _is_sure(points_world: Points3, truth: SourceSample) -> bool:
+    """Whether the labels have all paint at points of the world."""
+    points_cam = transform(invert(truth.labels.camera.world_from_cam), points_world)
+    return bool((points_cam[:, 1] > AHEAD_M).all() and np.linalg.norm(points_cam, axis=1).max() < SURE_M)
 
 
 def symbol_problems(

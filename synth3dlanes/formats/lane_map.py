@@ -3,9 +3,9 @@
 Segments are those of the lane graph. World frame, metres; lines go as their traffic does.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.labels.labels import MIRRORED, Marking, PaintColor, Pair, Segment
 from synth3dlanes.roads.lane_curves import LaneCurve
-from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.paint import is_double, paint_color, pair_of
 from synth3dlanes.world.world import World
@@ -45,7 +44,15 @@ class LaneSegment:
     points_world: Points3
     left: Boundary
     right: Boundary
-    is_connector: bool = False
+    is_connector: bool
+    painted: Callable[[Points3], Boundary]
+
+    def part(self, first: int, last: int) -> "LaneSegment":
+        """Its points from the first to the one before the last, its boundaries with the paint along most of these."""
+        if (first, last) == (0, len(self.points_world)):
+            return self
+        left, right = (self.painted(side.points_world[first:last]) for side in (self.left, self.right))
+        return replace(self, points_world=self.points_world[first:last], left=left, right=right)
 
 
 def lane_segments(
@@ -60,8 +67,9 @@ def lane_segments(
         lines = network.lane_lines(lane, at_world[:2], reach_m)
         if lines is not None:
             middle, *sides = lines
-            left, right = (_painted(world, side, delimiters, lane) for side in sides)
-            yield LaneSegment(index, segment.id, middle, left, right, lane.junction is not None)
+            painted = partial(_painted, world, delimiters)
+            left, right = map(painted, sides)
+            yield LaneSegment(index, segment.id, middle, left, right, lane.junction is not None, painted)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +85,7 @@ class _Painted:
         return cKDTree(self.xy)
 
 
-def _painted(world: World, points_world: Points3, delimiters: Sequence[_Painted], lane: NetworkLane) -> Boundary:
+def _painted(world: World, delimiters: Sequence[_Painted], points_world: Points3) -> Boundary:
     best, best_share = None, LEAST_PAINTED
     for painted in delimiters:
         gaps_m, _ = painted.tree.query(points_world[:, :2], distance_upper_bound=ON_LINE_M)

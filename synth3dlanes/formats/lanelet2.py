@@ -8,7 +8,6 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,14 +16,13 @@ import shapely
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.comparing import Comparison, Gap, Rule, SourceSample, distances, is_beside
-from synth3dlanes.formats.comparing_maps import compare_map, link_gaps, middle_of
+from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, distances
+from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, middle_of
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
 from synth3dlanes.formats.lanelet_map import (
     BOUND_STEP_M,
     JOIN_M,
     LINE_M,
-    ON_LINE,
     REACH_M,
     SAME_M,
     Bound,
@@ -35,13 +33,13 @@ from synth3dlanes.formats.lanelet_map import (
     painted_along,
     painted_lines,
 )
-from synth3dlanes.formats.opendrive.things import NONE
-from synth3dlanes.formats.opendrive.things import SIGNS as GERMAN_SIGNS
+from synth3dlanes.formats.opendrive_things import NONE
+from synth3dlanes.formats.opendrive_things import SIGNS as GERMAN_SIGNS
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
-from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import lengths_along, resampled, stretches, thinned
-from synth3dlanes.labels.labels import MIRRORED, Lane
+from synth3dlanes.labels.labels import MIRRORED, Marking, PaintColor, Pair
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound, read_lanelet
 from synth3dlanes.roads.maps.osm import Osm, read_osm
 from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of
@@ -373,13 +371,19 @@ def _write_board(document: _Document, element: TrafficElement, tags: Tags) -> in
 
 # -- read back
 
-# Middles of lanes and painted bounds are within the limit; heights of middles within the slack.
-RULE = Rule("m", 0.05, name="lane", slack=0.3)
+
+def paint_word(
+    marking: Marking, color: PaintColor | None = None, double: bool | None = None, pair: Pair | None = None
+) -> str:
+    """The subtype and colour of a painted way."""
+    subtype = pair or ("solid_solid" if double and marking == "solid" else marking)
+    return subtype if marking == "none" else f"{subtype} {color}"
+
+
+# Middles of lanes are within the limit, and heights within the slack.
+RULE = MapRule("m", 0.05, slack=0.3, word=paint_word, of_pieces=True, joined_m=JOIN_M / 2)
 CROSSWALK_M, DEGREES_M = 0.02, 0.001
 """How far crosswalks may be from those of the labels, and degrees from local coordinates."""
-COMPARED_SHARE, AHEAD_M, SURE_M = 0.6, 5.0, 80.0
-"""Paint is compared where the labels reach this share of a bound; they reach all places between these distances: the
-first ahead of the camera, the second from it."""
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
@@ -401,18 +405,27 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
                 found.setdefault(lanelet.tags[SEGMENT], []).append(lanelet)
             elif lanelet.tags.get("subtype") == "crosswalk":
                 crosswalks.append(lanelet)
-    segments = {segment.id: segment for segment in truth.labels.graph.segments}
-    known = truth.scene.roads.driving_lanes
-    inner = {name: lanelets for name, lanelets in found.items() if name in segments or name not in known}
-    middles = [
-        (name, np.concatenate([middle_of(at.left.points, at.right.points) for at in lanelets]))
-        for name, lanelets in inner.items()
+    segments = {segment.id for segment in truth.labels.graph.segments}
+    beyond = {name for name in found if name not in segments and name in truth.scene.roads.driving_lanes}
+    begins = dict[tuple[str, str], list[str]]()
+    labelled = [(name, at) for name, lanelets in found.items() if name not in beyond for at in lanelets]
+    for _, at in labelled:
+        begins.setdefault(at.begins, []).append(at.id)
+    lanes = [
+        FoundLane(
+            at.id,
+            name,
+            middle_of(at.left.points, at.right.points),
+            {"left": at.left.points, "right": at.right.points},
+            {"left": _look_of(at.left), "right": _look_of(at.right)},
+            begins.get(at.ends, ()),
+        )
+        for name, at in labelled
     ]
-    compared = compare_map(middles, truth, RULE) + Comparison(outside=Counter({RULE.name: len(found) - len(inner)}))
-    labelled = {name: lanelets for name, lanelets in inner.items() if name in segments}
-    problems += [*_degree_problems(osm), *_link_problems(labelled, truth), *_neighbour_problems(labelled, truth)]
-    compared += _crosswalks(crosswalks, truth) + _paint(labelled, truth)
-    return compared.because(problems)
+    compared = compare_lanes(lanes, truth, RULE) + Comparison(outside=Counter({RULE.name: len(beyond)}))
+    compared += _crosswalks(crosswalks, truth)
+    known = {name: lanelets for name, lanelets in found.items() if name in segments}
+    return compared.because([*problems, *_degree_problems(osm), *_neighbour_problems(known, truth)])
 
 
 def _degree_problems(osm: Osm) -> Iterator[str]:
@@ -422,24 +435,6 @@ def _degree_problems(osm: Osm) -> Iterator[str]:
     apart_m = np.linalg.norm(found - osm.xyz[:, :2], axis=1)
     if not apart_m.max() <= DEGREES_M:
         yield f"expected lat and lon of local_x and local_y to a millimetre, got them {apart_m.max():.3g} m off"
-
-
-def _link_problems(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Iterator[str]:
-    """Findings where lanelets that begin at the end of another are not those of the lane graph."""
-    begins = dict[tuple[str, str], list[str]]()
-    for name, lanelets in found.items():
-        begins.setdefault(lanelets[0].begins, []).append(name)
-        for one, other in pairwise(lanelets):
-            if one.ends != other.begins:
-                yield f"lane {name}: expected lanelet {other.id} to begin where {one.id} ends"
-    pairs = [(a, b) for a, after in truth.labels.graph.successors.items() for b in after if a in found and b in found]
-    gaps_m = link_gaps(truth.scene, pairs)
-    for name, lanelets in found.items():
-        expected = sorted(b for a, b in pairs if a == name and gaps_m[a, b] <= JOIN_M / 2)
-        may = {b for a, b in pairs if a == name}
-        got = sorted(begins.get(lanelets[-1].ends, ()))
-        if not set(expected) <= set(got) <= may:
-            yield f"lane {name}: expected {expected or 'none'} to follow it, got {got or 'none'}"
 
 
 def _neighbour_problems(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Iterator[str]:
@@ -469,50 +464,12 @@ def _crosswalks(found: Sequence[Lanelet], truth: SourceSample) -> Comparison:
     return Comparison.within(gaps, {"m": CROSSWALK_M}).because(problems)
 
 
-def _paint(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Comparison:
-    """How far bounds are in space from the delimiters along which they run, and findings where they have other paint;
-    where the labels reach most of them."""
-    world = {lane.id: transform(truth.labels.camera.world_from_cam, lane.xyz_cam) for lane in truth.labels.lanes}
-    ours = [lane for lane in truth.labels.lanes if lane.kind == "delimiter" and len(lane.xyz_cam) > 1]
-    boxes = {lane.id: (world[lane.id].min(axis=0) - 1, world[lane.id].max(axis=0) + 1) for lane in ours}
-    cam_from_world = invert(truth.labels.camera.world_from_cam)
-    paths = {segment.id: segment.centerlines for segment in truth.labels.graph.segments}
-    gaps, problems = list[Gap](), list[str]()
-    for name, lanelets in found.items():
-        middles = [world[path] for path in paths[name] if len(world.get(path, ())) > 1]
-        for side, at in ((side, at) for one in lanelets for side, at in (("left", one.left), ("right", one.right))):
-            fine = resampled(at.points, 40)[2:-2]
-            reached = np.any([is_beside(fine, middle) for middle in middles], axis=0) if middles else np.zeros(36, bool)
-            if np.mean(reached) <= COMPARED_SHARE:
-                continue
-            fine, apart = fine[reached], dict[str, np.ndarray]()
-            for lane in ours:
-                low, high = boxes[lane.id]
-                if ((fine > low) & (fine < high)).all(axis=1).any():
-                    apart[lane.id] = distances(fine, world[lane.id])
-            # Where paint is told in short pieces, some of them after each other are along a bound.
-            is_bare = np.mean(np.min([*apart.values(), np.full(len(fine), np.inf)], axis=0) >= RULE.limit) > ON_LINE
-            close = [lane for lane in ours if lane.id in apart and np.mean(apart[lane.id] < RULE.limit) > ON_LINE]
-            is_painted = at.tags.get("type") in ("line_thin", "line_thick")
-            got = f"{at.tags.get('subtype')} {at.tags.get('color')}" if is_painted else "none"
-            expected = {_look_of(lane, world[lane.id], at) for lane in close}
-            fine_cam = transform(cam_from_world, fine)
-            is_sure = bool((fine_cam[:, 1] > AHEAD_M).all() and np.linalg.norm(fine_cam, axis=1).max() < SURE_M)
-            if (close or (is_painted and is_sure and is_bare)) and got not in expected:
-                told = " or ".join(sorted(expected)) or "no paint"
-                problems.append(f"lane {name}: expected {told} on its {side}, as in the labels, got {got}")
-            if close:
-                # Beyond an end of a delimiter the labels may not reach.
-                off = (apart[lane.id][is_beside(fine, world[lane.id])] for lane in close)
-                gaps.append(Gap.of(f"{side} of {name}", "m", min(off, key=lambda at: float(at.max())), "bound"))
-    return Comparison.within(gaps, {"m": RULE.limit}).because(problems)
-
-
-def _look_of(lane: Lane, points_world: Polyline3, bound: LaneletBound) -> str:
-    """What a delimiter looks like, in the direction in which the way of a bound is drawn."""
-    first, last = (np.linalg.norm(points_world - end, axis=1).argmin() for end in bound.points[[0, -1]])
-    pair = lane.pair if lane.pair is None or (first < last) != bound.is_against else MIRRORED[lane.pair]
-    return f"{pair or ('solid_solid' if lane.double and lane.marking == 'solid' else lane.marking)} {lane.color}"
+def _look_of(bound: LaneletBound) -> str:
+    """What the paint of a bound looks like, as its traffic drives."""
+    if bound.tags.get("type") not in ("line_thin", "line_thick"):
+        return paint_word("none")
+    subtype = str(bound.tags.get("subtype"))
+    return f"{MIRRORED.get(subtype, subtype) if bound.is_against else subtype} {bound.tags.get('color')}"
 
 
 FORMAT = SampleFormat(

@@ -23,8 +23,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field, RootModel
 
-from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_pinhole
-from synth3dlanes.formats.comparing_maps import compare_map, half_widths, link_gaps, side_problems
+from synth3dlanes.formats.comparing import Comparison, SourceSample, compare_pinhole
+from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import REACH_M, LaneSegment, lane_segments
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_text
@@ -33,7 +33,6 @@ from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import resampled, stretches
 from synth3dlanes.labels.labels import CameraLabel, Marking
 from synth3dlanes.labels.object_labels import ObjectLabel
-from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import ElementKind, ElementState
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Points3
@@ -77,9 +76,8 @@ SHORT = f"less than {LEAST_LENGTH_M:g} m of it in the area"
 OUTSIDE = f"outside the area ({AHEAD_M:g} m ahead, {ASIDE_M:g} m to each side)"
 LEAST_POINTS = 11  # what the benchmark compares
 # A curve that is sampled every metre and one that is sampled every half are some millimetres apart.
-RULE = Rule("m", 0.05, name="lane", slack=0.3)
+RULE = MapRule("m", 0.05, slack=0.3, word=lambda marking, *_: str(LINE_TYPES[marking]), of_pieces=True, gap_m=1e-3)
 LIMIT_PX = 0.02
-GAP_M = 1e-3
 # Tolerance at the border of the area.
 BORDER_M = 2.0
 # Error of rounded rectangles. A traffic element must be in an export if at least CLEAR_SHARE of it is seen, its
@@ -240,12 +238,10 @@ def _lanes(
         if not parts:
             dropped[SHORT if inside else OUTSIDE] += 1
         for number, (first, last) in enumerate(parts):
-            left_ego, right_ego = (
-                transform(ego_from_world, side.points_world[first:last]) for side in (segment.left, segment.right)
-            )
-            is_whole = first == 0, last == len(middle_ego)
+            part, is_whole = segment.part(first, last), (first == 0, last == len(middle_ego))
+            left_ego, right_ego = (transform(ego_from_world, side.points_world) for side in (part.left, part.right))
             id_ = segment.index + number * NEXT_PART
-            lanes.append(_Lane(id_, segment, middle_ego[first:last], left_ego, right_ego, *is_whole))
+            lanes.append(_Lane(id_, part, middle_ego[first:last], left_ego, right_ego, *is_whole))
     return lanes
 
 
@@ -349,16 +345,26 @@ class _Centerline(Excerpt):
     def lines(self) -> tuple[Points3, ...]:
         return (self.points,)
 
+    @property
+    def paint(self) -> dict[str, str]:
+        return {}
+
 
 class _Segment(Excerpt):
     id: int
     centerline: JsonPoints
     left_laneline: JsonPoints
     right_laneline: JsonPoints
+    left_laneline_type: int
+    right_laneline_type: int
 
     @property
     def lines(self) -> tuple[Points3, ...]:
         return self.centerline, self.left_laneline, self.right_laneline
+
+    @property
+    def paint(self) -> dict[str, str]:
+        return {"left": str(self.left_laneline_type), "right": str(self.right_laneline_type)}
 
 
 Topology = list[list[Literal[0, 1]]]
@@ -475,7 +481,6 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
         text = f"expected ids of their own, those of {len(graph.segments)} segments, got {ids}"
         return Comparison(problems=(*problems, text))
     names = [graph.segments[i].id for i in numbers]
-    lanes = [[transform(world_from_ego, line) for line in lane.lines] for lane in found_lanes]
     cameras = (picture.labels.camera for picture in truth.moment)
     by_name = {name: camera for camera in cameras if (name := _name(camera)) in found.cameras}
     behind_m = AHEAD_M if any(_looks_back(camera, world_from_ego) for camera in by_name.values()) else 0.0
@@ -484,17 +489,15 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
         x, y, _ = transform(invert(world_from_ego), points_world).T
         return np.asarray((x > BORDER_M - behind_m) & (x < AHEAD_M - BORDER_M) & (np.abs(y) < ASIDE_M - BORDER_M))
 
-    middles = [(name, lines[0]) for name, lines in zip(names, lanes, strict=True)]
-    compared = compare_map(middles, truth, RULE, is_in_area) + _compared_cameras(found, by_name)
-    halves_m = half_widths(truth.scene, names)
-    sides = (
-        problem
-        for name, (middle, *edges) in zip(names, lanes, strict=True)
-        for problem in side_problems(name, middle, dict(zip(("left", "right"), edges, strict=False)), halves_m[name])
-    )
+    lanes = []
+    for i, (lane, name) in enumerate(zip(found_lanes, names, strict=True)):
+        middle, *edges = (transform(world_from_ego, line) for line in lane.lines)
+        after = [str(ids[j]) for j, follows in enumerate(found.annotation.follows[i]) if follows]
+        sides = dict(zip(("left", "right"), edges, strict=False))
+        lanes.append(FoundLane(str(lane.id), name, middle, sides, lane.paint, after))
     elements = _element_problems(found, names, truth.labels.traffic_elements or ())
-    topology = _topology_problems(found, names, graph.successors, truth.scene)
-    return compared.because([*problems, *sides, *topology, *elements])
+    compared = compare_lanes(lanes, truth, RULE, is_in_area=is_in_area) + _compared_cameras(found, by_name)
+    return compared.because([*problems, *elements])
 
 
 def _compared_cameras(found: TopologyFrame, cameras: dict[str, CameraLabel]) -> Comparison:
@@ -506,22 +509,6 @@ def _compared_cameras(found: TopologyFrame, cameras: dict[str, CameraLabel]) -> 
         compared += compare_pinhole(name, camera, theirs.intrinsic.K, cv_from_cam, LIMIT_PX)
     unknown = (f"camera {name}: expected one of the labels, got none" for name in found.cameras if name not in cameras)
     return compared.because(unknown)
-
-
-def _topology_problems(
-    found: TopologyFrame, names: list[str], successors: dict[str, tuple[str, ...]], scene: Scene
-) -> Iterator[str]:
-    lines, follow = [lane.lines[0] for lane in found.annotation.lanes], found.annotation.follows
-    gaps_m = link_gaps(scene, [(a, b) for a in {*names} for b in successors.get(a, ()) if b in names])
-    for i, lane in enumerate(names):
-        for j, other in enumerate(names):
-            gap_m = float(np.linalg.norm(lines[i][-1] - lines[j][0]))
-            follows = other in successors.get(lane, ())
-            is_near = gap_m <= GAP_M + gaps_m.get((lane, other), 0.0)
-            if follow[i][j] and not (follows and is_near):
-                yield f"lane {other}: expected it not to follow {lane}, got it {gap_m:.3f} m from its end"
-            if not follow[i][j] and follows and gap_m <= GAP_M:
-                yield f"lane {other}: expected it to follow {lane}, whose end it touches, got it not to"
 
 
 def _element_problems(found: TopologyFrame, names: list[str], items: Sequence[ObjectLabel]) -> Iterator[str]:

@@ -10,8 +10,9 @@ from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.formats.argoverse2.format import write as annotate
-from synth3dlanes.formats.argoverse2.maps import _goes_back, _runs_along, mark_type
+from synth3dlanes.formats.argoverse2 import mark_type
+from synth3dlanes.formats.argoverse2 import write as annotate
+from synth3dlanes.formats.comparing_maps import goes_back, on_line
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.lane_map import _is_against
 from synth3dlanes.formats.verify import verify
@@ -246,9 +247,9 @@ def test_a_boundary_has_the_paint_of_a_line_along_it_not_of_one_that_it_meets():
     s = np.linspace(0, 40, 200)
     boundary = np.column_stack([s, 0 * s, 0 * s])
     parting = np.column_stack([s, 0.1 * np.maximum(s - 4, 0) ** 2, 0 * s])
-    assert not _runs_along(boundary, parting), "it is beside the first 4 m of 40, as where a turn lane opens"
-    assert _runs_along(boundary, boundary + np.array([0, 0.02, 0]))
-    assert not _runs_along(boundary, boundary + np.array([0, 0.2, 0]))
+    assert len(on_line(boundary, parting)) < 25, "it is beside the first 4 m of 40, as where a turn lane opens"
+    assert len(on_line(boundary, boundary + np.array([0, 0.02, 0]))) == 200
+    assert len(on_line(boundary, boundary + np.array([0, 0.2, 0]))) == 0
 
 
 @pytest.mark.parametrize("length_m", [0.03, 3.0, 30.0])
@@ -258,9 +259,9 @@ def test_a_boundary_goes_with_or_against_the_paint_that_it_runs_along(length_m):
     paint = 8.0 * np.column_stack([np.cos(at), np.sin(at), 0 * at])
     on = np.linspace(5 - length_m / 8.0, 5, 60)
     boundary = 8.0 * np.column_stack([np.cos(on), np.sin(on), 0 * on])
-    for points, goes_back in ((boundary, False), (boundary[::-1], True)):
-        assert _goes_back(points, paint) is goes_back
-        assert _is_against(paint[:, :2], points) is goes_back
+    for points, is_back in ((boundary, False), (boundary[::-1], True)):
+        assert goes_back(points, paint) is is_back
+        assert _is_against(paint[:, :2], points) is is_back
 
 
 def test_mark_types():

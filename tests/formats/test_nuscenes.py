@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats import export
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.nuscenes.format import scene_name
-from synth3dlanes.formats.nuscenes.format import write as annotate
-from synth3dlanes.formats.nuscenes.maps import arcline_paths
-from synth3dlanes.formats.nuscenes.tables import segment_type
+from synth3dlanes.formats.nuscenes import scene_name
+from synth3dlanes.formats.nuscenes import write as annotate
+from synth3dlanes.formats.nuscenes_maps import arcline_paths, segment_type
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import Sweep
@@ -505,7 +504,7 @@ FAULTS = {
     ),
     "no dividers": (layer("lane_divider", list.clear), "expected a lane divider along it"),
     "no middle of the road": (layer("road_divider", list.clear), "expected a road divider along it"),
-    "edges": (other(MAP, edges_as_dividers), "expected no divider along the edge of a road"),
+    "edges": (other(MAP, edges_as_dividers), "expected no lane divider along the edge of a road"),
     "paint": (layer("lane_divider", each(painted)), "got DOUBLE_SOLID_YELLOW"),
     "no crossings": (layer("ped_crossing", list.clear), "pedestrian crossing: expected one on a crosswalk"),
     "no areas": (layer("drivable_area", list.clear), "expected it in the drivable area"),

@@ -9,7 +9,7 @@ import pytest
 
 from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, draw_world, sample_world
-from synth3dlanes.formats.opendrive.format import numbered, opendrive
+from synth3dlanes.formats.opendrive import numbered, opendrive
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.roadside import Building, Post, Rail, Roadside

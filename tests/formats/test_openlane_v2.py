@@ -1,6 +1,7 @@
 """OpenLane-V2: the devkit's rules, the map behind the labels."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -119,6 +120,13 @@ def test_boundaries_and_their_types_are_the_delimiters_of_the_labels(seed):
             assert made[f"{side}_laneline_double"] == delimiter.double
             points = np.array(made[f"{side}_laneline"])
             assert gaps(points[points[:, 0] > 1.5], ego_of(labels, delimiter.xyz_cam)).max() < 0.05
+    assert found_in(frame, document).problems == ()
+    for made in document["annotation"]["lane_segment"]:
+        side = f"{'left' if seed % 2 else 'right'}_laneline_type"
+        made[side] = 3 - made[side]
+    told = found_in(frame, document).problems
+    assert told
+    assert all(re.search(r"lane \w+: expected [12] on its \w+, as \w+ is painted, got [12]$", one) for one in told)
 
 
 @pytest.mark.parametrize("topology", [2, 3, 4])

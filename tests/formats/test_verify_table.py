@@ -166,7 +166,7 @@ def test_a_lane_moved_aside_and_a_lost_link_are_found_in_a_town(made: Callable[[
     text = path.read_text()
     for pattern, replacement, expected in (
         (r'(<laneOffset s="0" a=")[^"]*', r"\g<1>0.4", "within 0.15 m of the labels"),
-        (r'(<lane id="-1".*?<successor id=")[^"]*', r"\g<1>-9", "expected its successor to be there"),
+        (r'(<lane id="-1".*?<successor id=")[^"]*', r"\g<1>-9", "to follow it, got none"),
     ):
         path.write_text(re.sub(pattern, replacement, text, flags=re.DOTALL))
         found = [problem for result in verify(job) for problem in result.problems]

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.formats.opendrive.format import opendrive
+from synth3dlanes.formats.opendrive import opendrive
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.cross_section import Shapes
 from synth3dlanes.roads.maps.cubics import value

@@ -9,7 +9,7 @@ import pytest
 
 from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.formats.opendrive.format import opendrive as opendrive_of
+from synth3dlanes.formats.opendrive import opendrive as opendrive_of
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params

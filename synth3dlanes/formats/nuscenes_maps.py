@@ -1,4 +1,5 @@
-"""The map expansion of nuScenes: the layers of a scene's map from above, in its level frame.
+"""The map expansion of nuScenes: the layers of a scene's map from above, in its level frame; read back,
+and compared in the global frame.
 
 | theirs | ours |
 |---|---|
@@ -10,28 +11,34 @@
 | `traffic_light` | signals |
 """
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
+from pydantic import Field, TypeAdapter, create_model
 from shapely.geometry.base import BaseGeometry
 
-from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
-from synth3dlanes.formats.nuscenes.tables import (
-    ELEMENTS,
-    LAYERS,
-    LINKS,
-    PATHS,
-    segment_type,
-    token,
+from synth3dlanes.formats.comparing import (
+    Comparison,
+    SourceSample,
+    distances,
 )
+from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, area_problems, compare_lanes, symbol_problems
+from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
 from synth3dlanes.geometry.frames import invert, transform, turned
-from synth3dlanes.geometry.polylines import stretches, thinned
-from synth3dlanes.labels.labels import LaneGraph
+from synth3dlanes.geometry.polylines import resampled, stretches, thinned
+from synth3dlanes.labels.labels import Labels, LaneGraph, Marking, PaintColor, Pair
 from synth3dlanes.scene.roadside import Rail
+from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3, Scalars
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import Row3, Row4
+from synth3dlanes.system.schema import Excerpt, Number, Positive
 from synth3dlanes.world.areas import (
     difference,
     filled,
@@ -48,6 +55,130 @@ from synth3dlanes.world.elements import TrafficElement
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.rails import WALKWAY_M, rail_stations
 from synth3dlanes.world.world import World
+
+CATEGORIES, ELEMENTS = classes_in("nuscenes"), classes_in("nuscenes", of_elements=True)
+
+
+TOKENS, POSE_FIELDS = list[str], {"translation": Row3, "rotation": Row4}
+
+
+class _Hole(Excerpt):
+    node_tokens: list[str]
+
+
+class _Paint(Excerpt):
+    node_token: str
+    segment_type: str
+
+
+class _Place(Excerpt):
+    tx: Number
+    ty: Number
+    tz: Number
+
+
+_AREA, _LINE, _SIDE = {"polygon_token": str}, {"line_token": str}, list[_Paint]
+
+
+LAYERS: dict[str, dict[str, Any]] = {
+    "node": {"x": Number, "y": Number},
+    "line": {"node_tokens": TOKENS},
+    "polygon": {"exterior_node_tokens": TOKENS, "holes": list[_Hole]},
+    "drivable_area": {"polygon_tokens": TOKENS},
+    "road_segment": _AREA,
+    "road_block": {},
+    "lane": {**_AREA, "left_lane_divider_segments": _SIDE, "right_lane_divider_segments": _SIDE},
+    "lane_connector": _AREA,
+    "ped_crossing": _AREA,
+    "walkway": _AREA,
+    "stop_line": _AREA,
+    "carpark_area": {},
+    "road_divider": _LINE,
+    "lane_divider": {**_LINE, "lane_divider_segments": _SIDE},
+    "traffic_light": {"pose": _Place},
+}
+"""The lists of a map, and what is read of their records; `road_block` and `carpark_area` stay empty."""
+
+
+PATHS, LINKS = "arcline_path_3", "connectivity"
+
+
+_Length = Annotated[float, Field(ge=0, le=1e4)]
+
+
+class Arc(Excerpt):
+    """A piece of a path: up to three arcs and straight pieces, by the letters of its shape."""
+
+    start_pose: Row3
+    shape: str
+    radius: Positive
+    segment_length: tuple[_Length, _Length, _Length]
+
+
+class _Links(Excerpt):
+    incoming: list[str]
+    outgoing: list[str]
+
+
+def token(*names: object) -> str:
+    """The 32 hex digits that name a record, by what it is."""
+    return hashlib.md5("/".join(map(str, names)).encode(), usedforsecurity=False).hexdigest()
+
+
+def segment_type(marking: Marking, color: PaintColor | None, double: bool | None, pair: Pair | None = None) -> str:
+    """The name of paint; the stripes of a pair from the left, as the lane's traffic drives."""
+    if marking == "none":
+        return "NIL"
+    stripes = pair or f"{'double' if double else 'single'}_{marking}"
+    return f"{stripes}_{color or 'white'}".upper()
+
+
+def excerpt(**fields: Any) -> Any:
+    made: Any = {name: (of, ...) for name, of in fields.items()}
+    return create_model("row", __base__=Excerpt, **made)
+
+
+def records(fields: Mapping[str, Any]) -> Any:
+    return list[excerpt(token=str, **fields)]  # type: ignore[misc]
+
+
+MAP_FILE = TypeAdapter[Any](
+    excerpt(
+        canvas_edge=tuple[Positive, Positive],
+        arcline_path_3=dict[str, list[Arc]],
+        connectivity=dict[str, _Links],
+        **{name: records(fields) for name, fields in LAYERS.items()},
+    )
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceMap:
+    """A place's map as its file says."""
+
+    layers: Any
+
+    def places(self, tokens: list[str]) -> Points2:
+        return np.array([self._nodes[name] for name in tokens]).reshape(-1, 2)
+
+    @cached_property
+    def _nodes(self) -> dict[str, tuple[float, float]]:
+        return {node.token: (node.x, node.y) for node in self.layers.node}
+
+    @cached_property
+    def lines(self) -> dict[str, Points2]:
+        return {line.token: self.places(line.node_tokens) for line in self.layers.line}
+
+    @cached_property
+    def polygons(self) -> dict[str, shapely.Polygon]:
+        """Polygons by their tokens; empty ones of rings that are none."""
+        found = dict[str, shapely.Polygon]()
+        for of in self.layers.polygon:
+            shell, *holes = map(self.places, (of.exterior_node_tokens, *(at.node_tokens for at in of.holes)))
+            rings = [ring for ring in holes if len(ring) > 2]
+            found[of.token] = shapely.Polygon(shell, rings) if len(shell) > 2 else shapely.Polygon()
+        return found
+
 
 MM_DECIMALS, LINE_M, SAME_LINE_M = 3, 0.005, 0.2
 """How far thinned lines may be from those with all points, and how far boundaries that are one line may be apart."""
@@ -374,3 +505,145 @@ def _paint(side: Boundary) -> str:
 
 def _pose(x: float, y: float, z: float, yaw_rad: float) -> dict[str, float]:
     return {"tx": x, "ty": y, "tz": z, "rx": 0.0, "ry": 0.0, "rz": yaw_rad}
+
+
+# Lanes are within this of the labels from above: arcs are fitted, and on a slope heights between the labels' points
+# count too, for which other formats have a limit of their own. A map has no heights.
+# -- compared with the labels
+
+
+# Lanes are within this of the labels from above: arcs are fitted, and on a slope heights between the labels' points
+# count too, for which other formats have a limit of their own. A map has no heights.
+RULE = MapRule("m", 0.1, slack=np.inf, word=segment_type, gap_m=0.03)
+
+
+ARC_STEP_M = 0.5
+
+
+# A boundary is along another line if the share ON_LINE of its PLACES is within ON_LINE_M of it.
+ON_LINE_M, ON_LINE, PLACES = 0.06, 0.9, 50
+OTHER_SIDE = {"left": "right", "right": "left"}
+# How far from a lane's middle its polygon may end.
+AREA_M = 0.05
+
+
+TURN = {"L": 1, "S": 0, "R": -1}
+
+
+class _FromAbove(SourceSample):
+    """A sample whose world frame is an export's global frame, and whose lines lie in its plane."""
+
+    def __init__(self, truth: SourceSample, global_from_cam: Matrix4) -> None:
+        super().__init__(truth.reader, truth.place)
+        self.global_from_cam = global_from_cam
+
+    @cached_property
+    def labels(self) -> Labels:
+        own = SourceSample(self.reader, self.place).labels
+        lanes = tuple(replace(lane, xyz_cam=self._flat(lane.xyz_cam)) for lane in own.lanes)
+        symbols = tuple(replace(symbol, xyz_cam=self._flat(symbol.xyz_cam)) for symbol in own.symbols)
+        return replace(own, camera=replace(own.camera, world_from_cam=np.eye(4)), lanes=lanes, symbols=symbols)
+
+    def _flat(self, points_cam: Points3) -> Points3:
+        return np.asarray(transform(self.global_from_cam, points_cam) * [1, 1, 0])
+
+
+def compare_place(found: PlaceMap, log: str, where: str, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+    """Lanes in metres; sides, links and paint; what else is on the road, of the scene of a log. FormatErrors begin with
+    `where`."""
+    above = _FromAbove(truth, global_from_cam)
+    names = {token(log, "lane", segment.id): segment.id for segment in truth.labels.graph.segments}
+    own = {lane.token: lane for lane in (*found.layers.lane, *found.layers.lane_connector)}
+    lanes, problems = list[FoundLane](), list[str]()
+    try:
+        for name, arcs in found.layers.arcline_path_3.items():
+            if name not in names or not arcs:
+                continue
+            path, links, sides, paint = _places(arcs), found.layers.connectivity[name], {}, {}
+            area = found.polygons[own[name].polygon_token] if name in own else shapely.Polygon()
+            if not shapely.contains_xy(shapely.buffer(area, AREA_M), *path.T).all():
+                problems.append(f"lane {names[name]}: expected its middle in its polygon, got it outside")
+            for side in ("left", "right") if name in own and own[name] in found.layers.lane else ():
+                nodes = getattr(own[name], f"{side}_lane_divider_segments")
+                sides[side] = _in_plane(found.places([at.node_token for at in nodes]))
+                paint[side] = ", ".join(sorted({at.segment_type for at in nodes}))
+            lanes.append(FoundLane(name, names[name], _in_plane(path), sides, paint, links.outgoing, links.incoming))
+        problems += [*_divider_problems(found, lanes), *_thing_problems(found, above, truth, global_from_cam)]
+    except KeyError as error:
+        raise FormatError(f"{where}: expected a record with the token {error}, got none") from None
+    global_from_world = global_from_cam @ invert(truth.labels.camera.world_from_cam)
+    return compare_lanes(lanes, above, RULE, global_from_world).because(problems)
+
+
+def _in_plane(xy: Points2) -> Points3:
+    return np.column_stack([xy, np.zeros(len(xy))])
+
+
+def _places(arcs: list[Arc]) -> Points2:
+    """Places along the arcs of a path."""
+    found = list[tuple[float, float]]()
+    for arc in arcs:
+        x, y, yaw = arc.start_pose
+        for letter, length in zip(arc.shape, arc.segment_length, strict=False):
+            k = TURN.get(letter, 0) / arc.radius
+            steps = np.linspace(0, length, 1 + max(1, int(np.ceil(length / ARC_STEP_M)))) if length else np.zeros(1)
+            # sinc keeps straight pieces in the same formula: the chord of an arc, in the direction of its middle.
+            chords, headings = steps * np.sinc(k * steps / 2 / np.pi), yaw + k * steps / 2
+            found += zip(x + chords * np.cos(headings), y + chords * np.sin(headings), strict=True)
+            (x, y), yaw = found[-1], yaw + k * length
+    return np.array(found)
+
+
+def _divider_problems(found: PlaceMap, lanes: Sequence[FoundLane]) -> Iterator[str]:
+    """Findings where a boundary that two lanes share, which `compare_lanes` has looked at, is no divider, or one of
+    another paint, or where one is a lane divider that they do not: lanes of one direction have it on the right and on
+    the left, those of both directions on the same side."""
+    layers, every = found.layers, [(lane, at, line[:, :2]) for lane in lanes for at, line in lane.sides.items()]
+    dividers = {
+        "road divider": [found.lines[row.line_token] for row in layers.road_divider],
+        "lane divider": [found.lines[row.line_token] for row in layers.lane_divider],
+    }
+    for lane, side, line in every:
+        xy, theirs = resampled(line, PLACES), {"road divider": side, "lane divider": OTHER_SIDE[side]}
+        for kind, lines in dividers.items():
+            shared_m = _from_lines(xy, [of for other, at, of in every if other is not lane and at == theirs[kind]])
+            along_m = _from_lines(xy, lines)
+            if np.mean((shared_m < ON_LINE_M) & (along_m > SAME_LINE_M)) > 1 - ON_LINE:
+                yield f"lane {lane.segment}: expected a {kind} along it on its {side}, got none along part of it"
+            if kind == "lane divider" and np.mean((shared_m > SAME_LINE_M) & (along_m < ON_LINE_M)) > 1 - ON_LINE:
+                yield f"lane {lane.segment}: expected no {kind} along the edge of a road, got one on its {side}"
+        for row in layers.lane_divider if side == "right" else ():
+            told = ", ".join(sorted({at.segment_type for at in row.lane_divider_segments}))
+            if told != lane.paint[side]:
+                is_along = _from_lines(resampled(found.lines[row.line_token], PLACES), [line]) < ON_LINE_M
+                if np.mean(is_along) > ON_LINE:
+                    yield f"lane {lane.segment}: expected a divider painted {lane.paint[side]}, got {told}"
+
+
+def _from_lines(xy: Float[np.ndarray, "_ 2"], lines: Sequence[Float[np.ndarray, "_ 2"]]) -> Scalars:
+    """How far places are from the nearest of some lines; infinite if all are far away."""
+    low, high = xy.min(axis=0) - 1, xy.max(axis=0) + 1
+    near = [line for line in lines if (line.min(axis=0) < high).all() and (line.max(axis=0) > low).all()]
+    return np.min([np.full(len(xy), np.inf), *(distances(xy, line) for line in near)], axis=0)
+
+
+def _thing_problems(
+    found: PlaceMap, above: SourceSample, truth: SourceSample, global_from_cam: Matrix4
+) -> Iterator[str]:
+    """Findings where symbols, signals or the pavement below lanes are not in the map."""
+    layers = found.layers
+    for word, rows, kinds in (
+        ("pedestrian crossing", layers.ped_crossing, ("crosswalk",)),
+        ("stop line", layers.stop_line, ("stop_line", "give_way_line")),
+    ):
+        outlines = [np.array(found.polygons[row.polygon_token].exterior.coords)[:-1] for row in rows]
+        yield from symbol_problems(word, [*map(_in_plane, outlines)], above, kinds, RULE.limit, is_whole=False)
+    lights = np.array([(row.pose.tx, row.pose.ty, row.pose.tz) for row in layers.traffic_light]).reshape(-1, 3)
+    for item in truth.labels.traffic_elements or ():
+        if item.category in ELEMENTS:
+            (place,) = transform(global_from_cam, item.center_cam[None])
+            off_m = float(np.linalg.norm(lights - place, axis=1).min(initial=np.inf))
+            if not off_m <= RULE.limit:
+                yield f"expected a traffic light at that of the labels, got none nearer than {off_m:.3g} m"
+    names = [name for row in layers.drivable_area for name in row.polygon_tokens]
+    yield from area_problems(shapely.buffer(shapely.union_all([found.polygons[at] for at in names]), RULE.limit), above)

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.formats.opendrive.elements import Element, add
-from synth3dlanes.formats.opendrive.file_roads import RoadPlace, WrittenRoad, beside, lane_ascends
+from synth3dlanes.formats.opendrive_roads import RoadPlace, WrittenRoad, beside, lane_ascends
 from synth3dlanes.roads.maps.elements import ARROW_LIGHT, LIGHT
 from synth3dlanes.scene.road_map import MapPaint, lane_key
 from synth3dlanes.scene.roadside import Rail
@@ -20,6 +20,20 @@ from synth3dlanes.world.beside import on_ground
 from synth3dlanes.world.posts import post_frames
 from synth3dlanes.world.symbols import SymbolShape, symbol_items
 from synth3dlanes.world.world import World
+
+Element = ElementTree.Element
+
+
+def add(parent: Element, tag: str, **attributes: str | float) -> Element:
+    """Add an element with these attributes."""
+    texts = {key: value if isinstance(value, str) else text(value) for key, value in attributes.items()}
+    return ElementTree.SubElement(parent, tag, texts)
+
+
+def text(value: float) -> str:
+    """Ten digits: a micrometre in a kilometre. Smaller than a picometre is noise."""
+    return f"{value:.10g}" if abs(value) > 1e-12 else "0"
+
 
 # Types and subtypes by ASAM's catalogue of signals and the German signs; the value of a speed limit is its own.
 NONE = "-1"

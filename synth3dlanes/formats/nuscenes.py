@@ -7,9 +7,14 @@ a sweep, and with the first picture of a scene its map.
 | `ego_pose` | the host: global from `_ego` | m |
 | `calibrated_sensor` | cameras (OpenCV's axes) and lidar in `_ego`; K, pixels from the middle of the first | m, px |
 | `sample_annotation` | objects: box, level of visibility, points of the lidar, attribute by speed | m, global |
-| layers of the map, `arcline_path_3`, `connectivity` | see `maps` | m, global from above |
+| layers of the map, `arcline_path_3`, `connectivity` | see `nuscenes_maps` | m, global from above |
 
 A line has the number of the scene's first picture, its part, the reach of its map, and a document.
+
+Vehicle frame (`_ego`): x forward, y left, z up, its origin on the road below the rear axle. Cameras have OpenCV's axes,
+the lidar ours; pixels count from the middle of the first one. The level frame of a scene is the vehicle frame of its
+first sample, turned so that it has its heading in the world: its plane is the road plane there. In the global frame the
+scenes of a place lie beside each other, their level frames in the middles of cells.
 """
 
 import json
@@ -17,7 +22,8 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import groupby, islice, pairwise
 from pathlib import Path, PurePath
 from typing import Any
@@ -25,37 +31,35 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw
+from pydantic import TypeAdapter, ValidationError
 
-from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
-from synth3dlanes.formats.nuscenes.maps import level_from_world, map_layers
-from synth3dlanes.formats.nuscenes.tables import (
-    BOXES,
-    CATEGORIES,
-    FRONT_CAMERA,
-    LAYERS,
-    LIDAR,
-    LINKS,
-    LOCATIONS,
-    MASK_M,
-    MASK_PX_PER_M,
-    MASKS,
-    PATHS,
-    REAR_M,
-    TABLES,
-    VERSIONS,
-    VISIBLE,
-    CameraPicture,
-    Version,
-    attribute_of,
-    map_file,
-    mask_file,
-    parked_of,
-    points_of,
-    table_file,
-    token,
-    visibility_of,
+from synth3dlanes.formats.comparing import (
+    FROM_MIDDLE,
+    Comparison,
+    FoundBox,
+    Gap,
+    SourceSample,
+    compare_boxes,
+    compare_pinhole,
+    compare_sweep,
 )
-from synth3dlanes.formats.nuscenes.verify import LIMIT_PX, RULE, verify
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.nuscenes_maps import (
+    CATEGORIES,
+    LAYERS,
+    LINKS,
+    MAP_FILE,
+    PATHS,
+    POSE_FIELDS,
+    RULE,
+    TOKENS,
+    PlaceMap,
+    compare_place,
+    level_from_world,
+    map_layers,
+    records,
+    token,
+)
 from synth3dlanes.formats.reading import pose_of, read_file
 from synth3dlanes.formats.writing import (
     PARTS,
@@ -69,13 +73,108 @@ from synth3dlanes.formats.writing import (
     with_flu_axes,
     world_from_vehicle,
 )
-from synth3dlanes.geometry.frames import invert, quaternion
+from synth3dlanes.geometry.frames import invert, quaternion, transform, turned
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.roads.network import SEARCH_RATIO
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.errors import FormatError
+from synth3dlanes.system.json_arrays import Row3
+from synth3dlanes.system.schema import PathBelow, validation_problems
 from synth3dlanes.world.motion import host_driven
 from synth3dlanes.world.world import resolve
+
+FRONT_CAMERA, LIDAR = "CAM_FRONT", "LIDAR_TOP"
+REAR_M = 1.4
+"""Distance of the rear axle behind our host's middle, as in the rig nuscenes."""
+MOVING_M_S = 0.2
+VISIBLE = (0.4, 0.6, 0.8)
+"""Shares from which the levels of visibility 2, 3 and 4 begin."""
+VERSIONS: dict[Part, str] = {"train": "v1.0-trainval", "val": "v1.0-trainval", "test": "v1.0-test"}
+LOCATIONS: dict[Part, tuple[str, ...]] = {
+    "train": ("boston-seaport", "singapore-onenorth"),
+    "val": ("singapore-queenstown",),
+    "test": ("singapore-hollandvillage",),
+}
+MASKS = {
+    "boston-seaport": "36092f0b03a857c6a3403e25b4b7aab3",
+    "singapore-onenorth": "53992ee3023e5494b90c316c183be829",
+    "singapore-queenstown": "93406b464a165eaba6d9de76ca09f5da",
+    "singapore-hollandvillage": "37819e65e09e5547b8a3ceaefba56bb2",
+}
+"""The files of masks that the devkit looks for by the name of a place."""
+MASK_PX_PER_M, MASK_M = 10, 3000.0
+"""The devkit's resolution, and the reach of masks, which is the original's."""
+BOXES = "instance", "sample_annotation"
+"""Tables of boxes; all others are made of the pictures."""
+TABLES: dict[str, dict[str, Any]] = {
+    "scene": {"log_token": str, "first_sample_token": str},
+    "sample": {"scene_token": str, "timestamp": int},
+    "sample_data": {
+        "sample_token": str, "ego_pose_token": str, "calibrated_sensor_token": str, "filename": PathBelow,
+        "width": int, "height": int, "timestamp": int,
+    },
+    "ego_pose": POSE_FIELDS,
+    "calibrated_sensor": {**POSE_FIELDS, "sensor_token": str, "camera_intrinsic": list[Row3]},
+    "sensor": {"channel": str, "modality": str},
+    "instance": {"category_token": str},
+    "sample_annotation": {
+        **POSE_FIELDS, "sample_token": str, "instance_token": str, "visibility_token": str, "attribute_tokens": TOKENS,
+        "size": Row3, "num_lidar_pts": int,
+    },
+    "category": {"name": str},
+    "attribute": {"name": str},
+    "visibility": {},
+    "log": {"logfile": str, "location": str},
+    "map": {"filename": PathBelow},
+}  # fmt: skip
+"""What is read of the rows of each table, beside their tokens."""
+
+
+def table_file(version: str, name: str) -> str:
+    """The path of a table, or of the list `splits` beside the tables."""
+    return f"{version}/{name}.json"
+
+
+def map_file(location: str) -> str:
+    """The path of the map of a place."""
+    return f"maps/expansion/{location}.json"
+
+
+def mask_file(location: str) -> str:
+    """The path of the mask of a place."""
+    return f"maps/{MASKS[location]}.png"
+
+
+def parked_of(scene: Scene, objects: Sequence[ObjectLabel]) -> set[int]:
+    """The ids of parked cars, which stand beside their lanes. Cars come first among the objects."""
+    return {item.id for item, car in zip(objects, scene.cars, strict=False) if car.offset_m and not car.track}
+
+
+def attribute_of(item: ObjectLabel, is_parked: bool) -> str | None:
+    """The attribute of an object by its speed; None where that is not known."""
+    if item.velocity_cam is None:
+        return None
+    is_moving, class_ = np.linalg.norm(item.velocity_cam) > MOVING_M_S, CATEGORIES[item.category]
+    if class_ in ("vehicle.bicycle", "vehicle.motorcycle"):
+        return "cycle.with_rider"
+    match class_.split(".")[0]:
+        case "human":
+            return "pedestrian.moving" if is_moving else "pedestrian.standing"
+        case "vehicle":
+            return "vehicle.moving" if is_moving else "vehicle.parked" if is_parked else "vehicle.stopped"
+    return None
+
+
+def visibility_of(share: float | None) -> str:
+    """The level of visibility of what is seen to a share; none where nothing is known of it."""
+    return "" if share is None else str(1 + sum(share >= least for least in VISIBLE))
+
+
+def points_of(points: int | None, share: float | None) -> int:
+    """The points of the lidar on an object; without a lidar, one that keeps it in tools' lists if a camera sees it."""
+    return int(bool(share)) if points is None else points
+
 
 HOST_FROM_EGO = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -REAR_M], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 EGO_FROM_LIDAR = np.array([[0.0, 1.0, 0.0, 0.94], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.84], [0.0, 0.0, 0.0, 1.0]])
@@ -555,6 +654,103 @@ def _area(polygon: Mapping[str, Any], nodes: Mapping[str, tuple[float, float]]) 
 # -- read back
 
 
+Row = Any
+"""A row of a table, or a record of a layer of a map: an excerpt with what TABLES and LAYERS have of it."""
+
+
+_READ = {name: TypeAdapter[Any](records(fields)) for name, fields in TABLES.items()}
+_READ["splits"] = TypeAdapter(dict[str, list[str]])
+
+
+def matrix_of(row: Row) -> Matrix4:
+    """The pose of a row."""
+    return pose_of(row.translation, row.rotation)
+
+
+@dataclass(eq=False)
+class Version:
+    """The tables of a version below the folder of an export; a file is read when it is asked for. `anchors` are the
+    global frames from the world by the first picture of each scene that was compared."""
+
+    out: Path
+    name: str
+    anchors: dict[str, Matrix4] = field(default_factory=dict)
+    _read: dict[str, Any] = field(default_factory=dict)
+
+    def table(self, name: str) -> Any:
+        """The rows of a table by their tokens; what is in `splits`."""
+        if name not in self._read:
+            found = _validated(_READ[name], self.out / table_file(self.name, name))
+            self._read[name] = {row.token: row for row in found} if name in TABLES else found
+        return self._read[name]
+
+    def row(self, table: str, name: str) -> Row:
+        """The row of a token. Raises FormatError where there is none."""
+        if name not in self.table(table):
+            path = self.out / table_file(self.name, table)
+            raise FormatError(f"{path}: expected a row with the token {name[:40]}, got none")
+        return self.table(table)[name]
+
+    def map(self, location: str) -> PlaceMap:
+        if location not in self._read:
+            self._read[location] = PlaceMap(_validated(MAP_FILE, self.out / map_file(location)))
+        found: PlaceMap = self._read[location]
+        return found
+
+    @cached_property
+    def boxes(self) -> dict[str, list[Row]]:
+        """The boxes of each sample."""
+        found = defaultdict[str, list[Row]](list)
+        for row in self.table("sample_annotation").values():
+            found[row.sample_token].append(row)
+        return found
+
+    @cached_property
+    def sensors(self) -> dict[str, dict[str, Row]]:
+        """What each sample's sensors measured, by their channels."""
+        found = defaultdict[str, dict[str, Row]](dict)
+        for row in self.table("sample_data").values():
+            calibrated = self.row("calibrated_sensor", row.calibrated_sensor_token)
+            found[row.sample_token][self.row("sensor", calibrated.sensor_token).channel] = row
+        return found
+
+    def cameras(self, sample: str) -> list[tuple[str, Row]]:
+        """The channels and pictures of a sample's cameras."""
+        return [(channel, data) for channel, data in self.sensors.get(sample, {}).items() if channel != LIDAR]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPicture:
+    """A camera's picture: the version, its row, its channel, and whether it is the first of its sample."""
+
+    version: Version
+    data: Row
+    channel: str
+    is_first: bool
+
+    @property
+    def scene(self) -> Row:
+        return self.version.row("scene", self.version.row("sample", self.data.sample_token).scene_token)
+
+    @property
+    def log(self) -> Row:
+        return self.version.row("log", self.scene.log_token)
+
+    def calibrated(self, data: Row) -> Row:
+        return self.version.row("calibrated_sensor", data.calibrated_sensor_token)
+
+    def pose(self, data: Row) -> Matrix4:
+        """The global frame from the vehicle as a sensor measured."""
+        return matrix_of(self.version.row("ego_pose", data.ego_pose_token))
+
+
+def _validated(adapter: Any, path: Path) -> Any:
+    try:
+        return adapter.validate_json(read_file(path), strict=True)
+    except ValidationError as error:
+        raise FormatError("\n".join(validation_problems(error, str(path)))) from None
+
+
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
     for name in dict.fromkeys(VERSIONS.values()):
         if (out / name).is_dir():
@@ -588,6 +784,111 @@ def _read_others(version: Version) -> None:
         is_whole = head[16:] == struct.pack(">II", *size_px)
         if head[:16] != PNG_HEAD + b"\0\0\0\rIHDR" or not (is_whole or max(canvas_m) > MASK_M):
             raise FormatError(f"{path}: expected a PNG of {size_px[0]}x{size_px[1]} as its map says, got another file")
+
+
+LIMIT_PX, BOX_M, POINT_M, POSE_M, LEVEL_TOLERANCE = 0.02, 0.001, 0.001, 0.001, 1e-6
+EGO_FROM_HOST = np.array([[0, 1.0, 0, REAR_M], [-1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
+CV_FROM_OURS = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """The camera and the pose of every picture; of a sample the boxes, the sweep and the map."""
+    picture: CameraPicture = frame.content
+    global_from_ego = picture.pose(picture.data)
+    global_from_cam = global_from_ego @ matrix_of(picture.calibrated(picture.data)) @ CV_FROM_OURS
+    compared = _camera(picture, truth) + _pose(picture, global_from_ego, global_from_cam, truth)
+    if not picture.is_first or compared.problems:
+        return compared
+    compared += _boxes(picture, global_from_cam, truth) + _compared_sweep(picture, global_from_cam, truth)
+    location, version = picture.log.location, picture.version
+    where = str(version.out / map_file(location))
+    return compared + compare_place(version.map(location), picture.log.logfile, where, global_from_cam, truth)
+
+
+def _camera(picture: CameraPicture, truth: SourceSample) -> Comparison:
+    """How far places that a camera sees are from their pixels, by its place on the vehicle."""
+    camera, mounted, data = truth.labels.camera, truth.scene.camera, picture.data
+    calibrated = picture.calibrated(data)
+    if len(calibrated.camera_intrinsic) != 3:
+        return Comparison(problems=(f"camera {picture.channel}: expected a matrix, got none",))
+    host_from_cam = turned(0.0, mounted.right_m, mounted.forward_m) @ camera.road_from_cam
+    cv_from_cam = invert(matrix_of(calibrated)) @ EGO_FROM_HOST @ host_from_cam
+    k, size_px = np.array(calibrated.camera_intrinsic) + FROM_MIDDLE, (data.width, data.height)
+    return compare_pinhole(picture.channel, camera, k, cv_from_cam, LIMIT_PX, size_px)
+
+
+def _pose(
+    picture: CameraPicture, global_from_ego: Matrix4, global_from_cam: Matrix4, truth: SourceSample
+) -> Comparison:
+    """How far places are from where the first picture of the scene has them; the first vehicle must be level."""
+    global_from_world = global_from_cam @ invert(truth.labels.camera.world_from_cam)
+    anchor = picture.version.anchors.setdefault(picture.scene.token, global_from_world)
+    around = truth.labels.camera.world_from_cam[:3, 3] + 50 * np.eye(3)
+    apart = np.linalg.norm(transform(global_from_world, around) - transform(anchor, around), axis=1)
+    compared = Comparison.within([Gap.of("the vehicle", "m", apart, "pose")], {"m": POSE_M})
+    is_level = np.abs([*(global_from_ego[:3, 2] - [0, 0, 1]), global_from_ego[2, 3]]).max() < LEVEL_TOLERANCE
+    if picture.data.sample_token == picture.scene.first_sample_token and not is_level:
+        return compared.because(["expected the first vehicle of the scene level and at height 0, got another pose"])
+    return compared
+
+
+def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+    """Corners of boxes in metres, their class, attribute, visibility, points and track."""
+    version, seen = picture.version, _seen(picture, truth)
+    rows, parked = version.boxes.get(picture.data.sample_token, []), parked_of(truth.scene, truth.labels.objects or ())
+
+    def expected(item: ObjectLabel) -> dict[str, object]:
+        return {
+            "class": CATEGORIES[item.category],
+            "attribute": attribute_of(item, item.id in parked),
+            "level of visibility": visibility_of(seen[item.id]),
+            "number of points": points_of(item.lidar_points, seen[item.id]),
+        }
+
+    # Sizes are width, length and height.
+    boxes = (
+        FoundBox(row.instance_token, matrix_of(row), np.array(row.size)[[1, 0, 2]], _told(version, row)) for row in rows
+    )
+    items, log = objects_of(truth.labels, CATEGORIES), picture.log.logfile
+    return compare_boxes(boxes, items, expected, invert(global_from_cam), log, BOX_M)
+
+
+def _told(version: Version, row: Row) -> dict[str, object]:
+    """What a box tells but for its place and size."""
+    category = version.row("instance", row.instance_token).category_token
+    attributes = [version.row("attribute", name).name for name in row.attribute_tokens]
+    return {
+        "class": version.row("category", category).name,
+        "attribute": ", ".join(attributes) or None,
+        "level of visibility": row.visibility_token,
+        "number of points": row.num_lidar_pts,
+    }
+
+
+def _seen(picture: CameraPicture, truth: SourceSample) -> dict[int, Any]:
+    """The greatest share of each object that a camera of the sample sees, None where nothing is known of it."""
+    channels, found = picture.version.sensors[picture.data.sample_token], dict[int, Any]()
+    for other in truth.moment:
+        if (other.labels.camera.name or FRONT_CAMERA) in channels:
+            for item in other.labels.objects or ():
+                shares = (item.visible_fraction, found.get(item.id))
+                found[item.id] = max((share for share in shares if share is not None), default=None)
+    return found
+
+
+def _compared_sweep(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample) -> Comparison:
+    """How far points of the lidar are from those of our sweep."""
+    data = picture.version.sensors[picture.data.sample_token].get(LIDAR)
+    if data is None:
+        return Comparison(problems=(f"expected a sweep of {LIDAR}, got none",))
+    path, numbers = picture.version.out / data.filename, read_file(picture.version.out / data.filename)
+    if len(numbers) % 20:
+        raise FormatError(f"{path}: expected points of five numbers of 4 bytes, got {len(numbers)} bytes")
+    found = np.frombuffer(numbers, "<f4").reshape(-1, 5).astype(float)
+    cam_from_lidar = invert(global_from_cam) @ picture.pose(data) @ matrix_of(picture.calibrated(data))
+    compared = compare_sweep(transform(cam_from_lidar, found[:, :3]), truth, POINT_M)
+    is_other = bool(compared.gaps and truth.sweep is not None and (found[:, 4] != truth.sweep.points().beam).any())
+    return compared.because(["expected the beams of our sweep, got others"] if is_other else [])
 
 
 FORMAT = SampleFormat(

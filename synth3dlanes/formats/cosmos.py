@@ -9,17 +9,18 @@
 | `crosswalk`, `wait_line`, `road_marking` | symbols | m, `_clip` |
 | `map_id`, `trackline_id` | ids of the labels | |
 
-`clip` has the files, tables and frames, reads them, and has what stands still around a clip; `videos` makes and
-compares the control videos.
+ClipGT's frames are x forward, y left, z up, metres: the rig's (`_rig`) has its origin on the road below the middle of
+the rear axle, the scenario's (`_clip`) is the rig's at the first frame, a camera's (`_flu`) looks along x. Pixel
+corners are at whole numbers. `cosmos_videos` has the control videos.
 """
 
 import io
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -27,42 +28,33 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 from pyarrow import parquet
+from pydantic import RootModel
+from scipy.spatial.transform import Rotation
 
 from synth3dlanes.formats.comparing import (
-    FLU_CORNERS,
     Comparison,
+    FoundBox,
     Gap,
-    Rule,
     SourceSample,
     back_along,
+    compare_boxes,
     compare_camera,
     distances,
 )
-from synth3dlanes.formats.comparing_maps import compare_map, symbol_problems
-from synth3dlanes.formats.cosmos.clip import (
-    FOLDERS,
-    FRONT_VIEW,
-    TABLES,
-    VERSION,
-    Box,
-    ClipFiles,
-    CosmosClip,
-    CosmosView,
-    Scenario,
-    scenario,
-)
-from synth3dlanes.formats.cosmos.videos import (
+from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, middle_of, symbol_problems
+from synth3dlanes.formats.cosmos_videos import (
     CATEGORIES,
+    DRAWN,
     ELEMENTS,
-    depth_picture,
-    edge_picture,
-    lane_map_picture,
+    GREYS,
+    Scenario,
+    frame_problem,
     nearness_span,
-    seg_picture,
-    video_problems,
+    scenario,
 )
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import Boundary
+from synth3dlanes.formats.reading import json_object, pose_of, read_file
 from synth3dlanes.formats.writing import (
     CV_FROM_CAM,
     PARTS,
@@ -72,13 +64,240 @@ from synth3dlanes.formats.writing import (
     world_from_vehicle,
 )
 from synth3dlanes.geometry.frames import invert, quaternion, transform
-from synth3dlanes.imaging.video import mp4
-from synth3dlanes.labels.labels import CameraLabel, Marking, Pair
+from synth3dlanes.imaging.video import mp4, open_video
+from synth3dlanes.labels.labels import CameraLabel, Marking, PaintColor, Pair
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import SignKind
-from synth3dlanes.system.arrays import Matrix4, Points3
-from synth3dlanes.system.errors import InputError
+from synth3dlanes.system import schema
+from synth3dlanes.system.arrays import Matrix4, Points3, RgbImage
+from synth3dlanes.system.columnar import TableBounds, read_parquet, reading_table
+from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.schema import Excerpt, Number
 from synth3dlanes.world.world import resolve
+
+FRONT_VIEW = "camera_front_wide_120fov"
+"""The view of a camera that is alone, and the one whose times the readers take."""
+VERSION = 1
+FOLDERS = {"rgb": "videos", "depth": "depth", "seg": "seg", "edge": "edge", "hdmap": "control_input_hdmap_bbox"}
+"""The videos of a view, and the folders that the loaders expect them in."""
+POINT = pa.struct([(axis, pa.float64()) for axis in "xyz"])
+QUATERNION = pa.struct([(axis, pa.float64()) for axis in "xyzw"])
+_POINTS, _TEXTS = pa.list_(POINT), pa.list_(pa.string())
+_MAP_KEY = pa.struct([(name, pa.string()) for name in ("clip_id", "label_class_id", "map_id", "map_id_version")])
+_TIME_KEY = pa.struct([("clip_id", pa.string()), ("timestamp_micros", pa.int64()), ("label_class_id", pa.string())])
+_BOX = {"center": POINT, "dimensions": POINT, "orientation": QUATERNION, "category": pa.string()}
+_PLACE = {"category": pa.string(), "location": _POINTS}
+
+
+def _schema(name: str, key: pa.DataType, fields: dict[str, pa.DataType]) -> pa.Schema:
+    return pa.schema({"key": key, name: pa.struct(list(fields.items())), "version": pa.uint64()})
+
+
+TABLES = {
+    "calibration_estimate": _schema(
+        "calibration_estimate", _TIME_KEY, {"name": pa.string(), "rig_json": pa.string()}
+    ),
+    "egomotion_estimate": _schema(
+        "egomotion_estimate", _TIME_KEY, {"name": pa.string(), "location": POINT, "orientation": QUATERNION}
+    ),
+    "obstacle": _schema(
+        "obstacle",
+        _TIME_KEY,
+        {
+            "trackline_id": pa.string(), "center": POINT, "size": POINT, "orientation": QUATERNION,
+            "category": pa.string(),
+        },
+    ),
+    "lane": _schema(
+        "lane",
+        _MAP_KEY,
+        {
+            "left_rail": _POINTS, "right_rail": _POINTS, "left_edge_styles": _TEXTS, "right_edge_styles": _TEXTS,
+            "left_edge_colors": _TEXTS, "right_edge_colors": _TEXTS,
+        },
+    ),
+    "lane_line": _schema("lane_line", _MAP_KEY, {"line_rail": _POINTS, "styles": _TEXTS, "colors": _TEXTS}),
+    "road_boundary": _schema("road_boundary", _MAP_KEY, _PLACE),
+    "crosswalk": _schema("crosswalk", _MAP_KEY, _PLACE),
+    "road_marking": _schema("road_marking", _MAP_KEY, _PLACE),
+    "wait_line": _schema("wait_line", _MAP_KEY, {**_PLACE, "is_implicit": pa.bool_()}),
+    "traffic_light": _schema("traffic_light", _MAP_KEY, _BOX),
+    "traffic_sign": _schema("traffic_sign", _MAP_KEY, _BOX),
+}  # fmt: skip
+"""The tables of a clip. `map_id` of a lane line is the id of the delimiter, that of a lane the segment's of the lane
+graph, that of a light or a sign the id of the traffic element."""
+# Rows are few, and may have long lines.
+BOUNDS = TableBounds(most_rows=1 << 20, row_bytes=256, base_bytes=256 << 20)
+
+
+@dataclass(frozen=True)
+class ClipFiles:
+    """The paths of a clip's files in an export."""
+
+    part: str
+    clip: str
+
+    def table(self, name: str) -> str:
+        return f"{self.part}/clipgt/{self.clip}/{self.clip}.{name}.parquet"
+
+    @property
+    def times(self) -> str:
+        return f"{self.part}/clipgt/{self.clip}/{self.clip}.{FRONT_VIEW}.json"
+
+    @property
+    def depths(self) -> str:
+        """What the greys of depth videos are, by view."""
+        return f"{self.part}/clipgt/{self.clip}/{self.clip}.depth.json"
+
+    def video(self, kind: str, view: str) -> str:
+        return f"{self.part}/{FOLDERS[kind]}/ftheta_{view}/{self.clip}.mp4"
+
+
+class _Time(Excerpt):
+    timestamp: int
+
+
+class _Times(RootModel[list[_Time]]):
+    """The times of the frames."""
+
+
+class _Span(Excerpt):
+    low: Number
+    high: Number
+
+
+class _Spans(RootModel[dict[str, _Span]]):
+    """Spans of depth videos by view."""
+
+
+@dataclass(frozen=True, eq=False)
+class CosmosView:
+    """A camera of a clip: its place in the rig's frame, and its f-theta lens."""
+
+    rig_from_flu: Matrix4
+    size_px: tuple[int, int]
+    center_px: Float[np.ndarray, "2"]
+    stretch: float
+    polynomial: Float[np.ndarray, " _"]
+
+    def project(self, points_flu: Points3) -> Float[np.ndarray, "n 2"]:
+        """Pixels of points, as the readers compute them."""
+        forward, left, up = points_flu.T
+        aside = np.hypot(left, up)
+        angle = np.arctan2(aside, forward)
+        radius = (angle[:, None] ** np.arange(len(self.polynomial))) @ self.polynomial
+        scale = radius / np.maximum(aside, 1e-12)
+        return np.column_stack([-left * scale * self.stretch, -up * scale]) + self.center_px
+
+
+@dataclass(frozen=True, eq=False)
+class CosmosClip:
+    """A clip below the folder of an export; its files are read when they are asked for."""
+
+    out: Path
+    files: ClipFiles
+
+    @cached_property
+    def views(self) -> dict[str, CosmosView]:
+        (row,), where = self.rows("calibration_estimate"), str(self.out / self.files.table("calibration_estimate"))
+        document = json_object(row["rig_json"], where)
+        try:
+            return {sensor["name"].replace(":", "_"): _view(sensor, where) for sensor in document["rig"]["sensors"]}
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise FormatError(f"{where}: expected cameras in rig_json, got something else") from None
+
+    @cached_property
+    def poses(self) -> dict[int, Matrix4]:
+        """The rig in the clip's frame by time (microseconds)."""
+        return {row["timestamp_micros"]: _pose(row, "location") for row in self.rows("egomotion_estimate")}
+
+    @cached_property
+    def times(self) -> list[int]:
+        """The times of the frames (microseconds), as the readers take them."""
+        where = self.out / self.files.times
+        return [frame.timestamp for frame in schema.parse(_Times, read_file(where), str(where), "times of frames").root]
+
+    def obstacles(self, micros: int) -> list[FoundBox]:
+        """The cars at an instant."""
+        rows = [row for row in self.rows("obstacle") if row["timestamp_micros"] == micros]
+        return [_box(row, row["trackline_id"], "size", row["category"]) for row in rows]
+
+    def elements(self, name: str) -> list[FoundBox]:
+        return [_box(row, row["map_id"], "dimensions", None) for row in self.rows(name)]
+
+    def lines(self, name: str, field: str) -> list[tuple[dict[str, Any], Points3]]:
+        """Rows of a table, each with the points of a field."""
+        return [(row, _points(row[field])) for row in self.rows(name)]
+
+    def span(self, view: str) -> tuple[float, float]:
+        """The least and the greatest nearness that the greys of a depth video stand for (1/m)."""
+        where = self.out / self.files.depths
+        found = schema.parse(_Spans, read_file(where), str(where), "spans of depth videos").root
+        if view not in found:
+            raise FormatError(f"{where}: expected a span of {view}, got none")
+        return found[view].low, found[view].high
+
+    def frames(self, kind: str, view: str, rate_hz: float) -> Iterator[RgbImage]:
+        """The frames of a video, whose rate must be this."""
+        path = self.out / self.files.video(kind, view)
+        with open_video(path) as video:
+            if not np.isclose(video.rate_hz, rate_hz, rtol=1e-3):
+                raise FormatError(f"{path}: expected {rate_hz:g} frames a second, got {video.rate_hz:g}")
+            yield from video.frames
+
+    def rows(self, name: str) -> list[dict[str, Any]]:
+        """Rows of a table: the values of the key and of the element together."""
+        if name not in self._tables:
+            self._tables[name] = self._rows(name)
+        return self._tables[name]
+
+    @cached_property
+    def _tables(self) -> dict[str, list[dict[str, Any]]]:
+        return {}
+
+    def _rows(self, name: str) -> list[dict[str, Any]]:
+        where, wanted = self.out / self.files.table(name), TABLES[name]
+        with reading_table(str(where), wanted.names):
+            table = read_parquet(read_file(where), str(where), BOUNDS)
+            if table.schema.names != wanted.names:
+                raise ValueError(f"columns {', '.join(table.schema.names)}")
+            rows = [{**row["key"], **row[name]} for row in table.cast(wanted).to_pylist()]
+        if any(value is None for row in rows for value in row.values()):
+            raise FormatError(f"{where}: expected a value in every field, got none in some")
+        return rows
+
+
+def _view(sensor: Any, where: str) -> CosmosView:
+    lens, place = sensor["properties"], sensor["nominalSensor2Rig_FLU"]
+    if (lens["Model"], lens["polynomial-type"]) != ("ftheta", "angle-to-pixeldistance"):
+        raise FormatError(f"{where}: expected f-theta cameras from angle to distance, got others")
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("xyz", np.radians(np.array(place["roll-pitch-yaw"], float))).as_matrix()
+    pose[:3, 3] = np.array(place["t"], float)
+    numbers = [float(text) for text in (*lens["polynomial"].split(), lens["cx"], lens["cy"], lens["linear-c"])]
+    if not np.isfinite([*numbers, *pose.ravel()]).all() or len(numbers) < 4:
+        raise FormatError(f"{where}: expected finite numbers of a camera, got others")
+    *polynomial, cx, cy, stretch = numbers
+    size_px = int(lens["width"]), int(lens["height"])
+    return CosmosView(pose, size_px, np.array([cx, cy]), stretch, np.array(polynomial))
+
+
+def _box(row: dict[str, Any], name: str, size: str, category: str | None) -> FoundBox:
+    """The box of a row; the class of an element says less than ours."""
+    return FoundBox(name, _pose(row, "center"), _array(row[size]), {"id": name, "class": category})
+
+
+def _pose(row: dict[str, Any], place: str) -> Matrix4:
+    return pose_of(_array(row[place]), [row["orientation"][axis] or 0.0 for axis in "wxyz"])
+
+
+def _points(points: list[dict[str, float]]) -> Points3:
+    return np.array([[point[axis] for axis in "xyz"] for point in points], float).reshape(-1, 3)
+
+
+def _array(point: dict[str, float]) -> Float[np.ndarray, "3"]:
+    return np.array([point[axis] for axis in "xyz"], float)
+
 
 CAM_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 HOST_FROM_RIG = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -104,8 +323,6 @@ DEGREE = 5
 LIMIT_PX = 1.0
 """How far the polynomial may be from the camera: 0.4 px for a pinhole of 110 degrees and 1600 columns."""
 GRID, ROUNDS = (41, 31), 30
-# Lanes are within this of the labels from above, heights within the slack; painted lines in space.
-RULE = Rule("m", 0.05, name="lane", slack=0.3)
 BOX_M = 0.002
 # Greatest step back from one point of a line to the next: labels are rounded.
 BACK_M = 0.01
@@ -134,6 +351,11 @@ README = """Cosmos: control videos of clips, and their world scenarios as ClipGT
 """
 
 
+def color_name(color: PaintColor | None) -> str:
+    """The name of a colour; what has none is white."""
+    return (color or "white").upper()
+
+
 def line_style(marking: Marking, double: bool | None, pair: Pair | None) -> str:
     """How a lane line is painted. ClipGT names a pair from the right of the line's direction."""
     if marking == "none":
@@ -142,6 +364,15 @@ def line_style(marking: Marking, double: bool | None, pair: Pair | None) -> str:
         return "DASHED_SOLID" if pair == "solid_dashed" else "SOLID_DASHED"
     return {("solid", False): "SOLID_SINGLE", ("solid", True): "SOLID_GROUP", ("dashed", False): "LONG_DASHED_SINGLE",
             ("dashed", True): "LONG_DASHED_GROUP"}[marking, bool(double)]  # fmt: skip
+
+
+# Lanes are within this of the labels from above, heights within the slack; painted lines in space.
+RULE = MapRule(
+    "m",
+    0.05,
+    slack=0.3,
+    word=lambda marking, color, double, pair: f"{line_style(marking, double, pair)} {color_name(color)}",
+)
 
 
 def annotate(frame: SampleFrame) -> FrameAnnotation:
@@ -187,11 +418,8 @@ def _videos(
     with ExitStack() as stack:
         out = {kind: stack.enter_context(mp4(kind, stream, rate_hz, CRF)) for kind, stream in streams.items()}
         for picture in pictures():
-            out["rgb"].add(picture.image)
-            out["depth"].add(depth_picture(picture.passes, span))
-            out["seg"].add(seg_picture(picture.passes))
-            out["edge"].add(edge_picture(picture.image))
-            out["hdmap"].add(lane_map_picture(picture, around))
+            for kind, video in out.items():
+                video.add(DRAWN[kind](picture, around, span))
     return {"low": span[0], "high": span[1]}, {kind: stream.getvalue() for kind, stream in streams.items()}
 
 
@@ -255,7 +483,7 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
         rows["lane"].append(row)
     for name, line in around.lines.items():
         n, style = len(line.points_world), line_style(line.marking, line.double, line.pair)
-        paint = {"styles": [style] * n, "colors": [(line.color or "white").upper()] * n}
+        paint = {"styles": [style] * n, "colors": [color_name(line.color)] * n}
         rows["lane_line"].append({"map_id": name, "line_rail": points(line.points_world), **paint})
     rows["road_boundary"] = [{"category": "road_boundary", "location": points(edge)} for edge in around.edges]
     for kind, outline in around.symbols:
@@ -280,7 +508,7 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
 def _edge_paint(side: str, boundary: Boundary) -> dict[str, list[str]]:
     style = line_style(boundary.marking, boundary.double, boundary.pair)
     n = len(boundary.points_world) - 1
-    return {f"{side}_edge_styles": [style] * n, f"{side}_edge_colors": [(boundary.color or "white").upper()] * n}
+    return {f"{side}_edge_styles": [style] * n, f"{side}_edge_colors": [color_name(boundary.color)] * n}
 
 
 def _micros(scene: Scene) -> int:
@@ -369,14 +597,14 @@ def _clips(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
 def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     """Every picture of a clip; with the first ones what stands still, and the videos."""
     clip: CosmosClip = frame.content
-    found = Comparison()
+    found, views = Comparison(), {name: _pictures(name, truth) for name in clip.views}
+    around = scenario(resolve(truth.scene), truth.labels, (at.labels for every in views.values() for at in every))
     for name, view in clip.views.items():
-        pictures = _pictures(name, truth)
-        if not pictures:
+        if not views[name]:
             found = found.because([f"view {name}: expected a camera of the data set, got none of this name"])
             continue
-        found += _compared_view(clip, name, view, pictures)
-    if not any(truth.place == picture.place for name in clip.views for picture in _pictures(name, truth)[:1]):
+        found += _compared_view(clip, name, view, views[name], around)
+    if not any(truth.place == picture.place for pictures in views.values() for picture in pictures[:1]):
         found = found.because([f"expected a view of {truth.labels.camera.name or FRONT_VIEW}, got none"])
     return found
 
@@ -391,7 +619,9 @@ def _pictures(view: str, truth: SourceSample) -> list[SourceSample]:
     return [SourceSample(reader, place) for place in reader.clip(int(reader.scene_of[truth.place]), number)]
 
 
-def _compared_view(clip: CosmosClip, name: str, view: CosmosView, pictures: list[SourceSample]) -> Comparison:
+def _compared_view(
+    clip: CosmosClip, name: str, view: CosmosView, pictures: list[SourceSample], around: Scenario
+) -> Comparison:
     micros = [round(1e6 * picture.scene.shot.time_s) for picture in pictures]
     problems = list[str]()
     for what, got in (("times", clip.times), ("poses", list(clip.poses))):
@@ -402,14 +632,37 @@ def _compared_view(clip: CosmosClip, name: str, view: CosmosView, pictures: list
     compared = _lens(name, view, pictures[0])
     for number, (at, picture) in enumerate(zip(micros, pictures, strict=True)):
         cam_from_clip = CAM_OF_FLU @ invert(view.rig_from_flu) @ invert(clip.poses[at])
-        here = _lines(clip, cam_from_clip, picture) + _boxes(clip.obstacles(at), cam_from_clip, picture)
-        here += _elements(clip, cam_from_clip, picture)
+        here = _lines(clip, cam_from_clip, picture) + _objects(clip, at, cam_from_clip, picture)
         if number == 0:
             here += _lanes(clip, cam_from_clip, picture).because(_symbol_problems(clip, cam_from_clip, picture))
         told = tuple(f"{name} frame {number}: {problem}" for problem in here.problems)
         named = tuple(replace(gap, name=f"{name} {number} {gap.name}") for gap in here.gaps)
         compared += replace(here, gaps=named, problems=told)
-    return compared.because(video_problems(clip, name, pictures))
+    return compared.because(video_problems(clip, name, pictures, around))
+
+
+def video_problems(
+    clip: CosmosClip, view: str, pictures: list[SourceSample], around: Scenario, kinds: Iterable[str] = FOLDERS
+) -> Iterator[str]:
+    """Findings in the videos of a view."""
+    rate_hz, span = pictures[0].scene.shot.fps, clip.span(view)
+    for kind in kinds:
+        path, n = clip.files.video(kind, view), 0
+        for frame in clip.frames(kind, view, rate_hz):
+            n += 1
+            if n > len(pictures):
+                break
+            picture = pictures[n - 1]
+            height, width = picture.image.shape[:2]
+            if frame.shape != (height + height % 2, width + width % 2, 3):
+                yield f"{path}: frame {n - 1}: expected {width}x{height} pixels, got {frame.shape[1]}x{frame.shape[0]}"
+                break
+            expected = DRAWN[kind](picture, around, span).astype(np.float32)
+            problem = frame_problem(frame[:height, :width], expected, GREYS[kind])
+            if problem:
+                yield f"{path}: frame {n - 1}: {problem}"
+        if n != len(pictures):
+            yield f"{path}: expected {len(pictures)} frames, got {'more' if n > len(pictures) else n}"
 
 
 def _lens(name: str, view: CosmosView, picture: SourceSample) -> Comparison:
@@ -438,57 +691,52 @@ def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
         back = back_along(lane.xyz_cam, ours)
         if not back <= BACK_M:
             problems.append(f"line {lane.id}: expected points as in the labels, got them {back:.3g} m back")
-        expected = (line_style(lane.marking, lane.double, lane.pair), (lane.color or "white").upper())
+        expected = (line_style(lane.marking, lane.double, lane.pair), color_name(lane.color))
         got = {*zip(row["styles"], row["colors"], strict=False)}
         if got != {expected} or len(row["styles"]) != len(points):
             problems.append(f"line {lane.id}: expected {' '.join(expected)} at each point, got {sorted(got)[:3]}")
     return Comparison.within(gaps, {"m": RULE.limit}).because(problems)
 
 
-def _boxes(boxes: list[Box], cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
-    items = objects_of(picture.labels, CATEGORIES)
-    ours = {str(item.id): (item.corners_cam, CATEGORIES[item.category]) for item in items}
-    return _compared("object", boxes, ours, cam_from_clip)
-
-
-def _elements(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
-    """Corners of traffic lights and signs by their ids; those of other pictures of the clip are left out."""
-    found = Comparison()
-    for table in sorted({*ELEMENTS.values()}):
-        ours = {str(item.id): (item.corners_cam, "") for item in picture.labels.traffic_elements or ()
-                if ELEMENTS[item.category] == table}  # fmt: skip
-        boxes = [box for box in clip.elements(table) if box.name in ours]
-        found += _compared(table.replace("_", " "), boxes, ours, cam_from_clip)
-    return found
-
-
-def _compared(
-    word: str, boxes: list[Box], ours: dict[str, tuple[np.ndarray, str]], cam_from_clip: Matrix4
-) -> Comparison:
-    names = [box.name for box in boxes]
-    problems = [f"{word} {name}: expected one row, got {names.count(name)}" for name in sorted({*ours, *names})
-                if names.count(name) != 1 or name not in ours]  # fmt: skip
-    gaps = []
-    for box in boxes:
-        if box.name in ours:
-            corners, category = ours[box.name]
-            found = transform(cam_from_clip @ box.clip_from_box, FLU_CORNERS * box.size_m / 2)
-            gaps.append(Gap.of(f"{word} {box.name}", "m", np.linalg.norm(found - corners, axis=1), word))
-            if category and box.category != category:
-                problems.append(f"{word} {box.name}: expected {category}, got {box.category}")
-    return Comparison.within(gaps, {"m": BOX_M}).because(problems)
+def _objects(clip: CosmosClip, micros: int, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+    """Corners of the boxes of an instant, and of traffic lights and signs, of which those of other pictures of the clip
+    are left out; their ids, and the class of objects."""
+    compared, elements = Comparison(), picture.labels.traffic_elements or ()
+    tables = {name: [item for item in elements if ELEMENTS[item.category] == name] for name in ELEMENTS.values()}
+    for table, items in {**tables, "obstacle": objects_of(picture.labels, CATEGORIES)}.items():
+        word, ids = "object" if table == "obstacle" else table.replace("_", " "), {str(item.id) for item in items}
+        boxes = clip.obstacles(micros) if table == "obstacle" else clip.elements(table)
+        compared += compare_boxes(
+            (box for box in boxes if table == "obstacle" or box.track in ids),
+            items,
+            lambda item: {"id": str(item.id), "class": CATEGORIES.get(item.category)},
+            cam_from_clip,
+            str(clip.files.clip),
+            BOX_M,
+            (word, word),
+        )
+    # Tracks are ids of the labels, which are those of each clip alone.
+    return replace(compared, tracks={})
 
 
 def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
-    """The middle between the rails of each lane, by the segment of the lane graph that it is."""
+    """Lanes by the segments of the lane graph that they are, with their rails and the paint of these."""
     world_from_clip, found = picture.labels.camera.world_from_cam @ cam_from_clip, []
     left, right = clip.lines("lane", "left_rail"), clip.lines("lane", "right_rail")
     for (row, one), (_, other) in zip(left, right, strict=True):
         if len(one) != len(other) or len(one) < 2:
             text = f"lane {row['map_id']}: expected rails of as many points, got {len(one)} and {len(other)}"
             return Comparison(problems=(text,))
-        found.append((str(row["map_id"]), transform(world_from_clip, (one + other) / 2)))
-    return compare_map(found, picture, RULE)
+        sides = {side: transform(world_from_clip, rail) for side, rail in (("left", one), ("right", other))}
+        paint = {side: _words(row[f"{side}_edge_styles"], row[f"{side}_edge_colors"]) for side in sides}
+        name = str(row["map_id"])
+        found.append(FoundLane(name, name, middle_of(sides["left"], sides["right"]), sides, paint))
+    return compare_lanes(found, picture, RULE)
+
+
+def _words(styles: Sequence[str], colors: Sequence[str]) -> str:
+    """The paint of a line, whose points should have one."""
+    return " ".join(", ".join(sorted({*words})) for words in (styles, colors))
 
 
 def _symbol_problems(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Iterator[str]:

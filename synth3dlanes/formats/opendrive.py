@@ -1,21 +1,28 @@
-"""Write OpenDRIVE: one file a scene, with its roads, their lanes and paint, and what stands beside them."""
+"""OpenDRIVE: one file a scene, with its roads, their lanes and paint, and what stands beside them."""
 
 import re
-from collections.abc import Collection, Iterable, Mapping
-from itertools import count
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import count, pairwise
+from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
-from synth3dlanes.formats.format import SampleFormat, SampleFrame
-from synth3dlanes.formats.opendrive.elements import Element, add
-from synth3dlanes.formats.opendrive.file_roads import WrittenRoad, lane_ascends, on_planes
-from synth3dlanes.formats.opendrive.marks import PaintedMark
-from synth3dlanes.formats.opendrive.parts import part_links, parts
-from synth3dlanes.formats.opendrive.things import add_things
-from synth3dlanes.formats.opendrive.verify import RULE, USER_DATA, read, verify
+from synth3dlanes.formats.comparing import Comparison, SourceSample
+from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
+from synth3dlanes.formats.opendrive_roads import PaintedMark, WrittenRoad, lane_ascends, on_planes, part_links, parts
+from synth3dlanes.formats.opendrive_things import Element, add, add_things
+from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
+from synth3dlanes.roads.cross_section import CrossSection
+from synth3dlanes.roads.line_forms import plan_points
+from synth3dlanes.roads.maps.cubics import values
+from synth3dlanes.roads.maps.document import parse_xml
+from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
+from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import (
     LaneName,
     MapLane,
@@ -26,7 +33,17 @@ from synth3dlanes.scene.road_map import (
     Polynomial,
     lane_key,
 )
+from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.world import World, resolve
+
+USER_DATA = "synth3dlanes.segment"
+"""The code of the user data that names a lane's segment in our lane graph."""
+# Shapes are heights square to the banked plane, so where the ground bends they move points aside.
+RULE = MapRule("m", 0.15, slack=0.3, of_pieces=True, gap_m=0.15)
+# The cubics of lines, heights and widths are within a millimetre of the same functions.
+GAP_M = 0.005
+STATION_STEP_M = 1.0
+
 
 MAJOR, MINOR = "1", "7"
 NO_NUMBER = "-1"
@@ -345,6 +362,70 @@ def _add_mark(element: Element, mark: MapMark) -> None:
         for t_m, dash_m, gap_m, first_m in mark.stripes:
             places = {"tOffset": t_m, "sOffset": first_m, "width": mark.width_m}
             add(lines, "line", length=dash_m, space=gap_m, **places, color=color)
+
+
+# -- read back
+
+
+def read(out: Path, most_frames: int) -> Iterator[FrameList]:
+    return maps_of(out, "xodr", most_frames, _content)
+
+
+def _content(path: Path) -> tuple[Element, GivenMap]:
+    data = read_text(path).encode()
+    given = read_opendrive(data, path.name, str(path))
+    return parse_xml(data, str(path)), given
+
+
+def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
+    """Lane centres in metres, in the world frame, and their links."""
+    root, given = frame.content
+    largest_m = max(gap_m for road in given.roads.values() for gap_m in _gaps(road))
+    problems = [] if largest_m <= GAP_M else [f"expected roads without gaps, got one of {largest_m:.3f} m"]
+    segments = _segments(root, given)
+    named = {name: segments[name] for name in given.lanes if name in segments}
+    labelled = {segment.id for segment in truth.labels.graph.segments}
+    beyond = {name for name, of in named.items() if of not in labelled and of in truth.scene.roads.driving_lanes}
+    lanes = [
+        FoundLane(name, of, _middle(given.lanes[name]), after={*given.following.get(name, ())} & named.keys() - beyond)
+        for name, of in named.items()
+        if name not in beyond
+    ]
+    outside = Comparison(outside=Counter({RULE.name: len(beyond)}))
+    return (compare_lanes(lanes, truth, RULE) + outside).because(problems)
+
+
+def _segments(root: Element, given: GivenMap) -> dict[str, str]:
+    """The segments of our lane graph by the names of the file's lanes."""
+    return {
+        f"{given.names[road.get('id', '')]}.{i}.{lane.get('id')}": data.get("value", "")
+        for road in root.iter("road")
+        for i, section in enumerate(road.iter("laneSection"))
+        for lane in section.iter("lane")
+        for data in lane.iter("userData")
+        if data.get("code") == USER_DATA
+    }
+
+
+def _middle(place: LanePlace) -> Points3:
+    """Points of the middle of a lane in the direction of its traffic."""
+    road, section = place.road, CrossSection.of(place.road, place.section)
+    s = np.linspace(section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / STATION_STEP_M))
+    t = section.middle_line(next(i for i, lane in enumerate(section.lanes) if lane is place.lane))(s)
+    z = section.height(s, t) if road.heights else 0 * s
+    return np.column_stack([places(road.plan, s, -t), z])[:: 1 if place.ascends else -1]
+
+
+def _gaps(road: MapRoad) -> Iterator[float]:
+    """The jumps of a road's reference line, its heights and its widths."""
+    for one, other in pairwise(road.plan):
+        x, y, _ = plan_points([one], np.array([one.length_m]))[0]
+        yield float(np.hypot(other.x_m - x, other.y_m - y))
+    widths = (lane.widths for section in road.sections for lane in section.lanes)
+    for cubics in (road.heights, road.banks, road.lane_offsets, *widths):
+        for k in range(1, len(cubics)):
+            yield abs(float(values(cubics[:k], np.array([cubics[k].s_m]))[0]) - cubics[k].a)
+    yield 0.0
 
 
 FORMAT = SampleFormat(

@@ -1,5 +1,5 @@
-"""The control videos of a clip of Cosmos: depth, segmentation, edges and the lane map of a picture, and how a video is
-compared with the pictures, passes and labels that it was made from.
+"""The control videos of a clip of Cosmos: depth, segmentation, edges and the lane map of a picture, and how frames
+are compared with them; what stands still around a clip.
 
 The lane map is the world scenario in the colours and widths of Cosmos's renderer, on black: lines first, then boxes
 from far to near. What is far is darker, and lines narrower, as there. What hills hide is not drawn. Frames are compared
@@ -8,23 +8,86 @@ with room for what H.264 loses.
 
 import colorsys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
 from PIL import Image, ImageDraw
-from scipy.ndimage import gaussian_gradient_magnitude, label, maximum_filter, sobel
+from scipy.ndimage import label, sobel
 
 from synth3dlanes.formats.comparing import SourceSample
-from synth3dlanes.formats.cosmos.clip import FOLDERS, CosmosClip, Scenario
-from synth3dlanes.formats.lane_map import Boundary
+from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
 from synth3dlanes.formats.writing import objects_of
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Labels, PaintColor
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene.things import BOXED, GROUND, KINDS, OWN, Rgb, classes_in
-from synth3dlanes.system.arrays import Passes, Points3, RgbImage
+from synth3dlanes.system.arrays import Matrix4, Passes, Points3, Polyline3, RgbImage
+from synth3dlanes.system.schema import SymbolKind
+from synth3dlanes.world.motion import host_driven
+from synth3dlanes.world.paint import is_double, paint_color, pair_of
+from synth3dlanes.world.world import World
+
+REACH_M = 150.0
+"""Reach of lanes ahead of and behind all places of the host in the clip."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """What stands still around a clip. Painted lines by their ids go in the host's driving direction. Of symbols, which
+    bound no lane, it has the outlines; of lines across the road their middles from one end to the other. Traffic
+    elements have the poses of their frames in the world."""
+
+    lanes: tuple[LaneSegment, ...]
+    lines: dict[str, Boundary]
+    edges: tuple[Polyline3, ...]
+    symbols: tuple[tuple[SymbolKind, Polyline3], ...]
+    elements: tuple[tuple[ObjectLabel, Matrix4], ...]
+
+
+def scenario(world: World, labels: Labels, pictures: Iterable[Labels]) -> Scenario:
+    """The scenario of a world by the labels of the clip's first picture, with the traffic elements of all
+    `pictures`."""
+    place, shot = world.view.world_from_host[:3, 3], world.scene.shot
+    reach_m = REACH_M + host_driven(shot, shot.duration_s)
+    return Scenario(
+        tuple(lane_segments(world, labels.graph.segments, place, reach_m)),
+        dict(_lines(world, place, reach_m)),
+        tuple(world.ground.paved.edges(place[:2], reach_m)),
+        tuple(_symbols(world)),
+        _elements(pictures),
+    )
+
+
+def _lines(world: World, place: Float[np.ndarray, "3"], reach_m: float) -> Iterator[tuple[str, Boundary]]:
+    network, markings = world.network, world.scene.markings
+    for line, s in network.delimiters_near(place[:2], reach_m).items():
+        points = line.points_world(s)
+        points = points[np.linalg.norm(points[:, :2] - place[:2], axis=1) < 2 * reach_m]
+        if line.marking != "none" and len(points) > 1:
+            paint = paint_color(line, markings), is_double(line, markings), pair_of(line, markings)
+            # Stations may fall as the host drives.
+            yield line.id, Boundary(points[:: int(network.onwards)], line.marking, *paint)
+
+
+def _symbols(world: World) -> Iterator[tuple[SymbolKind, Polyline3]]:
+    for form in world.symbol_shapes:
+        outline = form.outline
+        if form.kind in ("stop_line", "give_way_line"):
+            (x0, y0), (x1, y1) = outline.min(axis=0), outline.max(axis=0)
+            outline = np.array([[x0, (y0 + y1) / 2], [x1, (y0 + y1) / 2]])
+        yield form.kind, form.points_world(outline)
+
+
+def _elements(pictures: Iterable[Labels]) -> tuple[tuple[ObjectLabel, Matrix4], ...]:
+    found = dict[int, tuple[ObjectLabel, Matrix4]]()
+    for labels in pictures:
+        for item in labels.traffic_elements or ():
+            found.setdefault(item.id, (item, labels.camera.world_from_cam @ item.cam_from_object))
+    return tuple(found[number] for number in sorted(found))
+
 
 CATEGORIES, ELEMENTS = classes_in("cosmos"), classes_in("cosmos", of_elements=True)
 EDGE_LOW, EDGE_HIGH = 100, 200
@@ -62,14 +125,10 @@ FACES = ((4, 5, 6, 7), (0, 4, 7, 3), (1, 5, 6, 2), (3, 2, 6, 7), (0, 1, 5, 4), (
 """Faces of a box by its corners: rear, left, right, lower side, upper side, front."""
 SHADES = (0.0, 0.5, 0.5, 0.5, 0.5, 1.0)
 STATE_COLORS: dict[str, Rgb] = {"red": (240, 50, 50), "yellow": (255, 200, 0), "green": (130, 240, 132)}
-# The share of a frame's pixels that may be off by more than these grey levels (of 255).
-SHARE_OFF = 0.2
-GREYS = {"rgb": 24, "depth": 8, "seg": 64}
-# A frame that is moved by this must fit worse; the least number of edge pixels to judge by.
-MOVED_PX, LEAST_EDGES = 4, 200
-# The share of the points of painted lines that must be brighter than this in the lane map, the least number of points
-# to judge by, how far ahead they are looked at, and how much brighter the map may be beside them.
-LEAST_LIT, DARK, LINE_POINTS, CHECKED_M, MORE_LIGHT = 0.9, 60, 8, 60.0, 1.05
+# The share of a frame's pixels that may be off by more than these grey levels (of 255): H.264 blurs borders and narrow
+# lines. A frame that is moved by this must fit worse.
+SHARE_OFF, MOVED_PX = 0.2, 4
+GREYS = {"rgb": 24, "depth": 8, "seg": 64, "edge": 64, "hdmap": 64}
 Pixels = Float[np.ndarray, "_ 2"]
 
 
@@ -297,131 +356,35 @@ def _flat(uv: Pixels) -> Sequence[tuple[float, float]]:
     return [(float(u), float(v)) for u, v in (uv * FINER - 0.5).clip(-1e5, 1e5)]
 
 
-def video_problems(
-    clip: CosmosClip, view: str, pictures: list[SourceSample], kinds: Iterable[str] = FOLDERS
-) -> Iterator[str]:
-    """Findings in the videos of a view."""
-    rate_hz, span = pictures[0].scene.shot.fps, clip.span(view)
-    for kind in kinds:
-        path, n = clip.files.video(kind, view), 0
-        for frame in clip.frames(kind, view, rate_hz):
-            n += 1
-            if n > len(pictures):
-                break
-            picture = pictures[n - 1]
-            height, width = picture.image.shape[:2]
-            if frame.shape != (height + height % 2, width + width % 2, 3):
-                yield f"{path}: frame {n - 1}: expected {width}x{height} pixels, got {frame.shape[1]}x{frame.shape[0]}"
-                break
-            problem = CHECKS[kind](frame[:height, :width], picture, span)
-            if problem:
-                yield f"{path}: frame {n - 1}: {problem}"
-        if n != len(pictures):
-            yield f"{path}: expected {len(pictures)} frames, got {'more' if n > len(pictures) else n}"
+DRAWN: dict[str, Callable[[SourceSample, Scenario, tuple[float, float]], RgbImage]] = {
+    "rgb": lambda picture, around, span: picture.image,
+    "depth": lambda picture, around, span: depth_picture(picture.passes, span),
+    "seg": lambda picture, around, span: seg_picture(picture.passes),
+    "edge": lambda picture, around, span: edge_picture(picture.image),
+    "hdmap": lambda picture, around, span: lane_map_picture(picture, around),
+}
+"""What the video of each kind shows of a picture, given what is around the clip and the span of its depth video."""
 
 
-def _off(frame: RgbImage, expected: Float[np.ndarray, "h w c"], greys: int) -> str:
+def frame_problem(frame: RgbImage, expected: Float[np.ndarray, "h w 3"], greys: int) -> str:
     """What is wrong with a frame that should look as expected: H.264 blurs borders, but moves nothing."""
-    share = float((np.abs(frame.astype(np.float32) - expected).max(axis=2) > greys).mean())
+    share = float((np.abs(frame - expected).max(axis=2) > greys).mean())
     if share > SHARE_OFF:
         return f"expected at most {SHARE_OFF:.0%} of its pixels off by {greys} of 255, got {share:.0%}"
     here = _apart(frame, expected)
-    for name, moved in (
-        ("up", np.roll(expected, -MOVED_PX, axis=0)),
-        ("down", np.roll(expected, MOVED_PX, axis=0)),
-        ("to the left", np.roll(expected, -MOVED_PX, axis=1)),
-        ("to the right", np.roll(expected, MOVED_PX, axis=1)),
-        ("to the other side", expected[:, ::-1]),
+    for name, other in (
+        (f"moved up by {MOVED_PX} px", np.roll(expected, -MOVED_PX, axis=0)),
+        (f"moved down by {MOVED_PX} px", np.roll(expected, MOVED_PX, axis=0)),
+        (f"moved to the left by {MOVED_PX} px", np.roll(expected, -MOVED_PX, axis=1)),
+        (f"moved to the right by {MOVED_PX} px", np.roll(expected, MOVED_PX, axis=1)),
+        ("mirrored", expected[:, ::-1]),
+        ("black", np.zeros_like(expected)),
     ):
-        if _apart(frame, moved) < here:
-            return f"expected it in its place, got it nearer to its picture {MOVED_PX} px {name}"
+        if _apart(frame, other) < here:
+            return f"expected it as its picture, got it nearer to that one {name}"
     return ""
 
 
-def _apart(frame: RgbImage, expected: Float[np.ndarray, "h w c"]) -> float:
+def _apart(frame: RgbImage, expected: Float[np.ndarray, "h w 3"]) -> float:
     inner = slice(MOVED_PX, -MOVED_PX)
-    return float(np.abs(frame.astype(np.float32) - expected)[inner, inner].mean())
-
-
-def _rgb(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
-    return _off(frame, picture.image.astype(float), GREYS["rgb"])
-
-
-def _depth(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
-    (low, high), depth_m = span, picture.passes["depth"].astype(float)
-    # What is behind a fisheye counts as near.
-    share = (1 / np.where(depth_m < LEAST_DEPTH_M, LEAST_DEPTH_M, depth_m) - low) / max(high - low, 1e-9)
-    return _off(frame, 255 * np.clip(share, 0, 1)[..., None], GREYS["depth"])
-
-
-def _seg(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
-    semantic, instance = picture.passes["semantic"], picture.passes["instance"]
-    expected = CLASS_COLORS[semantic].astype(float)
-    is_object = np.isin(semantic, BOXED)
-    for number in np.unique(instance[is_object]).tolist():
-        expected[is_object & (instance == number)] = object_color(number)
-    return _off(frame, expected, GREYS["seg"])
-
-
-def _edge(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
-    change = gaussian_gradient_magnitude(picture.image.mean(axis=2), 1.0)
-    rows, columns = np.nonzero(frame.min(axis=2) > 127)
-    height, width = change.shape
-    if len(rows) < LEAST_EDGES:
-        return ""
-    here = change[rows, columns].mean()
-    for name, row, column in (
-        ("up", rows - MOVED_PX, columns),
-        ("down", rows + MOVED_PX, columns),
-        ("left", rows, columns - MOVED_PX),
-        ("right", rows, columns + MOVED_PX),
-        ("to the other side", rows, width - 1 - columns),
-    ):
-        there = change[row.clip(0, height - 1), column.clip(0, width - 1)].mean()
-        if not there < here:
-            return f"expected edges on changes of the image, got stronger ones {MOVED_PX} px {name}"
-    return ""
-
-
-def _hdmap(frame: RgbImage, picture: SourceSample, span: tuple[float, float]) -> str:
-    lit = maximum_filter(frame.max(axis=2), size=3)
-    uv = _sure_points(picture.labels)
-    if len(uv) >= LINE_POINTS:
-        column, row = np.floor(uv).astype(int).T
-        share = float((lit[row, column] > DARK).mean())
-        if share < LEAST_LIT:
-            return f"expected {LEAST_LIT:.0%} of the points of painted lines drawn, got {share:.0%}"
-        light = frame.max(axis=2).astype(float)
-        here = light[row, column]
-        # In a small picture brighter things are beside lines: it is moved only if the lines are not where they should.
-        asides = (("left", -MOVED_PX), ("right", MOVED_PX)) if (here > DARK).mean() < LEAST_LIT else ()
-        for name, aside in asides:
-            there = light[row, (column + aside).clip(0, light.shape[1] - 1)]
-            if there.mean() > MORE_LIGHT * here.mean():
-                return f"expected painted lines in their place, got them nearer {MOVED_PX} px to the {name}"
-    for item in objects_of(picture.labels, CATEGORIES):
-        inside = picture.labels.camera.shows(item.center_cam[None])[0]
-        if inside and item.corners_cam[:, 1].min() > 1.0 and item.center_cam[1] < CHECKED_M:
-            column, row = np.floor(picture.labels.camera.project(item.center_cam[None])[0]).astype(int)
-            if lit[row, column] <= DARK:
-                return f"expected the box of object {item.id} over its middle, got nothing there"
-    return ""
-
-
-def _sure_points(labels: Labels) -> np.ndarray:
-    """Pixels of solid lines that the ground does not hide, which boxes may cover."""
-    solid = [lane for lane in labels.lanes if lane.marking == "solid" and not lane.double]
-    points = [lane.xyz_cam[lane.in_image & lane.terrain_visible] for lane in solid]
-    xyz = np.concatenate([np.zeros((0, 3)), *points])
-    uv = labels.camera.project(xyz[xyz[:, 1] < CHECKED_M])
-    inside = (uv > 1).all(axis=1) & (uv < np.array([labels.camera.width_px, labels.camera.height_px]) - 1).all(axis=1)
-    return np.asarray(uv[inside])
-
-
-CHECKS: dict[str, Callable[[RgbImage, SourceSample, tuple[float, float]], str]] = {
-    "rgb": _rgb,
-    "depth": _depth,
-    "seg": _seg,
-    "edge": _edge,
-    "hdmap": _hdmap,
-}
+    return float(np.abs(frame - expected)[inner, inner].mean())

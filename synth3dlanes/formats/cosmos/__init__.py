@@ -1,1 +1,0 @@
-"""Cosmos: control videos of a clip, and its world scenario as ClipGT tables."""

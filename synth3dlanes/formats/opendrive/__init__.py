@@ -1,1 +1,0 @@
-"""Maps of scenes as OpenDRIVE files."""
