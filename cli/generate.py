@@ -62,7 +62,7 @@ def generate(
 
     job = jobs.Job(**given(fields)) if source is None else jobs.load_job(source, given(fields))
     plans = job.plans(warn)
-    drawn_from = job.text(plans[0].recipe)
+    drawn_from = job.text(plans[0].recipe, warn)
     if save_job is not None:
         jobs.save_job(job, save_job)
     if dry_run:

@@ -261,6 +261,23 @@ def test_a_host_off_its_way_is_refused(y_m: float, driven: tuple[tuple[float, fl
         ground_truth(scene)
 
 
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"s_m": 5000.0}, r"cars\.0\.s_m: expected \S+ to \S+ m in lane \S+, got 5000"),
+        ({"s_m": -3.0}, r"cars\.0\.s_m: expected \S+ to .*, got -3"),
+        ({"track": ((0.0, 0.0), (1.0, 2000.0))}, r"cars\.0: expected lanes .* 2000 m, which it drives in 1 s, got"),
+        ({"speed_m_s": 99.0}, r"cars\.0: expected lanes that go on for 99 m, which it drives in 1 s, got"),
+    ],
+)
+def test_a_car_off_its_lanes_is_refused(changes: dict[str, object], told: str) -> None:
+    scene = town(0, "town.parked=0", "trees.n=0", "people.per_100_m=0").scene
+    shot = scene.shot.model_copy(update={"n_frames": 2, "frame": 1, "fps": 1.0})
+    cars = (scene.cars[0].model_copy(update=changes), *scene.cars[1:])
+    with pytest.raises(InputError, match=told):
+        ground_truth(scene.model_copy(update={"cars": cars, "shot": shot}))
+
+
 def test_a_picture_without_any_line_has_no_lanes() -> None:
     world = town(0, "town.traffic=0.02", "town.parked=0", "trees.n=0", "people.per_100_m=0")
     camera = world.scene.camera.model_copy(update={"offset_m": 5000.0})

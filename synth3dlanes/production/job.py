@@ -443,7 +443,8 @@ class Job(DocumentPart):
         return Recipe(scenes, self.settings, self.image_format, library, where=condition)
 
     def plans(self, warn: Callable[[str], None] = lambda line: None) -> list[Plan]:
-        """A plan for each split. Raises as `recipe` does, and if no scene fits `where`."""
+        """A plan for each split; `warn` is also called now and then while no scene that fits `where` is found. Raises
+        as `recipe` does, and if none fits."""
         asked, out = self.asked, self.out
         if out is None:
             raise InputError("out: expected a folder or a URL, got none")
@@ -452,12 +453,12 @@ class Job(DocumentPart):
         for split, n in asked.items():
             of_split = replace(recipe, scenes=replace(recipe.scenes, split=split))
             if of_split.where is not None:
-                fitting_world(of_split.scenes, of_split.where, 0)
+                fitting_world(of_split.scenes, of_split.where, 0, warn)
             plans.append(Plan(out, n, of_split, self.workers, self.part))
         return plans
 
-    def text(self, recipe: Recipe) -> str:
-        """What the scenes of a recipe of this job are drawn from, in words."""
+    def text(self, recipe: Recipe, tell: Callable[[str], None] = lambda line: None) -> str:
+        """What the scenes of a recipe of this job are drawn from, in words. `tell` is called as by `plans`."""
         changes = f" with {', '.join(self.set)}" if self.set else ""
         return ", ".join(
             filter(
@@ -466,7 +467,7 @@ class Job(DocumentPart):
                     f"parameters {_named(self.params)}{changes}",
                     recipe.scenes.like.text() if recipe.scenes.like else "",
                     recipe.scenes.map.map.text() if recipe.scenes.map else "",
-                    recipe.where.probe(recipe.scenes) if recipe.where else "",
+                    recipe.where.probe(recipe.scenes, tell) if recipe.where else "",
                     f"camera {_named(self.camera)}" if self.camera else "",
                     f"rig {_named(self.rig)}" if self.rig else "",
                 ],

@@ -39,6 +39,8 @@ from synth3dlanes.world.world import View, World
 
 # The least number of drawn scenes from which the share that fits a condition is estimated.
 PROBED = 30
+# While none fits, the time between two lines that say so.
+TELL_EVERY_S = 10.0
 # Columns that say nothing about a scene, and columns that are known only once it is rendered.
 OF_FILES = ("key", "index", "sha256", *PLACE_COLUMNS)
 OF_PICTURES = ("object_hidden_fraction", "n_visible_centerlines", "n_visible_delimiters")
@@ -68,9 +70,10 @@ class Condition:
         known = [name for name in found.column_names if name not in (*OF_FILES, *OF_PICTURES)]
         return len(rows_where(found.select(known), self.query)) > 0
 
-    def probe(self, scenes: Scenes) -> str:
-        """How many of the scenes drawn for the first sample fit, in words. Raises InputError if none does."""
-        first = fitting_world(scenes, self, 0).scene.index
+    def probe(self, scenes: Scenes, tell: Callable[[str], None] = lambda line: None) -> str:
+        """How many of the scenes drawn for the first sample fit, in words. `tell` is called now and then while none is
+        found. Raises InputError if none does."""
+        first = fitting_world(scenes, self, 0, tell).scene.index
         others = range(first + 1, PROBED)
         n_fitting = 1 + sum(self.fits(scenes, draw_world(scenes, number)) for number in others)
         return f"where {self.query} ({n_fitting} of the first {max(PROBED, first + 1)} scenes drawn fit)"
@@ -78,12 +81,19 @@ class Condition:
 
 # The pictures of one scene are made one after the other.
 @lru_cache(maxsize=1)
-def fitting_world(scenes: Scenes, condition: Condition, n: int) -> World:
-    """The world of the scene that sample n shows, or clip n. Raises InputError if none of those drawn fits."""
-    for number in range(n * SCENES_OF_ONE, n * SCENES_OF_ONE + condition.tries):
-        world = draw_world(scenes, number)
+def fitting_world(
+    scenes: Scenes, condition: Condition, n: int, tell: Callable[[str], None] = lambda line: None
+) -> World:
+    """The world of the scene that sample n shows, or clip n. `tell` is called now and then while none is found. Raises
+    InputError if none of those drawn fits."""
+    told_s = time.monotonic()
+    for drawn in range(condition.tries):
+        world = draw_world(scenes, n * SCENES_OF_ONE + drawn)
         if condition.fits(scenes, world):
             return world
+        if time.monotonic() - told_s > TELL_EVERY_S:
+            tell(f"where {condition.query}: 0 of {drawn + 1:,} scenes drawn fit; at most {condition.tries:,} are drawn")
+            told_s = time.monotonic()
     raise InputError(
         f"where {condition.query}: expected a scene that fits, got none in {condition.tries:,} tries for sample "
         f"{n} (up to {SCENES_OF_ONE:,} can be asked for)"

@@ -13,6 +13,8 @@ from synth3dlanes.scene.scene import Car, Scene, Thing
 from synth3dlanes.system.errors import InputError
 
 WAY_STEP_M = 0.25
+# Stations are rounded to less than this.
+ENDS_M = 0.01
 # The host's speed in single pictures.
 SPEED_M_S = 25.0
 
@@ -58,8 +60,13 @@ def host_stations(network: Network, camera: HostCamera, driven_m: Float[np.ndarr
     return network.stations(stations_after(network.host_way(camera), camera.y_m * network.onwards, driven_m))
 
 
-def car_at(network: Network, car: Car, time_s: float) -> Car:
-    """A car some seconds after the clip's start, with its speed then."""
+def car_at(network: Network, car: Car, time_s: float, where: str = "car") -> Car:
+    """A car some seconds after the clip's start, with its speed then. Raises InputError, which begins with `where`, for
+    one that is not in its lane at the start, and where its lanes do not reach."""
+    lane = network.lanes[car.lane]
+    low_m, high_m = sorted((lane.start_m * network.onwards, lane.end_m * network.onwards))
+    if not low_m - ENDS_M <= car.s_m <= high_m + ENDS_M:
+        raise InputError(f"{where}.s_m: expected {low_m:g} to {high_m:g} m in lane {car.lane}, got {car.s_m:g}")
     driven_m, speed_m_s = car.speed_m_s * time_s, car.speed_m_s
     if car.track:
         driven_m, speed_m_s = _on_track(car.track, time_s)
@@ -67,7 +74,12 @@ def car_at(network: Network, car: Car, time_s: float) -> Car:
     if driven_m == 0:
         return car
     way, start_m = network.car_way(car)
-    return network.car_on(car, float(stations_after(way, start_m, np.array([driven_m]))[0]))
+    s = float(stations_after(way, start_m, np.array([driven_m]))[0])
+    if not way.start_m - ENDS_M <= s <= way.end_m + ENDS_M:
+        raise InputError(
+            f"{where}: expected lanes that go on for {driven_m:g} m, which it drives in {time_s:g} s, got shorter ones"
+        )
+    return network.car_on(car, s)
 
 
 def car_speed(scene: Scene, car: Car) -> float:

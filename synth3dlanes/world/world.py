@@ -64,8 +64,9 @@ class View:
 
     @cached_property
     def cars(self) -> tuple[Car, ...]:
-        """All cars at that instant, with their places and speeds then."""
-        return tuple(car_at(self.network, car, self.scene.shot.time_s) for car in self.scene.cars)
+        """All cars at that instant, with their places and speeds then. Raises InputError for one off its lanes."""
+        time_s = self.scene.shot.time_s
+        return tuple(car_at(self.network, car, time_s, f"cars.{i}") for i, car in enumerate(self.scene.cars))
 
     @cached_property
     def objects(self) -> tuple[PlacedObject, ...]:

@@ -240,6 +240,14 @@ def test_a_sample_shows_the_first_of_its_scenes_that_fits() -> None:
     assert any(made.scene(n).index % OF_ONE for n in range(3)), "not only first scenes fit"
 
 
+def test_while_none_fits_a_line_says_so_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("synth3dlanes.production.recipe.TELL_EVERY_S", 0.0)
+    told = list[str]()
+    with pytest.raises(InputError, match="expected a scene that fits, got none in 3 tries for sample 0"):
+        jobs.Job(n=1, out="none", params="tiny", where="max_grade > 99", tries=3).plans(told.append)
+    assert told == [f"where max_grade > 99: 0 of {n} scenes drawn fit; at most 3 are drawn" for n in (1, 2, 3)]
+
+
 def test_all_frames_of_a_clip_show_the_scene_that_its_first_one_fits() -> None:
     made = recipe(frames=3)
     scenes = [made.scene(index) for index in range(3, 6)]
