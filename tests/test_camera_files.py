@@ -10,9 +10,8 @@ from hypothesis import given
 from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import read_sweep, write_passes, write_sweep
 from synth3dlanes.draw.sample import Scenes, sample_scene, with_lidar
-from synth3dlanes.geometry.frames import invert, transform
+from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import Sweep, directions
-from synth3dlanes.labels.labels import from_json, to_json
 from synth3dlanes.params.camera_files import load_camera, read_camera
 from synth3dlanes.params.cameras import CameraSpec, black_pictures
 from synth3dlanes.params.lidar_files import load_lidar
@@ -346,13 +345,6 @@ def test_sweeps_come_back_exactly_from_equal_bytes():
     for name in ("range_m", "semantic", "instance"):
         assert np.array_equal(getattr(after, name), getattr(before, name))
         assert getattr(after, name).dtype == getattr(before, name).dtype
-
-
-def test_the_lidar_of_labels_comes_back():
-    read = from_json(to_json(ground_truth(with_lidar(FLAT, FOUR))), "x")
-    assert read.lidar.elevations_rad == LABEL.elevations_rad == tuple(np.radians([10, 0, -4, -30]).round(9).tolist())
-    assert np.allclose(invert(read.lidar.cam_from_lidar) @ LABEL.cam_from_lidar, np.eye(4))
-    assert from_json(to_json(ground_truth(FLAT)), "x").lidar is None
 
 
 @pytest.mark.parametrize(

@@ -102,16 +102,9 @@ def check_neighbours(clip: list[Labels]) -> None:
         assert labels.graph == clip[0].graph
         for lane in labels.lanes:
             same = (
-                lane.kind,
-                lane.road,
-                lane.marking,
-                lane.left,
-                lane.right,
-                lane.color,
-                lane.double,
-                lane.pair,
+                lane.kind, lane.road, lane.marking, lane.left, lane.right, lane.color, lane.double, lane.pair,
                 lane.direction,
-            )
+            )  # fmt: skip
             assert lines.setdefault(lane.id, same) == same, lane.id
     for _, _, _, left, right, *_ in lines.values():
         assert {left, right} <= {None, *lines}

@@ -36,16 +36,9 @@ def generated() -> dict[str, str]:
 
 
 GENERATED = [
-    "cli.md",
-    "params.md",
-    "scene.schema.json",
-    "labels.schema.json",
-    "outputs.schema.json",
-    "cluster.md",
-    "validate.md",
-    "benchmarks.md",
-    "models.md",
-]
+    "cli.md", "params.md", "scene.schema.json", "labels.schema.json", "outputs.schema.json", "cluster.md",
+    "validate.md", "benchmarks.md", "models.md",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", GENERATED)

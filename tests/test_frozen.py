@@ -8,6 +8,7 @@ import pytest
 
 from synth3dlanes.draw.sample import sample_world
 from synth3dlanes.labels import labels as label_file
+from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.truth.ground_truth import label
 from tests.golden.frozen import FILE, ROWS, built, differences, digest, sample, scenes_of, thinned
 from tests.thorough import first
@@ -27,11 +28,15 @@ def frozen():
 
 @pytest.mark.parametrize("name", first(len(ROWS) - len(SLOW), [*(name for name in ROWS if name not in SLOW), *SLOW]))
 def test_a_world_is_as_it_was(frozen, name):
-    """Before anything is rendered: the scene, the labels, and what is built and painted, to 0.1 mm."""
+    """Before anything is rendered: the scene, the labels, and what is built and painted, to 0.1 mm. Scenes and labels
+    come back from their files."""
     world = sample_world(scenes_of(ROWS[name]), ROWS[name].index)
     told = "another scene; a field that scenes did not have is left out where it has its default (`exclude_if`)"
     assert digest(world.scene) == frozen[name]["scene"], told
-    found = thinned(json.loads(label_file.to_json(label(world, world.view))))
+    assert scene_file.from_json(scene_file.to_json(world.scene), name) == world.scene
+    text = label_file.to_json(label(world, world.view))
+    assert label_file.to_json(label_file.from_json(text, name)) == text
+    found = thinned(json.loads(text))
     unlike = (line for line in differences(frozen[name]["labels"], found) if not SEEN.search(line))
     assert [*unlike][:10] == []
     assert [*differences(frozen[name]["built"], json.loads(json.dumps(built(world))))][:10] == []

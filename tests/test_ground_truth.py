@@ -91,16 +91,6 @@ def test_the_left_edge_of_every_road_has_its_paint_and_all_other_lines_are_singl
     assert {lane.id for lane in labels.lanes if lane.double} == {"main_line_0", "exit_line_0"}
 
 
-def test_labels_come_back_from_their_file():
-    labels = ground_truth(changed(road={"topology": 3}, markings={"left_yellow": True}))
-    text = label_file.to_json(labels)
-    again = label_file.from_json(text, "labels.json")
-    assert label_file.to_json(again) == text
-    np.testing.assert_allclose(again.lanes[0].xyz_cam, labels.lanes[0].xyz_cam, atol=0.5001e-4)
-    assert json.loads(text)["lanes"][0]["object_visible"] is None
-    assert {lane.color for lane in again.lanes} == {None, "white", "yellow"}
-
-
 def test_the_horizon_plane_of_a_plain_is_the_road_itself_and_a_rise_tilts_it_up():
     flat = ground_truth(changed())
     assert (flat.horizon.pitch_rad, flat.horizon.height_m) == (pytest.approx(0.05), pytest.approx(1.6))

@@ -35,26 +35,15 @@ from synth3dlanes.system.yaml_text import MAX_BYTES, read_yaml, text_of, value_o
 from tests.hostile import HOSTILE, LEAKED, damaged, edited_json, files, refused_or_read
 
 READERS = {
-    "streets.yaml": load_params,
-    "cameras/kitti_raw.yaml": load_camera,
-    "rigs/nuscenes.yaml": load_rig,
-    "lidars/hdl_32e.yaml": load_lidar,
-    "benchmarks/weather.yaml": load_benchmark,
-}
+    "streets.yaml": load_params, "cameras/kitti_raw.yaml": load_camera, "rigs/nuscenes.yaml": load_rig,
+    "lidars/hdl_32e.yaml": load_lidar, "benchmarks/weather.yaml": load_benchmark,
+}  # fmt: skip
 VALUE = re.compile(rb"(?<=[:\[, ])[\w.+-]+(?=[,\]\n }])")
 # Anchors, tags, documents and characters of YAML.
 YAML = [
-    b"&a [*a]",
-    b"!!python/object:os.system x",
-    b"<<: ",
-    b"\t",
-    b"---\n",
-    b"*a",
-    b".inf",
-    b"1:59:59",
-    b"\0",
+    b"&a [*a]", b"!!python/object:os.system x", b"<<: ", b"\t", b"---\n", b"*a", b".inf", b"1:59:59", b"\0",
     b"\x07",
-]
+]  # fmt: skip
 
 
 @st.composite

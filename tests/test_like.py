@@ -117,23 +117,13 @@ FEW += [f"roadside.n_{name}=0" for name in ("houses", "halls", "blocks")]
 
 # A parameter of each group that a scene of single pictures uses, otherwise than in `streets`, and the part that tells.
 OTHER = {
-    "terrain.magnitude_m=1": "terrain",
-    "road.lane_width_m=3": "road",
-    "markings.wear=1": "markings",
-    "surface.tar=1": "surface",
-    "cars.gloss=0": "cars",
-    "trees.scale=0.5": "trees",
-    "camera.pitch_deg=9": "camera",
-    "camera.offset_m=1": "camera",
-    "light.exposure=9": "light",
-    "air.overcast=0.33": "air",
-    "sensor.dirt=1": "sensor",
-    "symbols.crosswalks=9": "symbols",
-    "weather.snow=1": "weather",
-    "host.bonnet=0.3": "host",
-    "vegetation.translucency=0": "vegetation",
+    "terrain.magnitude_m=1": "terrain", "road.lane_width_m=3": "road", "markings.wear=1": "markings",
+    "surface.tar=1": "surface", "cars.gloss=0": "cars", "trees.scale=0.5": "trees", "camera.pitch_deg=9": "camera",
+    "camera.offset_m=1": "camera", "light.exposure=9": "light", "air.overcast=0.33": "air",
+    "sensor.dirt=1": "sensor", "symbols.crosswalks=9": "symbols", "weather.snow=1": "weather",
+    "host.bonnet=0.3": "host", "vegetation.translucency=0": "vegetation",
     "roadside.delineator_spacing_m=11": "roadside",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("other", OTHER)

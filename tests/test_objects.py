@@ -17,7 +17,6 @@ from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.assets.catalogue import CARS, Assets, vehicle_class
 from synth3dlanes.scene.assets.folder import CarNotes
 from synth3dlanes.scene.scene import Car
-from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.truth.object_truth import rectangles, truncation
 from tests.golden.frozen import FILE as FROZEN
@@ -188,22 +187,6 @@ def test_what_pixels_and_points_tell():
     assert stacked(()).corners_cam.shape == (0, 8, 3)
 
 
-def test_labels_read_back_are_the_same_text_and_older_ones_keep_their_shares():
-    labels = ground_truth(with_cars(car("main_2", -20), car("main_1", -21))).with_seen_shares((0.25, 1.0))
-    text = label_file.to_json(labels)
-    read = label_file.from_json(text, "")
-    assert label_file.to_json(read) == text
-    assert read.car_visible_fraction == (0.25, 1.0)
-    for item, own in zip(read.objects, labels.objects, strict=True):
-        np.testing.assert_allclose(item.corners_cam, own.corners_cam, atol=1.5e-4)
-    document = json.loads(text)
-    del document["objects"]
-    older = label_file.from_json(json.dumps(document), "")
-    assert older.objects is None
-    assert older.car_visible_fraction == (0.25, 1.0)
-    assert ground_truth(with_cars(car("main_2", -20))).car_visible_fraction is None
-
-
 def test_older_objects_and_traffic_elements_are_read_and_written_as_they_were():
     """Those of the frozen samples, in labels without lanes; lists of many lanes are thinned there."""
     empty, n = json.loads(label_file.to_json(replace(ground_truth(FLAT), lanes=()))), 0
@@ -217,17 +200,6 @@ def test_older_objects_and_traffic_elements_are_read_and_written_as_they_were():
             assert [list(item) for item in again[name]] == [list(item) for item in own], "in the same order"
             n += len(own)
     assert n > 300
-
-
-@pytest.mark.parametrize(
-    ("category", "problem"),
-    [("road_sign", "a kind and no truncation of a road_sign"), ("van", "a truncation and no kind of a van")],
-)
-def test_an_object_has_what_its_category_has(category, problem):
-    document = json.loads(label_file.to_json(ground_truth(with_cars(car("main_2", -20)))))
-    document["objects"][0] |= {"category": category, "truncation": 0.5 if category == "road_sign" else None}
-    with pytest.raises(FormatError, match=f"objects.0: category: expected {problem}"):
-        label_file.from_json(json.dumps(document), "labels.json")
 
 
 def test_classes_of_a_users_models_follow_from_names_or_sizes():

@@ -31,16 +31,10 @@ def problems(text: str, folder: Path, overrides: tuple[str, ...] = ()) -> list[s
 
 # Of what `dataset.json` holds of a preset, when each was a complete file.
 DIGESTS = {
-    "apollo_camera": "a6da67685ed9a25f",
-    "appendix_i": "cb74a4be140d2d87",
-    "diverse": "d2b5a78071901bfb",
-    "openlane_camera": "dcc2f6314b26bb47",
-    "realistic": "d751078fbd6c641a",
-    "streets": "c10d931f60293ff1",
-    "tiny": "2a9096fd964a295f",
-    "town": "3fa5b9f7ed31d310",
-    "tusimple_camera": "c102a5cd2b705728",
-}
+    "apollo_camera": "a6da67685ed9a25f", "appendix_i": "cb74a4be140d2d87", "diverse": "d2b5a78071901bfb",
+    "openlane_camera": "dcc2f6314b26bb47", "realistic": "d751078fbd6c641a", "streets": "c10d931f60293ff1",
+    "tiny": "2a9096fd964a295f", "town": "3fa5b9f7ed31d310", "tusimple_camera": "c102a5cd2b705728",
+}  # fmt: skip
 
 
 def test_presets_that_name_a_base_say_what_they_said_as_complete_files() -> None:
@@ -89,14 +83,10 @@ def test_all_mistakes_come_at_once(tmp_path: Path) -> None:
     keys = sorted(line.split(": ")[0] for line in found)
     assert keys == sorted(
         [
-            "overrides light",
-            "overrides light.expsure",
-            "overrides road.n_lanes",
-            "camera.pitch_deg",
-            "cars.model",
-            "trees.model",
+            "overrides light", "overrides light.expsure", "overrides road.n_lanes", "camera.pitch_deg",
+            "cars.model", "trees.model",
         ]
-    )
+    )  # fmt: skip
 
 
 OURS = """# Narrow lanes.
@@ -166,13 +156,9 @@ def test_a_mistake_is_told_with_the_file_that_has_it(in_tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         load_params("second.yaml", ["light.exposure=-2"])
     assert {line.partition(": expected")[0].partition(";")[0] for line in error.value.problems} == {
-        "first.yaml: cars.n",
-        "first.yaml: roads: unknown key",
-        "second.yaml: cars.scale",
-        "second.yaml: cars.modle: unknown key",
-        "second.yaml: road",
-        "overrides light.exposure",
-    }
+        "first.yaml: cars.n", "first.yaml: roads: unknown key", "second.yaml: cars.scale",
+        "second.yaml: cars.modle: unknown key", "second.yaml: road", "overrides light.exposure",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("changes", [(), ("road.lane_width_m=[3, 3.25]", "weather.headlights=false")])
@@ -224,12 +210,9 @@ def test_check_names_the_problems_of_every_file() -> None:
 
 def test_overrides_take_every_form() -> None:
     overrides = (
-        "road.n_lanes=3",
-        "camera.pitch_deg=[1, 2]",
-        "cars.n={2: 1, 5: 3}",
-        "terrain.sd_m=1e2",
+        "road.n_lanes=3", "camera.pitch_deg=[1, 2]", "cars.n={2: 1, 5: 3}", "terrain.sd_m=1e2",
         "road.flip_lateral=true",
-    )
+    )  # fmt: skip
     params = load_params("appendix_i", overrides)
     assert params.road.n_lanes == Choice((3,), (1,))
     assert params.camera.pitch_deg == Uniform(1, 2)

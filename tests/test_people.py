@@ -23,13 +23,9 @@ from tests.town_checks import bodies
 
 MANY = ("people.per_100_m=20", "people.crossing=4", "riders.cyclists=8", "riders.motorcyclists=3")
 WALKWAYS = (
-    "town.n_more=0",
-    "trees.n=0",
-    "town.walkway_m=2.6",
-    "town.crosswalks=true",
-    "town.host_place=before",
+    "town.n_more=0", "trees.n=0", "town.walkway_m=2.6", "town.crosswalks=true", "town.host_place=before",
     "town.host_m=25",
-)
+)  # fmt: skip
 CLIP = Shots(frames=25, fps=5.0)
 SEEN = Scenes(load_params("town"), shots=CLIP)
 

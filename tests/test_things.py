@@ -13,12 +13,10 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
-from synth3dlanes.labels import labels as label_file
 from synth3dlanes.params.params import load_params
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
-from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.assets.catalogue import CARS, THINGS
 from synth3dlanes.scene.change import change_scene
 from synth3dlanes.scene.host import Shot
@@ -28,17 +26,16 @@ from synth3dlanes.scene.road_map import MapLane, MapMark, MapRoad, MapSection, P
 from synth3dlanes.scene.scene import PlanInstant, Scene, Thing
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.scene.things import KIND_OF_CATEGORY, KINDS, STUFF, ObjectCategory, ThingKind, classes_in
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world.motion import thing_at
 from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import constant, map_scene
-from tests.scenes import FLAT, changed, hill, things_ahead
+from tests.scenes import FLAT, changed, hill
 from tests.validate.examining import findings
 
 ROOT = Path(__file__).parents[1]
-CONE = Thing(kind="cone", model=1, x_m=2.0, y_m=-30.0, yaw_rad=0.0)
 
 
 def walker(**changes):
@@ -69,34 +66,6 @@ def test_classes_are_those_of_the_formats():
     assert classes_in("argoverse2")["barrel"] == "CONSTRUCTION_BARREL"
     assert classes_in("nuscenes")["cone"] == "movable_object.trafficcone"
     assert classes_in("cosmos")["motorcyclist"] == "rider"
-
-
-def test_a_scene_with_things_is_read_as_written_and_without_them_has_no_such_key():
-    scene = things_ahead()
-    text = scene_file.to_json(scene)
-    assert scene_file.from_json(text, "") == scene
-    assert '"things"' not in scene_file.to_json(FLAT)
-    labels = label(resolve(scene), resolve(scene).view)
-    read = label_file.from_json(label_file.to_json(labels), "")
-    assert [(item.id, item.category) for item in read.objects] == [
-        (10_001 + i, thing.kind) for i, thing in enumerate(scene.things)
-    ]
-    assert read.car_visible_fraction == ()
-
-
-@pytest.mark.parametrize(
-    ("change", "problem"),
-    [
-        ({"model": 3}, "things.0.model: expected at most 2, got 3"),
-        ({"colors": ((1, 1, 1),)}, r"things.0.colors: expected 0 \(none\), got 1"),
-        ({"kind": "barrier"}, "things.0.kind: expected 'pedestrian', 'cyclist'"),
-        ({"track": [{"time_s": t, "x_m": 0, "y_m": 0, "yaw_rad": 0} for t in (1, 1)]}, "in order, got 1 s"),
-    ],
-)
-def test_a_thing_that_cannot_be_is_refused_in_a_line(change, problem):
-    document = FLAT.model_dump(mode="json") | {"things": [CONE.model_dump(mode="json") | change]}
-    with pytest.raises(FormatError, match=problem):
-        scene_file.from_json(json.dumps(document), "scene.json")
 
 
 def test_a_thing_stands_upright_on_the_ground_and_faces_left_when_turned_counter_clockwise():

@@ -60,17 +60,12 @@ def test_lanes_go_on_and_nothing_touches(junction: str) -> None:
     first(
         4,
         [
-            ("t", "priority", 17),
-            ("crossing", "priority", 6),
-            ("crossing", "stop", 10),
-            ("roundabout_2", "priority", 8),
-            ("crossing", "signals", 14),
-            ("staggered", "signals", 26),
-            ("roundabout", "priority", 37),
-            ("crossing", "equal", 3),
+            ("t", "priority", 17), ("crossing", "priority", 6), ("crossing", "stop", 10),
+            ("roundabout_2", "priority", 8), ("crossing", "signals", 14), ("staggered", "signals", 26),
+            ("roundabout", "priority", 37), ("crossing", "equal", 3),
         ],
     ),
-)
+)  # fmt: skip
 def test_every_two_ways_that_meet_have_one_order(junction: str, control: str, index: int) -> None:
     """A side street that goes on to a junction of its own is the main one there; opposite left turns that cross, and
     those who leave a roundabout across its outer lane, have an order too."""
@@ -107,24 +102,11 @@ def test_parked_cars_keep_off_long_vehicles_in_bends() -> None:
 
 
 STREETS = {
-    "open_street_m": "[280, 300]",
-    "link_street_m": "[140, 150]",
-    "edge_lines": "true",
-    "four_arms": "false",
-    "further": "t",
-    "green_major_s": "[40, 41]",
-    "green_major_left_s": "[30, 31]",
-    "green_minor_s": "[50, 51]",
-    "far_signals": "true",
-    "speed_limit": "speed_30",
-    "building": "house",
-    "alike": "1",
-    "gap_m": "[20, 21]",
-    "trees_apart_m": "19",
-    "bay_m": "13",
-    "speed_m_s": "[4, 5]",
-    "turn": "left",
-}
+    "open_street_m": "[280, 300]", "link_street_m": "[140, 150]", "edge_lines": "true", "four_arms": "false",
+    "further": "t", "green_major_s": "[40, 41]", "green_major_left_s": "[30, 31]", "green_minor_s": "[50, 51]",
+    "far_signals": "true", "speed_limit": "speed_30", "building": "house", "alike": "1", "gap_m": "[20, 21]",
+    "trees_apart_m": "19", "bay_m": "13", "speed_m_s": "[4, 5]", "turn": "left",
+}  # fmt: skip
 MUCH = ("town.parking=true", "town.parked=1", "town.traffic=1", "town.fronts=0.95", "town.street_trees=1", "trees.n=0")
 
 

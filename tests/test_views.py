@@ -22,7 +22,6 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.twins import twin_recipes
-from synth3dlanes.recorded.drives.open import read_clip
 from synth3dlanes.scene.scene import from_json, to_json
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.origin import read_origin
@@ -226,13 +225,6 @@ def test_every_view_is_a_log_with_its_map(name: str, tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused(fields: dict[str, int], problem: str) -> None:
     with pytest.raises(s3d.InputError, match=problem):
         Job(**{"n": 1, "views_per_scene": 2, **fields})
-
-
-def test_views_are_no_drive(tmp_path: Path) -> None:
-    how = {"lidar": "hdl_32e", "maker": fake_samples.make_with_passes}
-    generate(small(tmp_path / "d", 1, **how), lambda event: None)
-    with pytest.raises(s3d.FormatError, match="expected clips"):
-        read_clip(Reader(f"{tmp_path}/d/train"), 0)
 
 
 @pytest.mark.thorough

@@ -14,8 +14,6 @@ from synth3dlanes.imaging.daylight import daylight
 from synth3dlanes.params.groups import REPLACED
 from synth3dlanes.params.params import Params, load_params
 from synth3dlanes.params.params_text import params_yaml
-from synth3dlanes.scene.host import Bonnet
-from synth3dlanes.scene.scene import Weather, from_json, to_json
 from synth3dlanes.system.errors import InputError
 
 FEW = ["cars.n=2", "trees.n=3"]
@@ -63,22 +61,11 @@ def test_at_night_the_sun_is_down_the_lamps_are_on_and_the_camera_works_harder()
 
 # A value of each key that weather or time of day replaces, which neither of them gives.
 OWN = {
-    "air.visibility_m": 55,
-    "air.overcast": 0.5,
-    "surface.wetness": 0.1,
-    "weather.rain": 0.05,
-    "weather.snowfall": 0.9,
-    "weather.snow": 0.1,
-    "weather.snow_on_road": 0.9,
-    "weather.headlights": False,
-    "sensor.drops": 0.9,
-    "sensor.noise": 30,
-    "sensor.flare": 0.9,
-    "sensor.motion_blur_m": 0.95,
-    "light.sun_zenith_deg": 96,
-    "light.metering": 0.5,
-    "light.exposure": 9,
-}
+    "air.visibility_m": 55, "air.overcast": 0.5, "surface.wetness": 0.1, "weather.rain": 0.05,
+    "weather.snowfall": 0.9, "weather.snow": 0.1, "weather.snow_on_road": 0.9, "weather.headlights": False,
+    "sensor.drops": 0.9, "sensor.noise": 30, "sensor.flare": 0.9, "sensor.motion_blur_m": 0.95,
+    "light.sun_zenith_deg": 96, "light.metering": 0.5, "light.exposure": 9,
+}  # fmt: skip
 ALL_WEATHER = [
     "weather.kind={clear: 1, cloudy: 1, fog: 1, rain: 1, snow: 1}",
     "weather.daytime={day: 1, dusk: 1, night: 1}",
@@ -182,14 +169,6 @@ def test_what_does_not_fit_the_weather_is_said_in_one_line(own, told):
     if told:
         with pytest.warns(UserWarning, match=re.escape(told)):
             api.load_params("streets", own)
-
-
-def test_a_scene_without_weather_has_none_in_its_file():
-    plain = drawn(n=1, preset="appendix_i")[0]
-    assert (plain.weather, plain.host) == (Weather(), Bonnet())
-    assert from_json(to_json(plain), "scene.json") == plain
-    scene = drawn("weather.rain=0.5", n=1)[0]
-    assert (scene.weather.kind, scene.weather.rain) == ("any", 0.5)
 
 
 @pytest.mark.parametrize("of", ["weather.daytime={day: 1, night: 1}", "weather.kind={any: 1, fog: 1}"])

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from pydantic import ValidationError
 
 from synth3dlanes.dataset.columns import numbers_of
 from synth3dlanes.draw.sample import Scenes, draw_world, world_in_shot
@@ -239,36 +238,6 @@ def test_barricades_stand_across_the_closed_lane_and_face_the_traffic() -> None:
             assert np.cos(at.yaw_rad) < -0.9, "the host drives towards +y"
             found += 1
     assert found > 3
-
-
-@pytest.mark.parametrize(
-    ("changes", "works", "words"),
-    [
-        ({"topology": 2}, CLOSED, "works: expected none on a road with an exit, got some with topology 2"),
-        ({"n_lanes": 1}, CLOSED, "works: expected open lanes, each of 2.2 m or more, got 0 in 0.0 m"),
-        ({}, NARROWED.model_copy(update={"taken_m": 4.2}), "expected open lanes, each of 2.2 m or more, got 3"),
-        ({"n_oncoming": 1}, CLOSED.model_copy(update={"inner": True}), "expected the line between both directions"),
-        ({"n_oncoming": 1}, SHIFTED, "expected the line between both directions"),
-        ({}, SHIFTED.model_copy(update={"shift_m": 1.5}), "shift_m: expected at most the shoulder's 1.4 m, got 1.5"),
-        ({}, CLOSED.model_copy(update={"end_m": 5.0}), "end_m: expected room for both tapers behind -30 m, got 5"),
-        ({}, CLOSED.model_copy(update={"lines": "as_before"}), "expected as_before where no line moves, and only"),
-        ({}, SHOULDER.model_copy(update={"lines": "white"}), "expected as_before where no line moves, and only there"),
-        ({}, CLOSED.model_copy(update={"lines": "red"}), "Input should be 'as_before', 'white' or 'yellow'"),
-    ],
-)  # fmt: skip
-def test_works_that_cannot_be_are_refused_in_words(changes: dict[str, Any], works: RoadWorks, words: str) -> None:
-    with pytest.raises(ValidationError, match=words):
-        flat(works, **changes)
-
-
-def test_cars_of_scenes_name_the_lanes_along_works() -> None:
-    scene = flat(CLOSED)
-    road = scene.paper_road
-    assert road.segments_at(-31) == ("main_1", "main_2", "main_3")
-    assert road.segments_at(0) == ("works_1", "works_2")
-    assert road.segments_at(41) == ("after_1", "after_2", "after_3")
-    assert len(road.segments) == 8
-    assert Scene.model_validate_json(to_json(scene)) == scene
 
 
 def test_the_index_says_them() -> None:

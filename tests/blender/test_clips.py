@@ -25,13 +25,9 @@ pytestmark = pytest.mark.render
 
 PASSES = ("depth", "semantic", "instance")
 STREET = (
-    "trees.n=30",
-    "cars.n=4",
-    "vegetation.grass_m=0.2",
-    "symbols.arrow_rows=1",
-    "surface.tar=0.5",
+    "trees.n=30", "cars.n=4", "vegetation.grass_m=0.2", "symbols.arrow_rows=1", "surface.tar=0.5",
     "host.bonnet=0.1",
-)
+)  # fmt: skip
 RECIPE = Recipe(
     Scenes(load_params("tiny", [*STREET, "roadside.outer=guardrail", "sensor.noise=3"]), 5, "train", shots=clips(3, 4)),
     RenderSettings(1, PASSES, "cpu"),

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from synth3dlanes.roads.line_forms import Chain, Cubic, Spiral
-from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.motion import car_at
 from synth3dlanes.world.world import resolve
@@ -86,15 +85,6 @@ def test_neighbours_and_numbers_count_from_the_left_of_the_traffic():
     assert (at["r.2.-1"].lane, at["r.2.-1"].left, at["r.2.-1"].right) == (1, None, "r.2.-2")
     assert (at["r.2.-2"].lane, at["r.2.-2"].left, at["r.2.-2"].right) == (2, "r.2.-1", None)
     assert (at["r.1.1"].s_start_m, at["r.1.1"].s_end_m) == (110.0, 50.0)
-
-
-def test_a_map_names_its_lanes_and_links():
-    values = FOUR_WAY.model_dump()
-    with pytest.raises(ValueError, match=r"route: expected linked lanes, got south.0.1 and north.0.-1"):
-        RoadMap.model_validate(values | {"route": ("south.0.1", "north.0.-1")})
-    car = {"model": 1, "scale": 1.0, "color": (1, 1, 1), "gloss": 0.5, "lane": "south.0.-3", "s_m": 3.0}
-    with pytest.raises(ValueError, match=r"cars.0.lane: expected driving lanes of the map, got south.0.-3"):
-        map_scene(FOUR_WAY, 60.0, cars=(car,))
 
 
 ARC = Spiral(60.0, (3.0, -2.0), 0.7, 0.02)

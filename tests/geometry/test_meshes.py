@@ -11,7 +11,6 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import SINGLE, Shots, clips
 from synth3dlanes.truth.ground_truth import label
-from synth3dlanes.world import meshes
 from synth3dlanes.world.horizon import HORIZON_M
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
@@ -83,14 +82,6 @@ def test_label_points_of_drawn_scenes_lie_on_the_pavement(overrides, shots, indi
         assert gaps[away_m < 40].max() < 0.005, index
         assert gaps.max() < 0.01, (index, away_m[gaps.argmax()])
     assert steepest > 1
-
-
-def test_an_exit_that_rises_far_away_lies_on_its_ramp():
-    """3.9 m over 2.5 m, 105 m ahead of the host, where the road's own rows are a metre apart."""
-    world = sample_world(Scenes(load_params("appendix_i"), 4108, "train"), 28)
-    gaps, away_m = gaps_m(world)
-    assert away_m.max() > 109
-    assert gaps.max() < 0.001
 
 
 @pytest.mark.parametrize("topology", [1, 2, 3, 4])
@@ -204,21 +195,3 @@ def test_far_roads_lie_on_the_ground_and_not_above_it(index):
         # The ground's mesh is pressed down by up to 2.4 m under a pavement.
         assert np.nanmax(above_m) < most_m
         assert np.nanmean(above_m > 0) > 0.999
-
-
-@pytest.mark.parametrize("is_double", [False, True])
-@pytest.mark.parametrize("topology", [1, 2, 4])
-def test_all_paint_of_an_edge_line_lies_on_the_lanes_pavement(topology, is_double):
-    scene = changed(road={**CURVED, "topology": topology}, markings={"left_double": is_double, "width_m": 0.15})
-    world = resolve(scene)
-    road = world.site.surfaces.pavement[0]
-    paved = road.uv_m[road.faces[road.material == meshes.ROAD]]
-    widest = [0.0, 0.0]
-    for name in ("main_line_0", f"main_line_{scene.road.n_main_after}"):
-        mesh = world.paint(world.view)[name]
-        s = mesh.uv_m[:, 1]
-        _, t = world.network.main.line.project(mesh.vertices_world[(s > -45) & (s < -2), :2])
-        widest = [min(widest[0], t.min(initial=0)), max(widest[1], t.max(initial=0))]
-    behind = paved[(paved[..., 1] < -2).all(axis=1)]
-    assert behind[..., 0].min() < widest[0]
-    assert behind[..., 0].max() > widest[1]

@@ -106,12 +106,6 @@ def test_a_road_is_as_wide_open_as_asked_where_it_says(exit_angle_deg, exit_offs
         assert opening(np.array([opening.station(q_m)]))[0] == pytest.approx(q_m, rel=1e-12)
 
 
-def test_a_ramp_whose_shoulders_never_separate_inside_the_scene_is_unused():
-    world = curved(exit_angle_rad=np.radians(1), exit_offset_m=0.0)
-    assert world.network.road("exit").ramp is None
-    assert not world.network.road("exit").raised(np.linspace(0, 400, 50)).any()
-
-
 def test_points_are_found_again():
     world = curved()
     s = np.linspace(2, 95, 60)
@@ -120,14 +114,6 @@ def test_points_are_found_again():
         np.testing.assert_allclose([back_s, back_t], [s, np.full(60, t)], atol=1e-6)
         back_s, back_t = world.network.road("exit").line.project(world.network.road("exit").xy(s, t / 2), s + 1.0)
         np.testing.assert_allclose([back_s, back_t], [s, np.full(60, t / 2)], atol=1e-6)
-
-
-def test_stations_are_metres_of_road():
-    network = curved().network
-    for road in network.roads:
-        s = network.lines.stations_along(road, 0.0, np.arange(0.0, 91.0))
-        gaps = np.linalg.norm(np.diff(road.xy(s, 0.0), axis=0), axis=1)
-        np.testing.assert_allclose(gaps, 1.0, atol=2e-3)
 
 
 GAUSSIANS = st.builds(
@@ -168,11 +154,6 @@ def pixel_of(x, y, z):
 def test_a_point_to_the_right_projects_right_of_centre_and_one_above_projects_above():
     assert pixel_of(1, 10, 0)[0] > 240
     assert pixel_of(0, 10, 1)[1] < 180
-
-
-def test_a_camera_further_right_in_its_lane_stands_further_right():
-    left, right = (resolve(changed(camera={"offset_m": offset})).view.eye_world[0] for offset in (-0.3, 0.3))
-    assert (left, right) == (pytest.approx(-0.3), pytest.approx(0.3))
 
 
 @pytest.mark.parametrize("flip", [False, True])

@@ -8,7 +8,7 @@ import pytest
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.scene.road_map import MapShape, MapSpan, Polynomial, RoadMap
-from synth3dlanes.world.graded import EDGE_M, EMBANKMENT_M, GradedGround
+from synth3dlanes.world.graded import EMBANKMENT_M, GradedGround
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.world import World, resolve
 from tests.map_scenes import FOUR_WAY, HILLS, arm, map_scene, sections_road
@@ -60,22 +60,6 @@ def test_places_of_many_roads_are_those_of_each(network: Network, rng: np.random
         np.testing.assert_array_equal(lefts[at], one.left(s[at]))
         np.testing.assert_array_equal(rights[at], one.right(s[at]))
         np.testing.assert_allclose(points[at], one.base_points(s[at], t[at]), rtol=0, atol=1e-12)
-
-
-def test_feet_are_perpendicular_below_their_points_and_those_of_each_road(
-    network: Network, rng: np.random.Generator
-) -> None:
-    table = network.index.table
-    road = rng.integers(0, len(network.roads), 300)
-    s = rng.uniform(0, 1, 300) * table.end_m[road]
-    t = rng.uniform(-7, 7, 300)
-    xy = table.xy(road, s, t)
-    at_s, at_t, is_foot = table.project(road, xy, table.lines_at(road, s + rng.uniform(-2, 2, 300)))
-    assert is_foot.all()
-    np.testing.assert_allclose(table.xy(road, at_s, at_t), xy, rtol=0, atol=1e-8)
-    near = np.abs(at_s - s) < 1
-    assert near.mean() > 0.95
-    np.testing.assert_allclose(at_t[near], t[near], rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("reach_m", [0.0, 3.0, 25.0])
@@ -166,12 +150,3 @@ def test_a_road_alone_on_a_dam_has_slopes_down_to_the_terrain() -> None:
     s = np.full(4, 60.0)
     beside = on.xy(s, on.right(s) + np.array([0.5, 5.5, 9.5, 30.0]))
     assert ground.height(beside) == pytest.approx([6.0, 6.0 - 4.0 / 1.5, 6.0 - 8.0 / 1.5, 0.0], abs=1e-6)
-
-
-def test_edges_of_pavement_are_on_it() -> None:
-    ground = GROUNDS["hilly"]
-    road = ground.network.road("north")
-    s = np.linspace(5, 100, 30)
-    on, off = road.xy(s, road.right(s) - EDGE_M / 2), road.xy(s, road.right(s) + 20.0)
-    np.testing.assert_allclose(ground.paved.graded(on), road.base_points(s, road.right(s))[:, 2], rtol=0, atol=1e-4)
-    assert (np.abs(ground.paved.graded(off) - ground.paved.graded(on)) > 1).any()

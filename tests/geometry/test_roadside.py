@@ -198,17 +198,10 @@ def test_things_keep_the_distance_that_they_are_told(kind, n):
 
 NO_ENTRY, TO_THE_ROAD = 6, {12, 15}
 ONLY_SIGNS = [
-    "trees.n=0",
-    "cars.n=0",
-    "roadside.n_signs=20",
-    "roadside.lamps=none",
-    "roadside.delineators=false",
-    "roadside.n_houses=0",
-    "roadside.n_halls=0",
-    "roadside.n_blocks=0",
-    "roadside.n_gantries=0",
+    "trees.n=0", "cars.n=0", "roadside.n_signs=20", "roadside.lamps=none", "roadside.delineators=false",
+    "roadside.n_houses=0", "roadside.n_halls=0", "roadside.n_blocks=0", "roadside.n_gantries=0",
     "roadside.n_bridges=0",
-]
+]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

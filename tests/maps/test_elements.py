@@ -68,17 +68,12 @@ def test_a_signal_faces_the_traffic_of_the_lanes_that_it_governs(
 @pytest.mark.parametrize(
     ("told", "kind"),
     [
-        ('type="206" subtype="-1"', "stop"),
-        ('type="205"', "give_way"),
-        ('type="274" value="80"', "speed_80"),
-        ('type="274" subtype="56"', "speed_60"),
-        ('type="R1-1" country="US"', "stop"),
-        ('type="209" subtype="20"', "right_only"),
-        ('type="1000011" subtype="10"', "left"),
-        ('type="1000002"', None),
-        ('type="274" value="35"', None),
+        ('type="206" subtype="-1"', "stop"), ('type="205"', "give_way"), ('type="274" value="80"', "speed_80"),
+        ('type="274" subtype="56"', "speed_60"), ('type="R1-1" country="US"', "stop"),
+        ('type="209" subtype="20"', "right_only"), ('type="1000011" subtype="10"', "left"),
+        ('type="1000002"', None), ('type="274" value="35"', None),
     ],
-)
+)  # fmt: skip
 def test_what_signals_and_signs_are(told: str, kind: str | None) -> None:
     given = read(f'<signal id="1" s="290" t="-6" orientation="+" {told}/>')
     found = [getattr(item.element, "kind", getattr(item.element, "form", None)) for item in given.elements]

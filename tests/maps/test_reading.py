@@ -64,14 +64,11 @@ def test_every_kind_of_road_mark(mark: str, number: int, kind: str, yellow: bool
 @pytest.mark.parametrize(
     ("lines", "number", "kind"),
     [
-        ([(0.0, 4, 8)], -1, "dashed"),
-        ([(0.0, 4, 0)], -1, "solid"),
-        ([(0.1, 4, 0), (-0.1, 4, 8)], -1, "solid_dashed"),
-        ([(0.1, 4, 0), (-0.1, 4, 8)], 1, "dashed_solid"),
-        ([(-0.1, 4, 0), (0.1, 4, 0)], -1, "solid_solid"),
-        ([(-0.1, 4, 0), (0.1, 3, 9)], -1, "dashed_solid"),
+        ([(0.0, 4, 8)], -1, "dashed"), ([(0.0, 4, 0)], -1, "solid"),
+        ([(0.1, 4, 0), (-0.1, 4, 8)], -1, "solid_dashed"), ([(0.1, 4, 0), (-0.1, 4, 8)], 1, "dashed_solid"),
+        ([(-0.1, 4, 0), (0.1, 4, 0)], -1, "solid_solid"), ([(-0.1, 4, 0), (0.1, 3, 9)], -1, "dashed_solid"),
     ],
-)
+)  # fmt: skip
 def test_lines_of_a_mark_say_more_than_its_type(lines: list[tuple[float, int, int]], number: int, kind: str) -> None:
     told = "".join(f'<line length="{a}" space="{b}" tOffset="{t}" sOffset="0" width="0.1"/>' for t, a, b in lines)
     (found,) = marks_of(
@@ -137,12 +134,8 @@ def test_links_through_a_junction_and_who_yields() -> None:
     ]}  # fmt: skip
     assert [(at.id, at.yields) for at in found.junctions] == [("9", (("12.0.-1", "11.0.-1"),))]
     assert {name: at.junction for name, at in found.roads.items()} == {
-        "1": None,
-        "2": None,
-        "3": None,
-        "11": "9",
-        "12": "9",
-    }
+        "1": None, "2": None, "3": None, "11": "9", "12": "9",
+    }  # fmt: skip
 
 
 def test_a_direct_junction_links_roads_without_another_between_them() -> None:
