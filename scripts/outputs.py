@@ -92,7 +92,6 @@ class Validation(Document):
     notes: list[str]
     numbers: dict[str, dict[str, float | int | str | None]]
     made_again: dict[str, str]
-    means: dict[str, dict[str, Any]]
 
 
 class ScoredImage(Document):

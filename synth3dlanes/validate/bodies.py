@@ -5,7 +5,6 @@ faces. Frame of the world, metres.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,20 +16,20 @@ from synth3dlanes.world.bonnet import FROM_M, HALF_WIDTH_M, TO_M, surface_m
 from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.world import World
 
-# Mirrors and twigs may extend beyond the boxes of models; a face may be this far from what is seen of it.
-ROOM, FACE_ROOM_M = 1.15, 0.12
+# Twigs may extend beyond the boxes of trees, and mirrors may hide what is beside a car. Of objects no more than points
+# is seen beyond their boxes, of structures beyond their faces.
+ROOM, OBJECT_ROOM_M, FACE_ROOM_M = 1.15, 0.02, 0.03
 # Bodies of models sink into slopes by this share of their height; trunks go on underground.
 SUNK, ROOTS_M = 0.05, 1.0
 # Every car is solid in this part of its box: above the open space below a truck, below the windows, behind the gap at a
 # truck's cab, and between the arches of the wheels, through which one sees above the tyres.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.35), (0.7, 0.2)), (0.38, 0.5)
-# The host's bonnet fills this box below its highest point, and is as deep as this; parts along it that have boxes.
-BONNET_CORE = ((-0.6, 0.35, -0.3), (0.6, 1.3, -0.16))
+# The host's bonnet is as deep as this, and parts along it have boxes.
 DEEP_M, BONNET_PARTS = 0.4, 10
 # Lower limit of the sun's elevation, and upper limit of a shadow's length on level ground.
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
-# Room for soft edges of shadows, and for mirrors.
-ROOM_M = 0.08
+# Room for soft edges of shadows.
+SHADE_ROOM_M = 0.08
 # Boxes of a thing that are looked at together where one around them is met; boxes times points at once.
 RUN, TOGETHER = 32, 1_000_000
 
@@ -91,13 +90,13 @@ def box_of(item: PlacedObject) -> Boxes:
 
 
 def trees(world: World) -> Boxes:
-    """The box of each tree's trunk and crown, roots included."""
+    """The box of each tree's trunk, crown and roots, with room for twigs."""
     models = [world.scene.assets.tree_models[tree.model - 1] for tree in world.scene.trees]
     sizes = np.array([(model.crown_radius_m, model.crown_radius_m, model.height_m) for model in models]).reshape(-1, 3)
     sizes *= np.array([tree.scale for tree in world.scene.trees]).reshape(-1, 1)
     poses = np.tile(np.eye(4), (len(sizes), 1, 1))
     poses[:, :3, 3] = world.site.trees_world
-    return _of_models(sizes, poses, ROOTS_M)
+    return grown(_of_models(sizes, poses, ROOTS_M))
 
 
 def structures(world: World) -> Boxes:
@@ -121,12 +120,9 @@ def structures(world: World) -> Boxes:
     return Boxes(poses, local.min(axis=1) - FACE_ROOM_M, local.max(axis=1) + FACE_ROOM_M, owners)
 
 
-# The series of instance ids whose things have bodies.
-BODIES: dict[str, Callable[[World], Boxes]] = {
-    **{series: partial(objects, series) for series in OBJECTS},
-    "tree": trees,
-    "structure": structures,
-}
+def with_room(boxes: Boxes, room_m: float) -> Boxes:
+    """The same with room on every side."""
+    return boxes._replace(low=boxes.low - room_m, high=boxes.high + room_m)
 
 
 def grown(boxes: Boxes) -> Boxes:
@@ -134,33 +130,32 @@ def grown(boxes: Boxes) -> Boxes:
     return boxes._replace(low=ROOM * boxes.low, high=ROOM * boxes.high)
 
 
+# Where things of the series of instance ids that have bodies are seen.
+BODIES: dict[str, Callable[[World], Boxes]] = {
+    "car": lambda world: with_room(objects("car", world), OBJECT_ROOM_M),
+    "thing": lambda world: with_room(objects("thing", world), OBJECT_ROOM_M),
+    "tree": trees,
+    "structure": structures,
+}
+
+
 def cores(world: World) -> Boxes:
-    """The opaque core of each car and of the bonnet."""
+    """The opaque core of each car."""
     boxes = objects("car", world)
     half, up = boxes.high * [1, 1, 0], boxes.high * [0, 0, 1]
     low, high = (half * [*side, 0] + height * up for side, height in zip(CORE_SIDES, CORE_HEIGHT, strict=True))
-    return joined(boxes._replace(low=low, high=high), _of_bonnet(world, *np.array(BONNET_CORE)[:, None]))
-
-
-def outlines(world: World) -> Boxes:
-    """The box that each object, each tree and the bonnet may fill."""
-    return joined(*(grown(boxes(world)) for series, boxes in BODIES.items() if series != "structure"), bonnet(world))
+    return boxes._replace(low=low, high=high)
 
 
 def bonnet(world: World) -> Boxes:
-    """Boxes about parts of the host's bonnet, which falls towards its nose."""
-    y_m = np.linspace(FROM_M, TO_M, BONNET_PARTS + 1)
-    top_m = surface_m(np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, 20), y_m[:-1, None]).max(axis=1)
-    side_m = np.full(BONNET_PARTS, HALF_WIDTH_M)
-    low, high = (-side_m, y_m[:-1], top_m - DEEP_M), (side_m, y_m[1:], top_m)
-    return _of_bonnet(world, np.stack(low, axis=1), np.stack(high, axis=1))
-
-
-def _of_bonnet(world: World, low: Corners, high: Corners) -> Boxes:
-    """Boxes in the bonnet's frame, of no thing; none without a bonnet."""
+    """Boxes of no thing about parts of the host's bonnet, which falls towards its nose; none without a bonnet."""
     pose = world.view.world_from_bonnet
-    n = 0 if pose is None else len(low)
-    return Boxes(np.tile(np.eye(4) if pose is None else pose, (n, 1, 1)), low[:n], high[:n], np.full(n, -1))
+    y_m = np.linspace(FROM_M, TO_M, 1 if pose is None else BONNET_PARTS + 1)
+    top_m = surface_m(np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, 20), y_m[:-1, None]).max(axis=1)
+    side_m = np.full(len(top_m), HALF_WIDTH_M)
+    low, high = (-side_m, y_m[:-1], top_m - DEEP_M), (side_m, y_m[1:], top_m)
+    poses = np.tile(np.eye(4) if pose is None else pose, (len(top_m), 1, 1))
+    return Boxes(poses, np.stack(low, axis=1), np.stack(high, axis=1), np.full(len(top_m), -1))
 
 
 def joined(*parts: Boxes) -> Boxes:
@@ -227,5 +222,4 @@ def before_or_shading(world: World, points_world: Points3) -> Hits:
 
 def _of_view(world: World) -> Boxes:
     """The boxes of all objects, with room, and of the bonnet."""
-    boxes = joined(*(objects(series, world) for series in OBJECTS))
-    return joined(boxes._replace(low=boxes.low - ROOM_M, high=boxes.high + ROOM_M), bonnet(world))
+    return joined(*(with_room(objects(series, world), SHADE_ROOM_M) for series in OBJECTS), bonnet(world))

@@ -4,19 +4,17 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import NamedTuple
 
-from synth3dlanes.validate.bias import signed_values
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
 from synth3dlanes.validate.integrity import check_row
-from synth3dlanes.validate.labels import check_form, check_labels, check_objects
+from synth3dlanes.validate.labels import check_form, check_labels, check_weather
 from synth3dlanes.validate.moving import instant
 from synth3dlanes.validate.passes import check_bonnet, check_kinds, check_normals, check_sky
 from synth3dlanes.validate.picture import check_alignment, check_appearance, check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.seen import check_lidar, check_seen
-from synth3dlanes.validate.things import check_boxes, check_cars, check_elements
-from synth3dlanes.validate.weather import check_weather
+from synth3dlanes.validate.things import check_cars, check_counts, check_elements
 
 
 class Check(NamedTuple):
@@ -48,111 +46,41 @@ CHECKS = (
     Check("form", check_form, "lanes that turn back or jump, masks that do not fit the camera", frozenset()),
     Check("labels", check_labels, "labels that are not those of the scene"),
     Check("bonnet", check_bonnet, "a bonnet of the host that is not in the picture", _needs("semantic")),
-    Check(
-        "objects",
-        check_objects,
-        "points labelled as hidden with nothing in front of them, or as visible behind the core of a car",
-    ),
     Check("roadside", partial(check_seen, "roadside"), "rails, posts and buildings on a pavement"),
-    Check(
-        "weather",
-        check_weather,
-        "rain, fog, a sun or headlights that do not fit the weather and the time of day of the scene, and are not the "
-        "user's own values",
-        _needs("origin"),
-    ),
+    Check("weather", check_weather, "rain, fog, a sun or headlights that do not fit the weather and the time of day of "
+          "the scene, and are not the user's own values", _needs("origin")),
     Check("frame", check_frame, "black, white or pink images", frozenset({"image"})),
-    Check(
-        "standing",
-        partial(check_seen, "standing"),
-        "wheels, trunks and structures that do not touch the ground",
-    ),
-    Check(
-        "lidar",
-        check_lidar,
-        "points that are not on the ground, in the body or in the paint that their ids say, and beams through cars",
-        _needs("lidar"),
-    ),
-    Check(
-        "points",
-        check_points,
-        "points off the ground, points labelled as visible that the passes show to be hidden; depth in another unit",
-        _needs("aim"),
-    ),
-    Check(
-        "height",
-        partial(check_seen, "height"),
-        "a height map that is too high or low, or some cells off",
-        _needs("height"),
-    ),
+    Check("standing", partial(check_seen, "standing"), "wheels, trunks and structures that do not touch the ground"),
+    Check("lidar", check_lidar, "points that are not on the ground, in the body or in the paint that their ids say, "
+          "and beams through cars", _needs("lidar")),
+    Check("points", check_points, "points off the ground, points labelled as visible that the passes show to be "
+          "hidden; depth in another unit", _needs("aim")),
+    Check("height", partial(check_seen, "height"), "a height map that is too high or low, or some cells off",
+          _needs("height")),
     Check("ridges", check_ridges, "paint in the image that is not where its delimiter is", _needs("aim image")),
     Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
     Check("colours", check_colours, "swapped colour channels", _needs("aim image")),
-    Check(
-        "appearance",
-        check_appearance,
-        "by clear daylight: gray pictures, swapped or turned colours, also of cars alone, black parts, white lines "
-        "that are yellow, lines whose paint is missing",
-        _needs("aim image depth semantic"),
-    ),
-    Check(
-        "alignment",
-        check_alignment,
-        "an image that is shifted or stretched against the passes, or of another scene",
-        _needs("aim image semantic"),
-    ),
-    Check(
-        "symbols",
-        partial(check_seen, "symbols"),
-        "arrows, stop lines, crosswalks and gores in another place than the scene's, or missing",
-        _needs("aim depth semantic"),
-    ),
-    Check(
-        "pavement",
-        partial(check_seen, "pavement"),
-        "a road or ramp that does not match the scene, swapped ids of road and shoulder; with `normal`, normals in "
-        "another frame",
-        _needs("aim depth semantic"),
-    ),
-    Check(
-        "terrain",
-        partial(check_seen, "terrain"),
-        "hills that do not match the scene, terrain that covers the road",
-        _needs("aim depth semantic"),
-    ),
-    Check(
-        "sky",
-        check_sky,
-        "holes in the ground, through which the sky shows; with `depth`, depth that is finite in the sky, or infinite "
-        "elsewhere",
-        _needs("aim semantic"),
-    ),
+    Check("appearance", check_appearance, "by clear daylight: gray pictures, swapped or turned colours, black parts, "
+          "white lines that are yellow, lines whose paint is missing",
+          _needs("aim image depth semantic")),
+    Check("alignment", check_alignment, "an image that is shifted or stretched against the passes, or of another scene",
+          _needs("aim image semantic")),
+    Check("symbols", partial(check_seen, "symbols"), "arrows, stop lines, crosswalks and gores in another place than "
+          "the scene's, or missing", _needs("aim depth semantic")),
+    Check("pavement", partial(check_seen, "pavement"), "a road or ramp that does not match the scene, swapped ids of "
+          "road and shoulder; with `normal`, normals in another frame", _needs("aim depth semantic")),
+    Check("terrain", partial(check_seen, "terrain"), "hills that do not match the scene, terrain that covers the road",
+          _needs("aim depth semantic")),
+    Check("sky", check_sky, "holes in the ground, through which the sky shows; with `depth`, depth that is finite in "
+          "the sky, or infinite elsewhere", _needs("aim semantic")),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
     Check("kinds", check_kinds, "ids of another kind of thing", _needs("aim semantic instance")),
-    Check(
-        "ids",
-        partial(check_seen, "ids"),
-        "ids of another car, tree, structure, surface or line, and lines without paint",
-        _needs("aim depth"),
-    ),
+    Check("ids", partial(check_seen, "ids"), "cars, people, trees, structures and lines elsewhere than their ids say, "
+          "and lines without paint", _needs("aim depth")),
     Check("cars", check_cars, "a `visible_fraction` that does not match the object's pixels", _needs("aim instance")),
-    Check(
-        "boxes",
-        check_boxes,
-        "objects, signals and signs whose boxes do not fit their pixels or points, or whose labels count others than "
-        "their ids show",
-    ),
-    Check(
-        "elements",
-        check_elements,
-        "signals in another state than their lights show",
-    ),
-    Check(
-        "moving",
-        instant,
-        "from picture to picture of a clip, rig or drive: lines that are elsewhere, objects that do not move as the "
-        "velocities of their labels say, or that cameras have in different places",
-        frozenset(),
-    ),
-    Check("bias", signed_values, "nothing by itself: tested over the whole data set", _needs("aim depth instance")),
-)
+    Check("counts", check_counts, "labels of objects, signals and signs that count other pixels or points than their "
+          "ids show"),
+    Check("elements", check_elements, "signals in another state than their lights show"),
+    Check("moving", instant, "from picture to picture of a clip, rig or drive: lines that are elsewhere, objects that "
+          "do not move as the velocities of their labels say, or that cameras have in different places", frozenset()),
+)  # fmt: skip

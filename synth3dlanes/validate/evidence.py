@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import LidarPoints, Sweep
@@ -13,16 +13,18 @@ from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
 from synth3dlanes.params.distributions import Distribution
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.system.arrays import Ids, Passes, Points3, RgbImage, Scalars
+from synth3dlanes.system.arrays import Ids, Passes, Points2, Points3, RgbImage, Scalars
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.bodies import BODIES, Boxes
 from synth3dlanes.validate.faces import NEAR_M, NearestFaces, pavement_of
 from synth3dlanes.validate.integrity import Entry
-from synth3dlanes.validate.paint import WorldPaint, beyond_symbols
-from synth3dlanes.validate.pixels import MAX_PIXELS, luma, some_pixels
-from synth3dlanes.validate.places import Places, is_single
+from synth3dlanes.validate.paint import WorldPaint, beyond_symbols, is_single
 from synth3dlanes.world.world import World
 
+# At most this many pixels of a kind are used, evenly spread over the image.
+MAX_PIXELS = 10_000
+# The weights of red, green and blue in the brightness of gamma-coded pixels (ITU-R BT.601).
+_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 # Cosine of the angle between the viewing direction and a pixel's ray, of a lens, from which on depth tells a place.
 LEAST_AHEAD = 0.05
 # Points this close to the image's border may be on either side of it after rounding.
@@ -31,6 +33,20 @@ BORDER_PX = 0.2
 MAX_FLOAT_M = 0.05
 # Upward part of the normals of what is no kerb.
 LEVEL = 0.5
+
+
+def luma(rgb: Shaped[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+    """Brightness of gamma-coded pixels, in their own unit."""
+    return np.asarray(rgb.astype(np.float32) @ _LUMA)
+
+
+def some_pixels(
+    of: Bool[np.ndarray, "h w"], most: int = MAX_PIXELS
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Rows and columns of at most about `most` of the selected pixels."""
+    rows, columns = np.nonzero(of)
+    step = 1 + len(rows) // most
+    return rows[::step], columns[::step]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +76,10 @@ class Seen:
         points_world, range_m = self.points_world[which], self.range_m[which]
         return replace(self, points_world=points_world, range_m=range_m, ids=ids, pixels=pixels)
 
-    @cached_property
-    def places(self) -> Places:
-        """The points' places beside lines, from above."""
-        return Places(self.points_world[:, :2])
+    @property
+    def xy_world(self) -> Points2:
+        """The points from above."""
+        return self.points_world[:, :2]
 
     @cached_property
     def is_near(self) -> Bool[np.ndarray, " n"]:
@@ -89,7 +105,7 @@ class Seen:
     @cached_property
     def beyond_symbols_m(self) -> Float[np.ndarray, "m n"]:
         """Distances of points on the road outside the paint of each symbol, negative inside."""
-        return beyond_symbols(self.world, self.points_world[:, :2])
+        return beyond_symbols(self.world, self.xy_world)
 
     def number(self, kind: str) -> Int[np.ndarray, " n"]:
         """The number of the thing of a kind that each point is of; -1 of none, and without instance ids."""

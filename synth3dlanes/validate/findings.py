@@ -32,14 +32,6 @@ class Problem(NamedTuple):
         return ": ".join(part for part in (self.where, self.lane, reason) if part)
 
 
-class Signed(NamedTuple):
-    """One sample's signed value for a test over the whole data set; its mean is 0 if images and labels show the same
-    world. `name` is a key of `bias.TESTS`."""
-
-    name: str
-    value: float
-
-
 class Bounded(NamedTuple):
     """A number of a sample and the limits between which it is in a correct one."""
 
@@ -83,7 +75,7 @@ class Instant(NamedTuple):
 
 
 # What a check of a sample yields.
-Result = Finding | Signed | Bounded | Instant
+Result = Finding | Bounded | Instant
 
 
 def findings_of(results: Iterable[Result]) -> list[Finding]:

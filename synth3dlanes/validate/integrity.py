@@ -85,27 +85,34 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
         expected, size = end + len(tar_end(end)), _size(tar)
         fault = "" if size == expected else f"expected {expected} bytes, got {size}"
     problems += [Problem(_place(tar), "", fault)] if fault else []
-    problems += _not_once(entries, found, tar)
     numbers = [entry.index for entry in entries]
     if numbers != sorted(numbers):
         first = next(i for i, (one, other) in enumerate(zip(numbers, sorted(numbers), strict=True)) if one != other)
         reason = f"expected rows in the order of their samples, got {key_of(numbers[first])} in row {first}"
         problems.append(Problem(_place(parquet), "", reason))
     got = "a cut or changed tar" if found or CANNOT_BE_READ not in fault else f"one that {CANNOT_BE_READ}"
-    first, whole = int(_stem(parquet)) * shard_size, {}
-    for entry in entries:
+    rows, members = Counter(numbers), Counter(name for name, _, _ in found)
+    for key in sorted({name.partition(".")[0] for name in members} - set(map(key_of, rows))):
+        where = f"{_place(tar).partition('/')[0]}:{key}"
+        problems.append(Problem(where, "", f"in {_place(tar)}, but not in its index"))
+    start, whole = int(_stem(parquet)) * shard_size, {}
+    for entry in {entry.index: entry for entry in entries}.values():
         missing = sorted(entry.parts() - set(found))
+        copies = {
+            f"the index {_place(parquet)}": rows[entry.index],
+            _place(tar): max(members[name] for name, _, _ in entry.parts()),
+        }
+        reasons = [f"expected this key once in {place}, got {n}" for place, n in copies.items() if n > 1]
         if missing:
             name, offset, size = missing[0]
-            reason = f"expected {size} bytes of {name} at byte {offset} of {_place(tar)}, got {got}"
-            problems.append(Problem(entry.name, "", reason))
-        elif not first <= entry.index < first + shard_size:
-            reason = f"expected samples {first} to {first + shard_size - 1} in {_place(parquet)}, got this one"
-            problems.append(Problem(entry.name, "", reason))
+            reasons.append(f"expected {size} bytes of {name} at byte {offset} of {_place(tar)}, got {got}")
+        elif not start <= entry.index < start + shard_size:
+            last = start + shard_size - 1
+            reasons.append(f"expected samples {start} to {last} in {_place(parquet)}, got this one")
         else:
             whole[entry.index] = entry
-    indices = frozenset(entry.index for entry in entries)
-    return ShardCheck(problems, list(whole.values()), indices, recipe_of(table.schema.metadata))
+        problems += [Problem(entry.name, "", reason) for reason in reasons]
+    return ShardCheck(problems, list(whole.values()), frozenset(numbers), recipe_of(table.schema.metadata))
 
 
 def check_companions(place: str, description: Mapping[str, Any]) -> Iterator[Problem]:
@@ -228,19 +235,3 @@ def _entries(table: pa.Table, parquet: str, names: Sequence[str]) -> tuple[list[
         members = {name: (row[offset], row[size]) for name, (offset, size) in places.items()}
         entries.append(Entry(split, row["index"], tar, number, members, row["sha256"]))
     return entries, problems
-
-
-def _not_once(entries: Sequence[Entry], found: Sequence[tuple[str, int, int]], tar: str) -> Iterator[Problem]:
-    """Problems of samples that occur more than once in the index or the tar, or in the tar only."""
-    split = _place(tar).partition("/")[0]
-    for name, count in Counter(entry.name for entry in entries).items():
-        if count > 1:
-            yield Problem(name, "", f"expected this key once in the index {_place(_parquet_of(tar))}, got {count}")
-    copies = {
-        name.partition(".")[0]: count for name, count in Counter(name for name, _, _ in found).items() if count > 1
-    }
-    for key, count in copies.items():
-        yield Problem(f"{split}:{key}", "", f"expected this key once in {_place(tar)}, got {count}")
-    known = {key_of(entry.index) for entry in entries}
-    for key in sorted({name.partition(".")[0] for name, _, _ in found} - known):
-        yield Problem(f"{split}:{key}", "", f"in {_place(tar)}, but not in its index")

@@ -7,21 +7,39 @@ between two objects, may differ.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
+from PIL import Image
 from scipy.ndimage import uniform_filter
 
-from synth3dlanes.labels.labels import MASKS
+from synth3dlanes.dataset.format import (
+    IMAGE_FORMATS,
+    LABELS,
+    LIDAR,
+    SCENE,
+    Picture,
+    decode_image,
+    read_passes,
+    read_sweep,
+)
+from synth3dlanes.labels.labels import MASKS, Labels
+from synth3dlanes.scene.instance_ids import END
 from synth3dlanes.system.arrays import IdImage
-from synth3dlanes.validate.documents import Tolerance, differences
-from synth3dlanes.validate.pixels import luma
+from synth3dlanes.system.errors import FormatError
+from synth3dlanes.validate.documents import differences, some
+from synth3dlanes.validate.evidence import luma
+from synth3dlanes.validate.labels import ROUNDED
 
+Members = Mapping[str, bytes]
 Raster = Shaped[np.ndarray, "h w *c"]
 ErrorMap = Float[np.ndarray, "h w"]
 
+# Passes that say what each pixel of a picture is of.
+IDS = ("semantic", "instance")
 # Levels of 255 by which means of n pixels may differ: NOISE[0] + NOISE[1] / sqrt(n). Renders by another random seed, or
 # of twice the samples a pixel, stay below 0.8 of it; machines differ far less.
 NOISE = (3.0, 110.0)
@@ -34,19 +52,6 @@ NORMAL = 0.02
 # Contrast of single pixels in relation to that of the picture made again: blurred below, noisy above.
 CONTRAST = (0.9, 1.1)
 DETAIL_PX, FAINT = 16, 0.25
-# Points of labels are rounded to 0.1 mm; shares of cars are counted by rays, some of which graze; rectangles of what is
-# seen end at pixels of an object's edge.
-POINT_M, OF_RAYS = 1.5e-4, 0.03
-DOCUMENTS = Tolerance(
-    {
-        **dict.fromkeys(("xyz_cam", "center_cam", "size_m"), POINT_M),
-        **dict.fromkeys(("car_visible_fraction", "visible_fraction"), OF_RAYS),
-        **dict.fromkeys(("box_px", "unclipped_box_px"), 0.15),
-        **{"velocity_cam": 1.5e-3, "truncation": 3e-3, "seen_box_px": 2.0, "lidar_points": 3.0},
-    },
-    least=1e-5,
-    share=1e-6,
-)
 # Points that graze an object may be seen by one machine and not by another: one, or this share of the masks' ends.
 GRAZING = 0.05
 
@@ -58,21 +63,11 @@ def clumps(off: Bool[np.ndarray, "h w"]) -> ErrorMap:
     return (off if off.mean() > SHARE else together).astype(np.float32) * is_wrong
 
 
-def wrong_ids(made: Raster, found: Raster) -> ErrorMap:
-    """Of semantic and instance ids."""
-    return clumps(made != found)
-
-
 def wrong_values(made: Raster, found: Raster) -> ErrorMap:
     """Of metres, which may be infinite."""
     with np.errstate(invalid="ignore"):
         off = np.abs(made - found) > VALUE_M + VALUE_SHARE * np.abs(found)
     return clumps(np.where(np.isfinite(made) & np.isfinite(found), off, made != found))
-
-
-def wrong_normals(made: Raster, found: Raster) -> ErrorMap:
-    """Of unit vectors."""
-    return clumps(np.abs(made - found).max(axis=-1) > NORMAL)
 
 
 def wrong_colours(made: Raster, found: Raster, shown: IdImage) -> ErrorMap:
@@ -120,7 +115,7 @@ def unlike(made: bytes, found: bytes) -> Iterator[str]:
         ends = sum(int((np.diff(mask) != 0).sum()) for _, mask in masks[0])
         if sum(flips.values()) > 1 + GRAZING * ends:
             yield from (f"{path}: expected other values at {n} points" for path, n in flips.items() if n)
-    yield from differences(expected, other, tolerance=DOCUMENTS)
+    yield from differences(expected, other, tolerance=ROUNDED._replace(least=1e-5))
 
 
 def _masks(document: dict[str, Any]) -> Iterator[tuple[str, Int[np.ndarray, " n"]]]:
@@ -131,3 +126,76 @@ def _masks(document: dict[str, Any]) -> Iterator[tuple[str, Int[np.ndarray, " n"
                 mask = item.pop(name, None)
                 if mask is not None:
                     yield f"{key}.{item.get('id', i)}.{name}", np.array(mask, int)
+
+
+def compare(picture: Picture, made: Members, found: Members) -> Iterator[str]:
+    """Where and by how much what a sample has differs from what was made, by more than the kind of machine explains."""
+    for name in made:
+        if made[name] == found.get(name):
+            continue
+        try:
+            if name in (SCENE, LABELS):
+                yield from (f"{name}: {line}" for line in [some(list(unlike(made[name], found[name])))] if line)
+                continue
+            layers, others = (_layers(name, members[name], picture.labels) for members in (made, found))
+            if set(layers) != set(others):
+                raise FormatError(f"expected {', '.join(layers)}, got {', '.join(others)}")
+            faults = [fault for layer in layers for fault in _unlike_layer(picture, layer, layers, others)]
+            yield from faults
+            if name in IMAGE_FORMATS:
+                yield from _unlike_detail(made[name], found[name], bool(faults))
+        except (FormatError, KeyError, ValueError) as error:
+            yield f"{name}: cannot be compared: {error}"
+
+
+def _layers(name: str, data: bytes, labels: Labels) -> dict[str, Raster]:
+    """The arrays of a member by their names."""
+    if name == LIDAR:
+        if labels.lidar is None:
+            raise FormatError("expected none, as the labels have no lidar")
+        sweep = vars(read_sweep(data, name, labels.lidar))
+        return {f"lidar {key.removesuffix('_m')}": sweep[key] for key in ("range_m", *IDS)}
+    return {"image": decode_image(data, name)} if name in IMAGE_FORMATS else dict(read_passes(data, name))
+
+
+def _unlike_layer(
+    picture: Picture, layer: str, layers: Mapping[str, Raster], others: Mapping[str, Raster]
+) -> Iterator[str]:
+    """At how many pixels a layer differs, where these are, and by how much."""
+    made, found = layers[layer], others[layer]
+    if made.shape != found.shape:
+        sizes = ["x".join(str(size) for size in pixels.shape[1::-1]) for pixels in (made, found)]
+        raise FormatError(f"{layer}: expected {sizes[0]} pixels, got {sizes[1]}")
+    kind = layer.rpartition(" ")[2]
+    if kind == "image":
+        semantic, instance = (picture.passes[name].astype(int) for name in IDS)
+        shown = np.unique(np.where(instance > 0, instance, END + semantic), return_inverse=True)[1]
+        wrong = wrong_colours(made, found, shown.reshape(semantic.shape))
+    elif kind in IDS:
+        wrong = clumps(made != found)
+    else:
+        wrong = clumps(np.abs(made - found).max(axis=-1) > NORMAL) if kind == "normal" else wrong_values(made, found)
+    if not (wrong > 0).any():
+        return
+    at = np.nonzero(wrong)
+    with np.errstate(invalid="ignore"):
+        error = np.abs(made[at].astype(float) - found[at])
+    error = error[np.isfinite(error)]
+    by_kind = {"image": (np.mean, "levels on average"), "normal": (np.mean, "on average")}
+    of, words = by_kind.get(kind, (np.median, "m in the median"))
+    size = f"; {of(error):.3g} {words}" if kind not in IDS and error.size else ""
+    place = f"u {at[1].min()}-{at[1].max()}, v {at[0].min()}-{at[0].max()}"
+    yield f"{layer}: {len(at[0])} of {wrong.size} pixels differ ({place}{size})"
+
+
+def _unlike_detail(made: bytes, found: bytes, is_known: bool) -> Iterator[str]:
+    """How single pixels differ: another quality of JPEG, or, where no other fault is known, their contrast."""
+    own, other = Image.open(BytesIO(made)), Image.open(BytesIO(found))
+    tables = [getattr(image, "quantization", {}) for image in (own, other)]
+    if tables[0] != tables[1]:
+        means = [np.mean([np.mean(table) for table in each.values()]) if each else 0 for each in tables]
+        yield f"image: expected JPEG of the scene's quality, got {means[1] / means[0]:.1f} times as coarse steps"
+        return
+    share = contrast(*(np.array(image.convert("RGB")) for image in (own, other)))
+    if not is_known and not CONTRAST[0] < share < CONTRAST[1]:
+        yield f"image: expected detail of single pixels, got {share:.2f} times its contrast"

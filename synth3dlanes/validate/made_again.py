@@ -5,28 +5,15 @@ the members are read and compared layer by layer with the tolerances of `likenes
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from PIL import Image
 
 from synth3dlanes import __version__
 from synth3dlanes.dataset.description import DESCRIPTION, Description
-from synth3dlanes.dataset.format import (
-    IMAGE_FORMATS,
-    LABELS,
-    LIDAR,
-    SCENE,
-    Picture,
-    decode_image,
-    encode,
-    read_passes,
-    read_sweep,
-)
-from synth3dlanes.labels.labels import Labels
+from synth3dlanes.dataset.format import SCENE, encode
 from synth3dlanes.production.devices import WorkerSlots, resolve_device
 from synth3dlanes.production.forecast import patience_s
 from synth3dlanes.production.job import Job, pictures_of
@@ -35,29 +22,15 @@ from synth3dlanes.production.workers import Limits, Pool
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.assets.catalogue import Library
 from synth3dlanes.scene.assets.folder import require_assets
-from synth3dlanes.scene.instance_ids import END
 from synth3dlanes.scene.settings import PASSES as ALL_PASSES
 from synth3dlanes.system.errors import FormatError, InputError
-from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.integrity import Entry, read_sample
-from synth3dlanes.validate.likeness import (
-    CONTRAST,
-    Raster,
-    contrast,
-    unlike,
-    wrong_colours,
-    wrong_ids,
-    wrong_normals,
-    wrong_values,
-)
+from synth3dlanes.validate.likeness import IDS, compare
 from synth3dlanes.validate.origin import Origin
 from synth3dlanes.validate.report import VERDICTS
 from synth3dlanes.world.world import resolve
 
 T = TypeVar("T")
-Members = Mapping[str, bytes]
-# Passes that say what each pixel of a picture is of.
-IDS = ("semantic", "instance")
 
 
 class RemakeResult(NamedTuple):
@@ -135,76 +108,3 @@ def _make(origin: Origin, recipe: Recipe, entry: Entry) -> RemakeResult:
     members = encode(replace(made, passes=kept), text, recipe.image_format, quality)
     faults = [f"made again: {fault}" for fault in compare(made, members, found)]
     return RemakeResult(entry.name, members == found, faults)
-
-
-def compare(picture: Picture, made: Members, found: Members) -> Iterator[str]:
-    """Where and by how much what a sample has differs from what was made, by more than the kind of machine explains."""
-    for name in made:
-        if made[name] == found.get(name):
-            continue
-        try:
-            if name in (SCENE, LABELS):
-                yield from (f"{name}: {line}" for line in [some(list(unlike(made[name], found[name])))] if line)
-                continue
-            layers, others = (_layers(name, members[name], picture.labels) for members in (made, found))
-            if set(layers) != set(others):
-                raise FormatError(f"expected {', '.join(layers)}, got {', '.join(others)}")
-            faults = [fault for layer in layers for fault in _unlike_layer(picture, layer, layers, others)]
-            yield from faults
-            if name in IMAGE_FORMATS:
-                yield from _unlike_detail(made[name], found[name], bool(faults))
-        except (FormatError, KeyError, ValueError) as error:
-            yield f"{name}: cannot be compared: {error}"
-
-
-def _layers(name: str, data: bytes, labels: Labels) -> dict[str, Raster]:
-    """The arrays of a member by their names."""
-    if name == LIDAR:
-        if labels.lidar is None:
-            raise FormatError("expected none, as the labels have no lidar")
-        sweep = vars(read_sweep(data, name, labels.lidar))
-        return {f"lidar {key.removesuffix('_m')}": sweep[key] for key in ("range_m", *IDS)}
-    return {"image": decode_image(data, name)} if name in IMAGE_FORMATS else dict(read_passes(data, name))
-
-
-def _unlike_layer(
-    picture: Picture, layer: str, layers: Mapping[str, Raster], others: Mapping[str, Raster]
-) -> Iterator[str]:
-    """At how many pixels a layer differs, where these are, and by how much."""
-    made, found = layers[layer], others[layer]
-    if made.shape != found.shape:
-        sizes = ["x".join(str(size) for size in pixels.shape[1::-1]) for pixels in (made, found)]
-        raise FormatError(f"{layer}: expected {sizes[0]} pixels, got {sizes[1]}")
-    kind = layer.rpartition(" ")[2]
-    if kind == "image":
-        semantic, instance = (picture.passes[name].astype(int) for name in IDS)
-        shown = np.unique(np.where(instance > 0, instance, END + semantic), return_inverse=True)[1]
-        wrong = wrong_colours(made, found, shown.reshape(semantic.shape))
-    else:
-        wrong = {"normal": wrong_normals, **dict.fromkeys(IDS, wrong_ids)}.get(kind, wrong_values)(made, found)
-    if not (wrong > 0).any():
-        return
-    at = np.nonzero(wrong)
-    with np.errstate(invalid="ignore"):
-        error = np.abs(made[at].astype(float) - found[at])
-    error = error[np.isfinite(error)]
-    size = ""
-    if kind not in IDS and error.size:
-        by_kind = {"image": (np.mean, "levels on average"), "normal": (np.mean, "on average")}
-        of, words = by_kind.get(kind, (np.median, "m in the median"))
-        size = f"; {of(error):.3g} {words}"
-    place = f"u {at[1].min()}-{at[1].max()}, v {at[0].min()}-{at[0].max()}"
-    yield f"{layer}: {len(at[0])} of {wrong.size} pixels differ ({place}{size})"
-
-
-def _unlike_detail(made: bytes, found: bytes, is_known: bool) -> Iterator[str]:
-    """How single pixels differ: another quality of JPEG, or, where no other fault is known, their contrast."""
-    own, other = Image.open(BytesIO(made)), Image.open(BytesIO(found))
-    tables = [getattr(image, "quantization", {}) for image in (own, other)]
-    if tables[0] != tables[1]:
-        means = [np.mean([np.mean(table) for table in each.values()]) if each else 0 for each in tables]
-        yield f"image: expected JPEG of the scene's quality, got {means[1] / means[0]:.1f} times as coarse steps"
-        return
-    share = contrast(*(np.array(image.convert("RGB")) for image in (own, other)))
-    if not is_known and not CONTRAST[0] < share < CONTRAST[1]:
-        yield f"image: expected detail of single pixels, got {share:.2f} times its contrast"

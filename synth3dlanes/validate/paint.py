@@ -1,4 +1,5 @@
-"""The scene's paint along delimiters: which points are painted, its width and direction. Camera frame.
+"""The scene's paint along delimiters: which points are painted, its width and direction, in the camera's frame; and
+where points are, seen from above, beside the lines of a world. Metres.
 
 Points are projected to their station on the road, so that a line whose label is offset from its paint is still judged
 where the paint has dashes.
@@ -16,11 +17,17 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.scene.assets.catalogue import ROAD_MEANS
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
-from synth3dlanes.validate.places import Places
+from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.paint import DOTS_M, is_dotted, line_width_m, painted_rows, stripes
 from synth3dlanes.world.symbols import dense
 from synth3dlanes.world.world import World
 
+# Two roads whose heights differ by more than APART_M at a point on both, or up to EDGE_M beside one, are two surfaces.
+APART_M, EDGE_M = 0.01, 0.3
+# How far from a point roads are searched for.
+SEARCH_M = 0.5
+# Points farther than this beside a curve are not near it.
+BESIDE_M = 30.0
 # Paint narrower, or a dash lower in the image, than this may fall between the pixels' single samples.
 RESOLVED_PX = 1.0
 # Paint may appear up to this far beyond its end along the line, because it floats over the road.
@@ -30,6 +37,38 @@ END_M = 0.06
 SIDE_M, NEAR_M = 0.5, 1.0
 
 Stretches = Float[np.ndarray, "m 2"]
+
+
+def beside(curve: LaneCurve, xy_world: Points2) -> tuple[Scalars, Scalars]:
+    """Stations of points along a curve, of the piece to which each is nearest, and distances beside it, as t grows, or
+    to the right of one that is measured; infinite where it is not near."""
+    station, right = np.zeros(len(xy_world)), np.full(len(xy_world), np.inf)
+    best = np.full(len(xy_world), BESIDE_M)
+    for piece in curve.pieces:
+        low, high = np.sort(piece.on(np.array([piece.start_m, piece.end_m])))
+        s, t = piece.road.line.project(xy_world)
+        on = np.clip(s, low, high)
+        aside = (t - piece.offset(on)) * piece.along
+        apart = np.hypot(aside, s - on)
+        nearer = apart < best
+        station = np.where(nearer, piece.stations(on), station)
+        right, best = np.where(nearer, aside, right), np.where(nearer, apart, best)
+    return station, right
+
+
+def is_single(ground: Ground, xy_world: Points2) -> Bool[np.ndarray, " n"]:
+    """Which points are not where roads lie over each other, as bridges, or as ways through a junction, each by heights
+    of its own."""
+    if not any(road.has_heights for road in ground.network.roads):
+        return np.ones(len(xy_world), dtype=bool)
+    low, high = np.full((2, len(xy_world)), np.inf) * [[1], [-1]]
+    table, at = ground.network.index.table, ground.network.index.places(xy_world, SEARCH_M)
+    on, _, away_m = table.nearest(at)
+    at = at.of((away_m < EDGE_M) & (on == at.s))
+    z = table.base_points(at.road, at.s, at.t)[:, 2]
+    np.minimum.at(low, at.point, z)
+    np.maximum.at(high, at.point, z)
+    return np.asarray((high - low < APART_M) & ~ground.is_stacked(xy_world))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +153,7 @@ class WorldPaint:
         # A line that the world does not have lies on level ground.
         across = np.cross(along, camera.world_from_cam[2, :3])
         if curve is not None:
-            s, aside = Places(points_world[:, :2]).station(curve), np.full(len(points_cam), ACROSS_M)
+            s, aside = beside(curve, points_world[:, :2])[0], np.full(len(points_cam), ACROSS_M)
             across = curve.points_beside(s, aside) - curve.points_beside(s, -aside)
             across = self.world.network.rightward * across @ camera.world_from_cam[:3, :3]
             painted_m = self._painted_m(lane.id, s) if lane.id in self._curves else painted_m
@@ -146,14 +185,11 @@ class WorldPaint:
         markings = self.world.scene.markings
         return line_width_m(self._curves[id_], markings) if id_ in self._curves else markings.width_m
 
-    def right_m(self, id_: str, place: Places) -> Scalars:
-        """How far points on the road are to the right of a line; infinite where it is not near."""
-        return self.world.network.rightward * place.right_of(self._curves[id_])
-
-    def beyond_m(self, id_: str, place: Places, end_m: float = END_M) -> Scalars:
+    def beyond_m(self, id_: str, xy_world: Points2, end_m: float = END_M) -> Scalars:
         """Distance of points on the road outside a line's paint, across it or (reduced by `end_m`) along it; negative
         inside."""
-        right_m, s = self.right_m(id_, place), place.station(self._curves[id_])
+        s, aside_m = beside(self._curves[id_], xy_world)
+        right_m = self.world.network.rightward * aside_m
         of_stripes = [
             np.maximum(np.abs(right_m - middle_m) - self.width_m(id_) / 2, _beyond(stretches, s) - end_m)
             for middle_m, stretches in zip(self.stripes_m(id_), self._stretches[id_], strict=True)

@@ -8,7 +8,7 @@ from jaxtyping import Integer
 from synth3dlanes.scene.instance_ids import KINDS, kind_indices
 from synth3dlanes.scene.things import KINDS as SEMANTIC_KINDS
 from synth3dlanes.scene.things import SEMANTIC_IDS
-from synth3dlanes.validate.evidence import Evidence
+from synth3dlanes.validate.evidence import Evidence, some_pixels
 from synth3dlanes.validate.findings import Result, counted, judged
 
 # Number of pixels that may be wrong, and at most about this many are asked for their normals.
@@ -17,7 +17,7 @@ SINGLE, MAX_NORMALS = 3, 45_000
 LENGTH = 0.005
 # With smooth shading, normals at outlines may point away from the camera: in 200 rendered scenes, up to 6 % of the
 # pixels of a small car and 0.8 % of all others. Leaves and far hills are not checked.
-AWAY, MAX_AWAY, MIN_OF_KIND = 0.02, 0.25, 50
+AWAY, MAX_AWAY, MIN_FACING = 0.02, 0.25, 50
 FACING = ("road", "shoulder", "marking", "car")
 # Of the image's height that the bonnet fills.
 MAX_BONNET = 0.03
@@ -82,24 +82,19 @@ def check_sky(evidence: Evidence) -> Iterator[Result]:
 
 
 def check_normals(evidence: Evidence) -> Iterator[Result]:
-    """Findings about the normal pass; depth or semantic ids give the sky, semantic ids the kinds to check."""
+    """Findings about the normal pass; depth or semantic ids give the sky, semantic ids what must face the camera."""
     passes = evidence.passes
-    step = int(np.ceil(np.sqrt(passes["normal"][..., 0].size / MAX_NORMALS)))
-    some = {name: values[::step, ::step] for name, values in passes.items() if name != "height"}
-    length = np.linalg.norm(some["normal"], axis=2)
-    has_none = length == 0
-    reason = "normal: expected unit length or none, got another at {wrong} of {n} pixels"
-    yield from counted("normal.length", (~has_none & ~(np.abs(length - 1) < LENGTH)).ravel(), reason, SINGLE)
-    if {"depth", "semantic"} & set(some):
-        is_sky = ~np.isfinite(some["depth"]) if "depth" in some else some["semantic"] == SEMANTIC_IDS["sky"]
-        reason = "normal: expected zero in the sky and only there, got otherwise at {wrong} pixels"
-        yield from counted("normal.sky", (has_none != is_sky).ravel(), reason, SINGLE)
-    if "semantic" in some:
-        rows, columns = step * np.indices(length.shape) + 0.5
-        away = (evidence.camera.rays(np.stack([columns, rows], axis=-1)) * some["normal"]).sum(axis=2) > AWAY
-        for name in FACING:
-            of_kind = away[some["semantic"] == SEMANTIC_IDS[name]]
-            if len(of_kind) >= MIN_OF_KIND:
-                share = float(of_kind.mean())
-                reason = f"normal: expected it to face the camera, got {100 * share:.0f} % of {name} turned away"
-                yield from judged("normal.away", share, reason, most=MAX_AWAY)
+    rows, columns = some_pixels(np.ones(passes["normal"].shape[:2], dtype=bool), MAX_NORMALS)
+    some = {name: passes[name][rows, columns] for name in ("normal", "depth", "semantic") if name in passes}
+    length = np.linalg.norm(some["normal"], axis=1)
+    is_hit = np.isfinite(some["depth"]) if "depth" in some else length > 0
+    if "depth" not in some and "semantic" in some:
+        is_hit = some["semantic"] != SEMANTIC_IDS["sky"]
+    reason = "normal: expected unit length, and zero in the sky and only there, got otherwise at {wrong} pixels"
+    yield from counted("normal.length", ~(np.abs(length - is_hit) < LENGTH), reason, SINGLE)
+    at = np.isin(some.get("semantic", 0), [SEMANTIC_IDS[name] for name in FACING])
+    if np.count_nonzero(at) >= MIN_FACING:
+        rays_cam = evidence.camera.rays(np.column_stack([columns, rows])[at] + 0.5)
+        share = float(((rays_cam * some["normal"][at]).sum(axis=1) > AWAY).mean())
+        reason = f"normal: expected it to face the camera, got {100 * share:.0f} % of road and cars turned away"
+        yield from judged("normal.away", share, reason, most=MAX_AWAY)

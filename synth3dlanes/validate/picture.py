@@ -198,9 +198,6 @@ RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.2)}
 # That of leaves, the upper half of trees without what has less light than this share of the road, is -0.19 to -0.009 in
 # 442 images. These trees have none.
 LEAVES_OVER_GREEN, LEAVES_LIGHT, BARE = 0.02, 0.05, ("dead",)
-# Cosine between the colour of a car and that of its pixels, both beside gray, where both are this far from it: at least
-# 0.73 in 150 cars of MIN_CAR pixels; hues turned by more than 70 degrees leave less than 0.4.
-LEAST_HUE, MIN_CAR, MIN_PAINT_HUE, MIN_HUE = 0.4, 300, 0.1, 0.08
 # Pixels of narrower paint show as much of the road: an id is that at a pixel's centre.
 RESOLVED_PX = 2
 # Red over blue of a white line: at most 0.035 in 114 lines; a yellow one has 0.25.
@@ -239,7 +236,6 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     if "instance" not in evidence.passes:
         return
     yield from _leaves(evidence, linear, _lit(linear[road]))
-    yield from _cars(evidence, linear, _lit(linear[road]))
     if evidence.paint.is_dry:
         yield from _paint(evidence, linear)
 
@@ -300,24 +296,6 @@ def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[
     red, green, _ = _chroma(leaves) - _chroma(road)
     words = f"leaves with at most {LEAVES_OVER_GREEN} of red over green, got {{:+.3f}}"
     yield from _judged("appearance.leaves", float(red - green), words, most=LEAVES_OVER_GREEN)
-
-
-def _cars(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[np.ndarray, "n 3"]) -> Iterator[Result]:
-    if evidence.scene.assets.cars or evidence.scene.assets.roads:
-        return
-    for item in evidence.world.view.objects:
-        at = evidence.passes["instance"] == item.id
-        if item.kind is not None or at.sum() < MIN_CAR:
-            continue
-        light = linear[at].sum(axis=0)
-        shown = light / max(float(light.sum()), 1e-6) - _chroma(road)
-        paint = np.array(item.colors[0]) / max(sum(item.colors[0]), 1e-6) - 1 / 3
-        sizes = np.linalg.norm(shown), np.linalg.norm(paint)
-        if sizes[0] > MIN_HUE and sizes[1] > MIN_PAINT_HUE:
-            like = float(shown @ paint / (sizes[0] * sizes[1]))
-            number = numbers_of("car", np.array([item.id]))[0]
-            words = f"car {number} in its own colour, got another (a cosine of {{:.2f}} beside gray)"
-            yield from _judged("appearance.car_hue", like, words, LEAST_HUE)
 
 
 def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[Result]:

@@ -17,9 +17,8 @@ from synth3dlanes.scene.things import KINDS, SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes, Points2
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.faces import ground_of
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, Signed, counted
+from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, counted
 from synth3dlanes.validate.paint import Strip
-from synth3dlanes.validate.pixels import Squares, around
 
 # Label faults affect whole lines: a line fails if more than this share of its points, and more than two points, are
 # off; single points may be at the foot of a car. How far a point, or the point of a pixel, may be from the ground.
@@ -30,8 +29,6 @@ MAX_GRAZING = 5
 OBJECTS = [kind.semantic_id for kind in KINDS if kind.series and not kind.is_ground]
 # A mask moved along its line by one point must have MIN_MOVED more wrong points and MOVED times as many as unmoved.
 MIN_MOVED, MOVED = 3, 2
-# Range ahead for the test of the surface's height over the data set, and the least number of points in it.
-HEIGHT_WITHIN_M, MIN_NEAR = 25.0, 10
 # Pixels whose depths differ by a larger factor show two surfaces.
 SMOOTH = 1.2
 # How much nearer than a point, in depth, a shoulder must be to be taken for a kerb before it.
@@ -47,6 +44,9 @@ MIN_NEXT = 0.6
 NEARER, NEARER_M = 0.985, 0.05
 # Objects with narrower boxes, whose upper parts may be narrower than a pixel, tell nothing of what is behind them.
 NARROW_PX = 5.0
+
+
+Squares = Int[np.ndarray, "k n"]
 
 
 class Sight(NamedTuple):
@@ -124,9 +124,6 @@ def _depth_at_lines(evidence: Evidence) -> Iterator[Result]:
     wrong = ~(np.abs(above_m) <= MAX_OFF_M)
     reason = f"depth: expected pixels at lines within {MAX_OFF_M} m of the ground, got {{wrong}} of {{n}} elsewhere"
     yield from counted("points.depth_m", wrong, reason, MAX_SINGLE, MAX_SHARE)
-    near_m = above_m[(seen.range_m < HEIGHT_WITHIN_M) & np.isfinite(above_m)]
-    if len(near_m) >= MIN_NEAR and not evidence.scene.shot.frame:
-        yield Signed("surface_above_m", float(np.median(near_m)))
 
 
 def _behind_narrow(evidence: Evidence, lane: Lane, uv: Points2) -> Bool[np.ndarray, " n"]:
@@ -201,3 +198,12 @@ def _own_depth(camera: CameraLabel, strip: Strip, rows: Squares, columns: Square
 
 def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
     return np.isin(semantic, OBJECTS)
+
+
+def around(uv: Points2, shape: tuple[int, ...], reach: int) -> tuple[Squares, Squares]:
+    """Rows and columns of the square with sides of 2 x reach pixels around each pixel position, row by row (arbitrary
+    for positions outside the image)."""
+    sizes = np.array([shape[1], shape[0]])
+    j, i = np.floor(np.clip(np.nan_to_num(uv - 0.5), 0, sizes - 2)).astype(int).T
+    dy, dx = (steps.ravel()[:, None] for steps in np.mgrid[1 - reach : reach + 1, 1 - reach : reach + 1])
+    return np.clip(i + dy, 0, shape[0] - 1), np.clip(j + dx, 0, shape[1] - 1)

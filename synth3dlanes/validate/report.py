@@ -1,5 +1,4 @@
-"""The report of a validation: problems, numbers beside their limits, means; as text, as JSON, and as pictures of
-samples."""
+"""The report of a validation: problems as text, with numbers beside their limits as JSON, and pictures of samples."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -12,7 +11,6 @@ from fsspec.implementations.local import LocalFileSystem
 from PIL import Image
 from rich.console import Group, RenderableType
 from rich.markup import escape
-from rich.table import Table
 
 from synth3dlanes.dataset.address import connect, translate_store_errors
 from synth3dlanes.figures.overlay import draw_overlay, stretches_img
@@ -21,8 +19,7 @@ from synth3dlanes.system.arrays import RgbImage
 from synth3dlanes.system.errors import FormatError, OutageError
 from synth3dlanes.system.files import Folder, encoded
 from synth3dlanes.system.words import counted
-from synth3dlanes.validate.bias import MIN_SAMPLES, TESTS, Mean, judge, mean_of
-from synth3dlanes.validate.findings import Bounded, Finding, Instant, Problem, Result, Signed
+from synth3dlanes.validate.findings import Bounded, Finding, Instant, Problem, Result
 from synth3dlanes.validate.moving import between
 
 FOLDER = "validation"
@@ -32,8 +29,8 @@ Lacks = Mapping[str, frozenset[str]] | None
 MAX_PX = 1e5
 # Of samples made again.
 VERDICTS = ("equal bytes", "equal within the tolerances of another machine", "not equal")
-# So many numbers are shown in the text, and a number is tight from this share of its limit on.
-SHOWN, TIGHT = 10, 0.9
+# A number is tight from this share of its limit on.
+TIGHT = 0.9
 
 
 class Worst(NamedTuple):
@@ -61,7 +58,6 @@ class ValidationReport:
     n_samples: int = 0
     problems: list[Problem] = field(default_factory=list)
     numbers: dict[str, Worst] = field(default_factory=dict)
-    signed: dict[str, list[float]] = field(default_factory=dict)
     made_again: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     asked: dict[str, int] = field(default_factory=dict)
@@ -79,8 +75,6 @@ class ValidationReport:
         for result in results:
             if isinstance(result, Finding):
                 self.problems.append(Problem(name, result.lane, result.reason))
-            elif isinstance(result, Signed):
-                self.signed.setdefault(result.name, []).append(result.value)
             elif isinstance(result, Bounded):
                 before = self.numbers.get(result.name, Worst(0, result, name))
                 nearest = (result, name) if result.use > before.number.use else before[1:]
@@ -93,15 +87,6 @@ class ValidationReport:
             first = self._worlds.setdefault(digest, name)
             if first != name:
                 self.problems.append(Problem(name, "", f"expected a scene of its own, got that of {first}"))
-
-    @property
-    def means(self) -> dict[str, Mean]:
-        """Of the signed values, by name."""
-        return {name: mean_of(values) for name, values in self.signed.items()}
-
-    def judge(self) -> None:
-        """Run the tests over the whole data set, after all samples were added."""
-        self.problems += judge(self.means)
 
     def in_order(self) -> list[Problem]:
         """The problems by sample and file; of each in the order of the checks, whose first name the cause."""
@@ -122,22 +107,16 @@ class ValidationReport:
             "numbers": {name: found.summary() for name, found in sorted(self.numbers.items())},
             "made_again": self.made_again,
             "notes": self.notes,
-            "means": {name: found.summary(TESTS[name].least) for name, found in self.means.items()},
         }
 
     def text(self) -> RenderableType:
-        """The numbers nearest to their limits, means over the data set, then one line per note and per problem."""
-        parts: list[RenderableType] = []
-        if self.numbers:
-            parts += [f"\n[bold]numbers[/bold]  nearest to their limits, of {len(self.numbers)}", _table(self.numbers)]
-        tested = {name: found for name, found in self.means.items() if found.n >= MIN_SAMPLES}
-        if tested:
-            parts += ["\n[bold]means[/bold]  of the samples' signed values; 0 where all is right", _means(tested)]
-        parts += made_again_text(self.made_again)
-        parts += [*self._not_asked()]
-        parts += ["", *(f"[yellow]{escape(note)}[/yellow]" for note in self.notes)]
-        parts += [*(f"[red]{escape(problem.line())}[/red]" for problem in self.in_order())]
-        verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else self._praise()
+        """What samples made again are, what was not asked, then one line per note and per problem."""
+        parts = [*made_again_text(self.made_again), *self._not_asked(), ""]
+        parts += [f"[yellow]{escape(note)}[/yellow]" for note in self.notes]
+        parts += [f"[red]{escape(problem.line())}[/red]" for problem in self.in_order()]
+        verdict = f"[red]{len(self.failed)} failed[/red]" if self.problems else "[green]all right[/green]"
+        if not self.problems and self.n_samples == 0:
+            verdict = "[yellow]the files are all right, labels and pixels were not looked at[/yellow]"
         return Group(*parts, f"{counted(self.n_samples, 'sample')} checked: {verdict}")
 
     def _not_asked(self) -> Iterator[str]:
@@ -150,11 +129,6 @@ class ValidationReport:
             yield "\n[bold]not asked[/bold]  what these checks need is not there"
         yield from (f"  no {lack}: {', '.join(names)}" for lack, names in by_lack.items())
 
-    def _praise(self) -> str:
-        if self.n_samples == 0:
-            return "[yellow]the files are all right, labels and pixels were not looked at[/yellow]"
-        return "[green]all right[/green]"
-
 
 def made_again_text(verdicts: dict[str, str]) -> list[str]:
     """Which samples were made again, with what result."""
@@ -162,30 +136,6 @@ def made_again_text(verdicts: dict[str, str]) -> list[str]:
     told = [line for line, verdict in zip(lines, VERDICTS, strict=True) if verdict in verdicts.values()]
     head = "\n[bold]made again[/bold]  as dataset.json says; the same command chooses the same, a larger number more"
     return [head, *told] if verdicts else []
-
-
-def _table(numbers: dict[str, Worst]) -> Table:
-    """A row for each of those nearest to their limits."""
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("number", "limit", "worst", "values", "in sample"):
-        table.add_column(name, justify="right" if name in ("limit", "worst", "values") else "left", no_wrap=True)
-    for name, (n, worst, sample) in sorted(numbers.items(), key=lambda item: -item[1].number.use)[:SHOWN]:
-        ends = ((">=", worst.least), ("<=", worst.most))
-        limits = [f"{sign} {limit:.3g}" for sign, limit in ends if np.isfinite(limit)]
-        table.add_row(name, " ".join(limits), f"{worst.value:.3g}", f"{n:,}", sample)
-    return table
-
-
-def _means(means: dict[str, Mean]) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for name in ("mean", "value", "error", "t", "n", "may be", "positive"):
-        table.add_column(name, justify="left" if name in ("mean", "positive") else "right", no_wrap=True)
-    for name, test in TESTS.items():
-        if name in means:
-            found = means[name]
-            numbers = (f"{test.shown(found.mean)}", test.shown(found.standard_error), f"{found.t:.1f}", f"{found.n:,}")
-            table.add_row(name, *numbers, test.shown(test.least), test.positive)
-    return table
 
 
 def draw(image: RgbImage, labels: Labels) -> RgbImage:

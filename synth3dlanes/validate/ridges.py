@@ -21,7 +21,6 @@ from scipy.spatial import cKDTree
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.system.arrays import Points3
-from synth3dlanes.validate.bias import PaintOffset, sides
 from synth3dlanes.validate.bodies import before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
@@ -70,29 +69,18 @@ PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + PROFILE_STEP_M / 2]
 
 
 class LineProfiles(NamedTuple):
-    """One line in the image. For each profile: its column, the pixels per metre along the row, its middle, and how much
+    """One line in the image. For each profile: its column, the pixels per metre along the row, and how much
     brighter than the road to its left and to its right a stripe at each of PLACES_M is."""
 
     lane: str
     u_px: Float[np.ndarray, " n"]
     px_per_m: Float[np.ndarray, " n"]
-    points_cam: Points3
     over: Float[np.ndarray, "2 n m"]
 
     @property
     def ridges(self) -> Float[np.ndarray, "n m"]:
         """How much brighter than its surroundings a stripe is."""
         return np.asarray(self.over.mean(axis=0))
-
-    @property
-    def offset_m(self) -> float:
-        """The place of the ridge, finer than a step: the centroid of what exceeds half its height about it."""
-        strength = np.abs(np.median(self.ridges, axis=0))
-        best = int(strength.argmax())
-        over = np.maximum(strength - strength[best] / 2, 0)
-        ends = np.flatnonzero(np.concatenate([[True], over == 0, [True]])) - 1
-        ridge = slice(ends[ends < best].max() + 1, ends[ends > best].min())
-        return float(over[ridge] @ PLACES_M[ridge] / over[ridge].sum())
 
 
 class Contrast(NamedTuple):
@@ -118,7 +106,7 @@ class Contrast(NamedTuple):
 
 
 def check_ridges(evidence: Evidence) -> Iterator[Result]:
-    """Findings about lines and the whole image, and the signed values of paint in the image."""
+    """Findings about lines and the whole image."""
     paint = evidence.paint
     if not paint.shows or evidence.scene.weather.snow:
         return
@@ -139,17 +127,6 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
         reason = f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles"
         yield from judged("ridges.in_place", in_place / n, reason, MIN_SHARE)
         yield from check_move(lines, evidence.luma.shape[1])
-    clear = [line for line in contrasts if line.verdict != "unclear" and line.ridge >= CONTRAST]
-    # At the road's edges the surfaces on both sides of a line differ.
-    inner = {lane.id: lane for lane in lanes if lane.left is not None and lane.right is not None}
-    named = {line.lane for line in clear} & inner.keys()
-    yield from sides("image", evidence, [_offset(inner[line.lane], line) for line in lines if line.lane in named])
-
-
-def _offset(lane: Lane, line: LineProfiles) -> PaintOffset:
-    n, middle = float(len(line.u_px)), np.median(line.points_cam[:, :1], axis=0)
-    side = np.sign(np.median(line.px_per_m))
-    return PaintOffset(lane, middle, np.array([n]), np.array([n * side * line.offset_m]))
 
 
 def _lines(evidence: Evidence, lanes: Sequence[Lane]) -> Iterator[LineProfiles]:
@@ -189,7 +166,7 @@ def _lines(evidence: Evidence, lanes: Sequence[Lane]) -> Iterator[LineProfiles]:
             px_per_m = (u_px[at, 2] - u_px[at, 0]) / (2 * REACH_M)
             # A line across the view, as cameras that look aside see it, has its profiles along columns.
             px_per_m = np.where(np.abs(px_per_m) < LEAST_PX_PER_M, LEAST_PX_PER_M, px_per_m)
-            yield LineProfiles(id_, u_px[at, 1], px_per_m, middle_cam[at], over)
+            yield LineProfiles(id_, u_px[at, 1], px_per_m, over)
 
 
 def _beside(

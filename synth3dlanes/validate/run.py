@@ -128,7 +128,6 @@ def validate(
         *drawn_otherwise(redrawn, len(todo), description.generator, recipes, recipe),
     ]
     report.problems[:0] = [*origins, *check_companions(place, document)]
-    report.judge()
     return report
 
 

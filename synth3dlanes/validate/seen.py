@@ -15,17 +15,16 @@ from jaxtyping import Bool, Integer
 from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.instance_ids import numbers_of, thing_of
 from synth3dlanes.scene.roadside import Building, Crossing
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
-from synth3dlanes.validate.bodies import BODIES, cores, grown, inside, meet
+from synth3dlanes.validate.bodies import BODIES, OBJECTS, cores, inside, meet
 from synth3dlanes.validate.evidence import Evidence, Seen
 from synth3dlanes.validate.faces import MeshFaces, ground_of, pavement_of
 from synth3dlanes.validate.findings import PROOF_M, Result, counted, judged
-from synth3dlanes.validate.paint import END_M
+from synth3dlanes.validate.paint import END_M, is_single
 from synth3dlanes.validate.passes import SINGLE, classes_of, disagreement
-from synth3dlanes.validate.places import is_single
 from synth3dlanes.world.grass import BESIDE_M, LEAN, RADIUS_M
 from synth3dlanes.world.height_map import cells_road
 from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER
@@ -50,6 +49,10 @@ BETWEEN_M = 0.9
 STEEP = 0.5
 # Pixels this close to an edge of a symbol may show either side of it; lines may lie this far over a gore's edges.
 MARGIN_M, LINE_M = 0.04, 0.15
+# The share of points of an object that may be outside its box: built-in models reach at most 2 cm beyond theirs.
+IN_BOX = 0.002
+# Of cars with so many pixels, and this share seen, these reach the end to whose other side the eye is.
+MIN_OF_CAR, WHOLE, END_SEEN_M, MAX_GAP_M = 150, 0.99, 0.5, 0.035
 # The number of beams that may be wrong.
 BEAMS = 20
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
@@ -208,17 +211,31 @@ def _hills(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 
 def _through(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Below a deck, and over a tunnel, the ground goes on."""
-    ground, xy = evidence.world.ground, seen.points_world[:, :2]
+    ground, xy = evidence.world.ground, seen.xy_world
     may_be = ground.paved.is_grass(xy, INSIDE_M) | ground.is_stacked(xy)
     yield PartSeen("terrain", np.where(may_be, 0, np.maximum(-ground.clearance(xy), 0)))
 
 
 def _body(kind: str, evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    own, boxes = seen.number(kind), evidence.bodies[kind]
-    boxes = boxes if kind == "structure" else grown(boxes)
-    apart_m = np.where(inside(boxes, seen.points_world, own), 0, np.inf)
+    own = seen.number(kind)
+    apart_m = np.where(inside(evidence.bodies[kind], seen.points_world, own), 0, np.inf)
     for i in np.unique(own).tolist():
         yield PartSeen(f"{kind} {i}" if i >= 0 else f"a {kind}", apart_m[own == i])
+
+
+def _ends(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
+    """How far the pixels of a car that is near and seen as a whole are from the end that looks at the camera."""
+    shares = {item.id: item.visible_fraction for item in evidence.labels.objects or () if item.truncation == 0}
+    for item in evidence.world.view.objects:
+        at, (kind, number) = seen.ids["instance"] == item.id, thing_of(item.id)
+        if kind != "car" or (shares.get(item.id) or 0) < WHOLE or at.sum() < MIN_OF_CAR:
+            continue
+        object_from_world, half_m = invert(item.world_from_object), item.size_m[1] / 2
+        along_m = transform(object_from_world, np.vstack([seen.eye_world, seen.points_world[at]]))[:, 1]
+        apart_m = seen.range_m[at].max() / evidence.camera.img_from_cam[0, 0]
+        if abs(along_m[0]) > half_m + END_SEEN_M and seen.range_m[at].max() < PROOF_M:
+            gap_m = half_m - (np.sign(along_m[0]) * along_m[1:]).max() - apart_m
+            yield PartSeen(f"car {number}", np.array([max(gap_m, 0.0)]))
 
 
 def _faces(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
@@ -240,7 +257,7 @@ def _paint(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     beyond_m = np.full(len(on), np.inf)
     for i, id_ in enumerate([*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]):
         at = own == i if has_ids else np.ones(len(on), dtype=bool)
-        beyond_m[at] = np.minimum(beyond_m[at], paint.beyond_m(id_, on.places.at(at)))
+        beyond_m[at] = np.minimum(beyond_m[at], paint.beyond_m(id_, on.xy_world[at]))
     beyond_m = np.maximum(beyond_m, 0)
     for i, id_ in enumerate(labelled if has_ids else []):
         yield PartSeen("the line", beyond_m[own == i], id_)
@@ -251,7 +268,7 @@ def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Ground inside a line's paint that shows none, of any line, where it is seen. Below another road, or a kerb, paint
     may be hidden."""
     on = seen.on_road
-    single = is_single(evidence.world.ground, on.points_world[:, :2])
+    single = is_single(evidence.world.ground, on.xy_world)
     near, is_bare = (
         cKDTree(on.points_world),
         np.isin(on.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT]),
@@ -263,7 +280,7 @@ def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
             at = np.zeros(len(on), dtype=bool)
             at[np.concatenate([[], *beside]).astype(int)] = True
             at &= single
-            beyond_m = evidence.paint.beyond_m(lane.id, on.places.at(at), -END_M)
+            beyond_m = evidence.paint.beyond_m(lane.id, on.xy_world[at], -END_M)
             yield PartSeen("the line", np.where(is_bare[at], np.inf, 0)[beyond_m < -MAX_BEYOND_M], lane.id)
 
 
@@ -411,9 +428,13 @@ ROWS = (
     *(
         SeenRow(
             "ids", f"ids.{kind}", classes_of(kind), partial(_body, kind), "{what} of {whose} within its body",
-            most=0, share=0.05, kind=kind, of_beams=SINGLE,
+            most=0, share=IN_BOX if kind in OBJECTS else 0.05, kind=kind, of_beams=SINGLE, n=40_000,
         )
         for kind in BODIES
+    ),
+    SeenRow(
+        "ids", "ids.ends", classes_of("car"), _ends, "{what} of {whose} up to its nearer end",
+        most=MAX_GAP_M, single=0, kind="car", needs=_IDS_TOO, n=40_000,
     ),
     SeenRow(
         "ids", "ids.faces", SURFACES, _faces, "{whose} on faces of {whose}",

@@ -1,51 +1,28 @@
-"""Judge what has labels of its own, objects and traffic elements, by what depth, ids, the sweep and the image show.
+"""Judge what has labels of its own, objects and traffic elements, by depth, ids, the sweep and the image.
 
-Points of what is labelled must be in its box, and those of pixels reach the sides that are seen. A box that is too
-small, turned or moved is found by points outside it, one that is too large by the gap before a side. `visible_fraction`
-is the share of the pixels that a thing would fill, were it alone, in which it is seen: what something nearer covers of
-its box bounds this. What labels count of ids is counted anew. The lights of a signal must shine where its state says.
+What labels count of ids is counted anew. `visible_fraction` is the share of the pixels that a thing would fill, were it
+alone, in which it is seen: what something nearer covers of its box bounds this. The lights of a signal must shine where
+its state says. That pixels and points are in its box, a row of `seen` says.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.object_labels import ObjectLabel, as_seen, object_document
 from synth3dlanes.scene.instance_ids import END, thing_of
-from synth3dlanes.scene.scene import Scene
+from synth3dlanes.system.arrays import RgbImage
 from synth3dlanes.truth.object_truth import with_pixel_shares
 from synth3dlanes.validate.bodies import FAR_M, box_of, grown, meet
 from synth3dlanes.validate.documents import differences, some
-from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import PROOF_M, Finding, Result, counted, judged
-from synth3dlanes.validate.pixels import some_pixels
+from synth3dlanes.validate.evidence import Evidence, some_pixels
+from synth3dlanes.validate.findings import Finding, Result, judged
 from synth3dlanes.world.objects import PlacedObject
 
-# How far outside a box points may be, and how many of them farther.
-ROOM_M, MAX_SINGLE = 0.02, 2
-# Sides are judged only of what is seen as a whole.
+# Lights are judged of signals that are seen as a whole.
 MIN_SEEN = 0.99
-# Of objects and of faces of elements: the least number of points, the share of these that may be outside a box
-# (built-in models reach at most 2 cm beyond theirs), how far before a side pixels may end, and which part of what lies
-# between two of them.
-MIN_POINTS, MAX_OUTSIDE, MAX_GAP_M, MAX_PART = 150, 0.002, 0.035, 0.75
-MIN_PIXELS, MAX_FACE_OUTSIDE, MAX_FACE_GAP_M, MAX_FACE_PART = 60, 0.01, 0.03, 1.0
-# A board may reach a side in a corner alone.
-OF_CORNER = {"road_sign": 1.5}
-# The eye is this far beyond a side that it sees. Of the others pixels show the outline, which is as wide and as high.
-BEYOND_M, ACROSS, ALONG, UP = 0.5, 0, 1, 2
-SIDES = ((0, -1, "left"), (0, 1, "right"), (1, -1, "rear"), (1, 1, "front"), (2, -1, "lower"), (2, 1, "upper"))
-# The lowest, highest and widest parts are this share of half the length behind the nearer end, at most. Wheels are at
-# least WHEELS_M behind: they are hidden as a whole by an end that is CLEARANCE_M over the ground, or higher.
-SET_BACK, WHEELS_M, CLEARANCE_M = 0.25, 1.1, 0.15
-# The most that mirrors reach beyond a body.
-MIRROR_M = 0.07
-
-
 # The share that the ids of an image show of an element is exact.
 MAX_SHARE_ERROR = 0.002
 # Heads of which fewer rows are seen are not judged by their colours; how much brighter a dark light may be than a lit
@@ -56,38 +33,7 @@ LIT = {"off": (), "red": (0,), "red_amber": (0, 1), "amber": (1,), "green": (2,)
 HUES = {"red_cross": 1, "green_arrow": -1}
 
 
-class SeenPart(NamedTuple):
-    """Points of what is labelled in its frame; of pixels the eye in it, and how far points are from each other at
-    most."""
-
-    source: str
-    points: Float[np.ndarray, "n 3"]
-    eye: Float[np.ndarray, "3"] | None = None
-    apart_m: float = 0.0
-
-
-class SideLimit(NamedTuple):
-    """A side of a box: its axis, its sign on that, its name, and how far before it points may end."""
-
-    axis: int
-    sign: int
-    name: str
-    most_m: float
-
-
-def check_boxes(evidence: Evidence) -> Iterator[Result]:
-    """Findings about objects and elements that are not where pixels and points show them."""
-    yield from _recounted(evidence)
-    objects, elements = evidence.labels.objects or (), evidence.labels.traffic_elements or ()
-    wheels_m = _wheels_m(evidence.scene) if objects else []
-    for item in (*objects, *elements):
-        for seen in views_of(evidence, item):
-            series, number = thing_of(item.id)
-            is_known = series == "car" and number < len(wheels_m)
-            yield from judge(item, seen, wheels_m[number] if is_known else WHEELS_M)
-
-
-def _recounted(evidence: Evidence) -> Iterator[Finding]:
+def check_counts(evidence: Evidence) -> Iterator[Finding]:
     """Findings where labels count other pixels and points than ids show."""
     labels, returns = evidence.labels, None if evidence.returns is None else evidence.returns.instance
     instance = evidence.passes.get("instance")
@@ -108,97 +54,6 @@ def _recounted(evidence: Evidence) -> Iterator[Finding]:
         if abs(share - got) > MAX_SHARE_ERROR:
             reason = f"expected {share:g} by its pixels, got {got:g}"
             yield Finding("", f"traffic_elements.{item.id}.visible_fraction: {reason}")
-
-
-def _wheels_m(scene: Scene) -> list[float]:
-    """How far behind the ends of each car its wheels are, at least WHEELS_M."""
-    models = [(scene.assets.car_models[car.model - 1], car.scale) for car in scene.cars]
-    return [
-        max(WHEELS_M, scale * ((model.length_m - model.wheelbase_m) / 2 - model.wheel_radius_m))
-        for model, scale in models
-    ]
-
-
-def views_of(evidence: Evidence, item: ObjectLabel) -> list[SeenPart]:
-    """What pixels show of what is labelled, and points of an object, if it is near the camera and there are enough."""
-    found, box_from_cam = [], invert(item.cam_from_object)
-    if np.linalg.norm(item.center_cam) > PROOF_M:
-        return []
-    if {"depth", "instance"} <= evidence.has:
-        rows, columns = np.nonzero((evidence.passes["instance"] == item.id) & evidence.has_points)
-        if len(rows) >= (MIN_PIXELS if item.is_element else MIN_POINTS):
-            points_cam = evidence.points_cam(rows, columns)
-            apart_m = float(points_cam[:, 1].max()) / evidence.camera.img_from_cam[0, 0]
-            found.append(SeenPart("pixels", transform(box_from_cam, points_cam), box_from_cam[:3, 3], apart_m))
-    points = evidence.returns
-    if points is not None and not item.is_element:
-        own = points.instance == item.id
-        if own.sum() >= MIN_POINTS:
-            found.append(SeenPart("points", transform(box_from_cam, points.xyz_cam[own])))
-    return found
-
-
-def judge(item: ObjectLabel, seen: SeenPart, wheels_m: float = WHEELS_M) -> Iterator[Result]:
-    """Findings where points are outside the box of an object, whose wheels are `wheels_m` behind its ends, or of an
-    element; else where pixels end before a side that they show."""
-    half, source = item.size_m / 2, seen.source
-    group, bound = ("traffic_elements", "elements") if item.is_element else ("objects", "boxes")
-    share = MAX_FACE_OUTSIDE if item.is_element else MAX_OUTSIDE
-    beyond_m = np.abs(seen.points) - half
-    outside, label = (beyond_m > ROOM_M).any(axis=1), f"{group}.{item.id}"
-    reason = f"{label}: expected its {source} in its box, got {{wrong}} of {{n}} up to {beyond_m.max():.2f} m outside"
-    yield from counted(f"{bound}.outside_{source}", outside, reason, MAX_SINGLE, share)
-    if outside.sum() > max(MAX_SINGLE, share * len(outside)) or not _is_whole(item) or seen.eye is None:
-        return
-    # The box of a person is around all steps, and the ends of a bicycle are thin.
-    of_car = _sides(half, seen.eye, seen.apart_m, wheels_m) if thing_of(item.id)[0] == "car" else ()
-    for axis, sign, side, most_m in _sides_of_face(item, seen.apart_m) if item.is_element else of_car:
-        gap_m = float(half[axis] - (sign * seen.points[:, axis]).max())
-        reason = f"expected its {source} to reach the {side} side of its box, got them {gap_m:.2f} m before it"
-        yield from judged(f"{bound}.gap_{source}_{side}", gap_m, f"{label}: {reason}", most=most_m)
-
-
-def _is_whole(item: ObjectLabel) -> bool:
-    """Whether it is in the image and seen as a whole."""
-    box, whole = item.box_px, item.unclipped_box_px
-    is_inside = item.truncation == 0 or (
-        item.is_element and box is not None and whole is not None and bool(np.allclose(box, whole))
-    )
-    return is_inside and (item.visible_fraction or 0.0) >= MIN_SEEN
-
-
-def _sides_of_face(item: ObjectLabel, apart_m: float) -> Iterator[SideLimit]:
-    """The sides of an element's face."""
-    most_m = MAX_FACE_GAP_M + (MAX_FACE_PART + OF_CORNER.get(item.category, 0.0)) * apart_m
-    yield from (SideLimit(axis, sign, side, most_m) for axis, sign, side in SIDES if axis != ALONG)
-
-
-def _sides(
-    half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], apart_m: float, wheels_m: float
-) -> Iterator[SideLimit]:
-    """The sides that pixels show: those of the outline, and an end that looks at the eye."""
-    for axis, sign, side in SIDES:
-        if axis != ALONG or sign * eye[axis] > half[axis] + BEYOND_M:
-            hidden_m = 0.0 if axis == ALONG else _hidden_m(half, eye, (axis, sign), wheels_m)
-            yield SideLimit(axis, sign, side, MAX_GAP_M + MAX_PART * apart_m + hidden_m)
-
-
-def _hidden_m(
-    half: Float[np.ndarray, "3"], eye: Float[np.ndarray, "3"], side: tuple[int, int], wheels_m: float
-) -> float:
-    """How far before a side what is set back from an object's nearer end may be hidden by this end: wheels under a
-    bumper from an eye above it, what stands on a roof from one below it, mirrors, the far side of a body that grows
-    wider."""
-    axis, sign = side
-    away_m, aside_m = max(abs(float(eye[ALONG])) - half[ALONG], 0.0), half[axis] - sign * eye[axis]
-    share, of_wheels = (back_m / (away_m + back_m) for back_m in (SET_BACK * half[ALONG], wheels_m))
-    if axis == UP and sign < 0 and aside_m * of_wheels > CLEARANCE_M:
-        return float(aside_m * of_wheels)
-    if axis != ACROSS:
-        return float(max(aside_m, 0.0) * share)
-    # A body hides its far side from an eye beyond the near one, and the mirror there from one beyond the middle.
-    mirror_m = min(aside_m * share, MIRROR_M) if sign * eye[axis] < 0 else 0.0
-    return float(max((aside_m - 2 * half[axis]) * share, mirror_m))
 
 
 # Labels measure shares with at least RAYS rays, passes with pixel centres, of which SLACK_PX may be of something else.
@@ -258,37 +113,40 @@ def _seen_share(evidence: Evidence, item: PlacedObject, box_px: Float[np.ndarray
 
 
 def check_elements(evidence: Evidence) -> Iterator[Result]:
-    """Findings about traffic elements in another state than their lights show."""
-    items = evidence.labels.traffic_elements
-    if items is None or "instance" not in evidence.has:
+    """Findings about signals whose dark lights are much brighter than their lit ones, or whose cross or arrow has the
+    other's colour."""
+    if evidence.image is None or "instance" not in evidence.has:
         return
-    for item in items:
-        yield from shining(evidence, item)
+    for item in evidence.labels.traffic_elements or ():
+        yield from shining(evidence, evidence.image, item)
 
 
-def shining(evidence: Evidence, item: ObjectLabel) -> Iterator[Result]:
-    """A signal whose dark lights are much brighter than its lit ones, or a cross or arrow of the other colour."""
-    if evidence.image is None or item.state is None or item.seen_box_px is None:
+def shining(evidence: Evidence, image: RgbImage, item: ObjectLabel) -> Iterator[Result]:
+    """The same of one signal, where it faces the camera and is seen as a whole."""
+    box, whole = item.box_px, item.unclipped_box_px
+    if item.state is None or item.seen_box_px is None or box is None or whole is None:
         return
     left, top, right, bottom = item.seen_box_px.tolist()
     faces_us = float(item.normal_cam @ item.center_cam) < -0.7 * float(np.linalg.norm(item.center_cam))
-    if bottom - top < MIN_ROWS or not faces_us or not _is_whole(item):
+    is_whole = (item.visible_fraction or 0.0) >= MIN_SEEN and np.allclose(box, whole)
+    if bottom - top < MIN_ROWS or not faces_us or not is_whole:
         return
     own = evidence.passes["instance"][top:bottom, left:right] == item.id
-    pixels = np.where(own[..., None], evidence.image[top:bottom, left:right], 0).astype(float)
+    pixels = np.where(own[..., None], image[top:bottom, left:right], 0).astype(float)
+    state = f"traffic_elements.{item.id}.state: expected"
     if item.category == "traffic_light":
         lights = [_brightest(part, part.any(axis=2)) for part in np.array_split(pixels, 3, axis=0)]
         lit = LIT[item.state]
         dark = [level for number, level in enumerate(lights) if number not in lit]
         off = max(dark, default=0.0) - min((lights[number] for number in lit), default=np.inf)
         levels = ", ".join(f"{level:.0f}" for level in lights)
-        reason = f"traffic_elements.{item.id}.state: expected {item.state} lights, got levels of {levels} from the top"
+        reason = f"{state} {item.state} lights, got levels of {levels} from the top"
         yield from judged("elements.dark_light", off, reason, most=BRIGHTER)
     elif item.state in HUES:
         chosen = pixels[pixels.max(axis=2) >= np.percentile(pixels.max(axis=2), 90)]
         hue = HUES[item.state] * float((chosen[:, 0] - chosen[:, 1]).mean())
-        got = f"expected the colour of {item.state}, got {-hue:.0f} levels of the other"
-        yield from judged("elements.hue", hue, f"traffic_elements.{item.id}.state: {got}", least=-LEAST_HUE)
+        got = f"{state} the colour of {item.state}, got {-hue:.0f} levels of the other"
+        yield from judged("elements.hue", hue, got, least=-LEAST_HUE)
 
 
 def _brightest(part: Float[np.ndarray, "h w 3"], own: Bool[np.ndarray, "h w"]) -> float:

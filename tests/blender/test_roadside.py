@@ -60,7 +60,7 @@ def test_every_structure_has_its_ids_where_its_body_is():
     assert len(boards) >= 2
     assert boards.min() >= len(world.site.structures) - len(world.site.elements) == len(KINDS)
     sample = Evidence(world, picture.labels, picture.image, picture.passes)
-    assert findings(sample, "ids", "objects") == []
+    assert findings(sample, "ids", "points") == []
     swapped = np.where(instance == instance_id("structure", 0), instance_id("structure", 5), instance)
     found = findings(replace(sample, passes={**picture.passes, "instance": swapped}), "ids")
     assert "pixels of structure 5 within its body" in found[0].reason

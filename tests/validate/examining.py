@@ -12,7 +12,7 @@ from synth3dlanes.scene.scene import from_json
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Bounded, Finding, Result, Signed, findings_of
+from synth3dlanes.validate.findings import Bounded, Finding, Result, findings_of
 from synth3dlanes.world.world import World, resolve
 
 
@@ -53,12 +53,6 @@ def numbers(evidence: Evidence, *names: str) -> dict[str, list[float]]:
         if isinstance(result, Bounded):
             found.setdefault(result.name, []).append(result.value)
     return found
-
-
-def signed(evidence: Evidence) -> dict[str, float]:
-    """The signed values by name."""
-    found = examine(evidence, "bias", "points", "ridges")
-    return {result.name: result.value for result in found if isinstance(result, Signed)}
 
 
 def seen(labels: Labels) -> Labels:

@@ -36,7 +36,7 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import PASSES as ALL_PASSES
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import FormatError
-from synth3dlanes.validate.made_again import compare
+from synth3dlanes.validate.likeness import compare
 from synth3dlanes.world.world import World, resolve
 from tests.validate import redone
 from tests.validate.faults import FAULTS, OF_STREETS, OF_WORKS, UNSEEN, WORLDS, Fault
@@ -107,16 +107,13 @@ def changed(scene: Scene, world: int) -> Scene:
     return change_scene(scene, NUMBERED[world].changes(scene))
 
 
-def render(
-    folder: Path, params: Params, seed: int, n: int, workers: int, few: int | None = None, only: str = ""
-) -> tuple[Path, list[Fault]]:
+def render(folder: Path, params: Params, seed: int, n: int, workers: int, only: str = "") -> tuple[Path, list[Fault]]:
     """A clean data set of n samples with all passes, and all faults with `only` in their names that may be planted in
-    it: worlds that do not need many samples in its first `few`."""
+    it."""
     recipe = Recipe(Scenes(params, seed, "train"), SETTINGS, IMAGE)
     clean = folder / "clean"
     assert generate(Plan(clean, n, recipe, workers), lambda event: None).exit_code == 0
-    worlds = [(w, world) for w, world in enumerate(WORLDS) if only in world.name]
-    counts = {w: n if world.needs_many or few is None else few for w, world in worlds}
+    counts = {w: n for w, world in enumerate(WORLDS) if only in world.name}
     return clean, [*FAULTS, *_worlds(folder / "worlds", recipe, counts, workers)]
 
 

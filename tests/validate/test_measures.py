@@ -196,37 +196,6 @@ def test_ground_truth_passes_its_own_check(hilly_scene):
     assert findings(picture_of(hilly_scene), "labels") == []
 
 
-def test_points_seen_through_a_car_and_points_hidden_by_nothing_are_faults():
-    car = Car(model=6, scale=1.0, color=(1, 1, 1), gloss=0.5, lane="main_2", s_m=-35.0)
-    sample = picture_of(FLAT.model_copy(update={"cars": (car,)}))
-    labels, host = sample.labels, "main_2"
-    assert host in {finding.lane for finding in findings(sample, "objects")}
-    far = {lane.id: lane.xyz_cam[:, 1] > 17 for lane in labels.lanes}
-    hidden = replace(
-        labels,
-        lanes=tuple(replace(lane, object_visible=~far[lane.id] | (lane.id != host)) for lane in labels.lanes),
-    )
-    assert host not in {finding.lane for finding in findings(replace(sample, labels=hidden), "objects")}
-    assert "where nothing is in the way" in reasons(Evidence(resolve(FLAT), hidden), "objects")
-
-
-def test_trunks_hide_points_behind_a_hill_from_underground():
-    """The lines of sight pass 0.3 m under the foot of a tree whose trunk begins 0.37 m under it."""
-    world = sample_world(Scenes(load_params("diverse"), 907, "train"), 43)
-    labels = seen(label(world, world.view))
-
-    def said(hidden):
-        lanes = tuple(
-            replace(lane, object_visible=~np.isin(np.arange(111), hidden)) if lane.id == "exit_1" else lane
-            for lane in labels.lanes
-        )
-        found = findings(Evidence(world, replace(labels, lanes=lanes)), "objects")
-        return " ".join(finding.reason for finding in found if finding.lane == "exit_1")
-
-    assert "nothing is in the way" not in said([106, 107, 108, 109])
-    assert "got 4 points as hidden where nothing is in the way" in said([40, 41, 42, 43])
-
-
 def test_black_white_and_pink_pictures_are_faults():
     gray = np.full((40, 60, 3), 120, np.uint8)
     scene = changed(camera={"width_px": 60, "height_px": 40})

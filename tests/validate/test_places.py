@@ -99,10 +99,9 @@ def test_paint_is_seen_within_its_own_line_and_outside_all_others(preset):
             points, _ = on_faces(mesh, rng)
             points = points[seen_over_ground(world.ground, camera.world_from_cam[:3, 3], points)]
             on = Seen(world, camera.world_from_cam[:3, 3], points, np.zeros(len(points)), {}).on_road
-            place = on.places
-            assert paint.beyond_m(id_, place).max(initial=-1) < MAX_BEYOND_M
+            assert paint.beyond_m(id_, on.xy_world).max(initial=-1) < MAX_BEYOND_M
             others = [other for other in paint.ids if other.startswith("main") and other != id_]
             if id_.startswith("main") and len(on):
-                assert min(paint.beyond_m(other, place).min() for other in others) > 1
+                assert min(paint.beyond_m(other, on.xy_world).min() for other in others) > 1
             n += len(on)
     assert n > 2000

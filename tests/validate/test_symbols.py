@@ -49,7 +49,7 @@ def scene_with(symbols: tuple[Symbol, ...], **parts: dict) -> Scene:
 def texts(of: Shot, scene: Scene | None = None) -> list[str]:
     """What the checks of symbols and paint say, by another scene if one is given."""
     sample = Evidence(resolve(scene or of.scene), of.labels, of.image, of.passes)
-    found = findings(sample, "symbols", "ids", "points", "pavement", "ridges", "objects")
+    found = findings(sample, "symbols", "ids", "points", "pavement", "ridges")
     return [f"{finding.lane} {finding.reason}".strip() for finding in found]
 
 

@@ -10,8 +10,8 @@ from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Finding, findings_of
-from synth3dlanes.validate.things import judge, shining, views_of
+from synth3dlanes.validate.findings import findings_of
+from synth3dlanes.validate.things import shining
 from synth3dlanes.world.world import resolve
 from tests.signals import signals_scene
 from tests.validate.examining import findings, reasons
@@ -43,40 +43,27 @@ def test_a_right_sample_has_no_findings(sample):
     items = sample.labels.traffic_elements
     assert len(items) == 9
     assert [item.visible_fraction for item in items if item.kind != "information"] == pytest.approx([1] * 8, abs=0.01)
-    assert findings(sample, "boxes", "elements", "labels") == []
+    assert findings(sample, "counts", "elements", "labels", "ids") == []
 
 
 def move(*by_m: float) -> Callable[[ObjectLabel], ObjectLabel]:
     return lambda item: replace(item, center_cam=item.center_cam + item.cam_from_object[:3, :3] @ np.array(by_m))
 
 
-def scale(*by: float) -> Callable[[ObjectLabel], ObjectLabel]:
-    return lambda item: replace(item, size_m=item.size_m * np.array(by))
-
-
-PLACES = {
-    **{f"{by} m aside": move(by, 0, 0) for by in (0.15, -0.15)},
-    **{f"{by} m up": move(0, 0, by) for by in (0.15, -0.15)},
-    **{f"{by} m on": move(0, by, 0) for by in (0.15, -0.15)},
-    **{f"width times {by}": scale(by, 1, 1) for by in (0.8, 1.3)},
-    **{f"height times {by}": scale(1, 1, by) for by in (0.8, 1.3)},
-}
-
-
-@pytest.mark.parametrize("fault", PLACES)
-def test_pixels_alone_tell_a_wrong_place_or_size(sample, fault):
-    def found(item: ObjectLabel) -> list[Finding]:
-        return [finding for view in views_of(sample, item) for finding in findings_of(judge(item, view))]
-
-    for item in (item_of(sample, "road_sign", kind="speed_50"), item_of(sample, "lane_signal")):
-        assert found(item) == []
-        assert found(PLACES[fault](item)), item.kind
+@pytest.mark.parametrize("group", ["signs", "signals"])
+@pytest.mark.parametrize("step", [{"x_m": 0.15}, {"height_m": 0.15}, {"y_m": -0.15}])
+def test_pixels_tell_that_the_scene_has_them_elsewhere(sample, group, step):
+    roadside = sample.scene.roadside
+    (name, by_m), (item, *others) = *step.items(), getattr(roadside, group)
+    moved = item.model_copy(update={name: getattr(item, name) + by_m})
+    scene = sample.scene.model_copy(update={"roadside": roadside.model_copy(update={group: (moved, *others)})})
+    assert "pixels of structure" in reasons(replace(sample, known_world=resolve(scene)), "ids")
 
 
 def test_pixels_alone_tell_a_wrong_share(sample):
     items = sample.labels.traffic_elements
     wrong = [replace(item, visible_fraction=item.visible_fraction - 0.01) for item in items]
-    found = [finding.reason for finding in findings(with_elements(sample, wrong), "boxes")]
+    found = [finding.reason for finding in findings(with_elements(sample, wrong), "counts")]
     expected = [f"traffic_elements.{item.id}.visible_fraction: expected {item.visible_fraction:g}" for item in items]
     assert [reason.partition(" by its pixels")[0] for reason in found] == expected
 
@@ -84,15 +71,15 @@ def test_pixels_alone_tell_a_wrong_share(sample):
 @pytest.mark.parametrize("state", ["green", "amber"])
 def test_lights_alone_tell_a_wrong_state(sample, state):
     for item in (item_of(sample, "traffic_light", state="red"), item_of(sample, "traffic_light", state="green")):
-        found = findings_of(shining(sample, replace(item, state=state)))
+        found = findings_of(shining(sample, sample.picture, replace(item, state=state)))
         assert bool(found) == (state != item.state)
 
 
 def test_colours_alone_tell_a_cross_from_an_arrow(sample):
     for state, other in (("red_cross", "green_arrow"), ("green_arrow", "red_cross")):
         item = item_of(sample, "lane_signal", state=state)
-        assert findings_of(shining(sample, item)) == []
-        assert findings_of(shining(sample, replace(item, state=other)))
+        assert findings_of(shining(sample, sample.picture, item)) == []
+        assert findings_of(shining(sample, sample.picture, replace(item, state=other)))
 
 
 def test_elements_that_are_not_those_of_the_scene_are_found(sample):
@@ -100,7 +87,7 @@ def test_elements_that_are_not_those_of_the_scene_are_found(sample):
     stop = next(number for number, item in enumerate(items) if item.kind == "stop")
 
     def told(changed: ObjectLabel) -> str:
-        return reasons(with_elements(sample, [*items[:stop], changed, *items[stop + 1 :]]), "boxes", "labels")
+        return reasons(with_elements(sample, [*items[:stop], changed, *items[stop + 1 :]]), "counts", "labels")
 
     assert "kind: expected" in told(replace(items[stop], kind="give_way"))
     assert "category: expected" in told(replace(items[stop], category="traffic_light"))
