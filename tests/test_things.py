@@ -262,7 +262,7 @@ def test_hundreds_of_delimiters_are_told_apart_by_all_readers(tmp_path):
     assert len(names) > 256
 
     evidence = Evidence(recipe.world(0), sample.labels, sample.image, ids)
-    assert findings(evidence, "ids", "points", "cars", "appearance", "bias") == []
+    assert findings(evidence, "ids", "points", "cars", "appearance") == []
 
     numbers = numbers_of("delimiter", ids["instance"])
     seen = {names[number] for number in np.unique(numbers[numbers >= 0]).tolist()}
