@@ -96,9 +96,11 @@ class Ground:
         terrain_m = height_at(self.network.terrain, xy)
         above_m, most_m = limits_m or self.paved.limits(xy)
         over_m = points_world[:, 2] - terrain_m
-        raised_m = max((raised_m for _, raised_m in self.paved.raised), default=0.0)
-        found, is_near = over_m < above_m, over_m < most_m + raised_m
-        is_near &= ~found
+        found = over_m < above_m
+        is_near = ~found & (over_m < most_m)
+        for polygon, raised_m in self.paved.raised:
+            kerb = np.flatnonzero(~found & ~is_near & (over_m < most_m + raised_m))
+            is_near[kerb[contains(polygon, xy[kerb])]] = True
         above_m[is_near] = self.paved.above(xy[is_near])
         for span in self.paved.spans:
             is_near |= contains(span.area, xy)

@@ -27,9 +27,8 @@ from synth3dlanes.world.meshes import MEDIAN, ROAD, SHOULDER, Mesh, grid, where,
 from synth3dlanes.world.paved_areas import GroundArea, PavedAreas
 from synth3dlanes.world.solids import Body
 
-# Cells of junctions, and faces of the kerbs around them, by how far these are
-# from the host.
-CELLS_M, KERBS_M, CELLS_TO_M = (0.75, 1.5, 4.0), (1.0, 2.0, 4.0), (60.0, 150.0)
+# Cells of junctions, and faces of the kerbs around them, by how far these are from the host.
+CELLS_M, KERBS_M, CELLS_TO_M = (1.0, 2.5, 10.0), (1.0, 2.5, 10.0), (60.0, 150.0)
 # What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M down.
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
@@ -269,12 +268,13 @@ def _area_meshes(paved: PavedAreas) -> list[Mesh]:
 
 def _area_faces(paved: PavedAreas, areas: Sequence[GroundArea]) -> list[_AreaFaces]:
     """The faces of areas: grids of cells, cut at their borders."""
-    wide = [_wide(paved, area) for area in areas]
     middles, radii_m = np.zeros((len(areas), 2)), np.zeros(len(areas))
     if areas:
-        low, high = np.split(shapely.bounds(wide), 2, axis=1)
+        low, high = np.split(shapely.bounds([area.polygon for area in areas]), 2, axis=1)
         middles, radii_m = (low + high) / 2, np.hypot(*(high - low).T) / 2
     far = np.searchsorted(CELLS_TO_M, paved.way.away_at(middles) - radii_m)
+    # Gaps beside those farthest away would be less than a pixel.
+    wide = [area.polygon if at == len(CELLS_TO_M) else _wide(paved, area) for area, at in zip(areas, far, strict=True)]
     found: list[_AreaFaces | None] = [None] * len(areas)
     for distance, (cell_m, kerb_m) in enumerate(zip(CELLS_M, KERBS_M, strict=True)):
         own = np.flatnonzero(far == distance).tolist()
