@@ -62,8 +62,8 @@ def host_stations(network: Network, camera: HostCamera, driven_m: Float[np.ndarr
 
 def car_at(network: Network, car: Car, time_s: float, where: str = "car") -> Car:
     """A car some seconds after the clip's start, with its speed then. Raises InputError, which begins with `where`, for
-    one that is not in its lane at the start, and where its lanes do not reach."""
-    lane = network.lanes[car.lane]
+    one that is not in its lane at the start, and where its lanes do not reach; and as `Network.path` for its lane."""
+    lane = next(at for at in network.path(car.lane).lanes if at.id == car.lane)
     low_m, high_m = sorted((lane.start_m * network.onwards, lane.end_m * network.onwards))
     if not low_m - ENDS_M <= car.s_m <= high_m + ENDS_M:
         raise InputError(f"{where}.s_m: expected {low_m:g} to {high_m:g} m in lane {car.lane}, got {car.s_m:g}")

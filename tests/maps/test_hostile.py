@@ -3,6 +3,7 @@
 import gzip
 import hashlib
 import math
+import re
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -59,7 +60,8 @@ HOSTILE = {
     "attributes by default": (
         (f'<!DOCTYPE x [<!ATTLIST a {" ".join(f"k{i} CDATA {chr(39)}v{chr(39)}" for i in range(5000))}>]><OpenDRIVE>'
          + "<a/>" * 100_000 + "</OpenDRIVE>").encode(), NO_TYPE),
-    "not gzip": (b"\x1f\x8bnothing", "expected data of gzip, got Error -3"),
+    "not gzip": (b"\x1f\x8bnothing of it", "expected data of gzip, got Unknown compression method"),
+    "gzip and more": (gzip.compress(b"<OpenDRIVE/>") + b"more", "expected data of gzip, got Not a gzipped file"),
     "gzip cut off": (gzip.compress(b"<OpenDRIVE/>")[:-9], "expected data of gzip, got a file that is cut off"),
     "depth": (b"<OpenDRIVE>" + b"<a>" * 100_000 + b"</a>" * 100_000 + b"</OpenDRIVE>", "within each other"),
     "no roads": (opendrive(), "expected 1 to 100000 roads, got 0"),
@@ -146,6 +148,16 @@ def test_a_compressed_file_is_the_map_in_it_with_the_digest_of_the_file(tmp_path
     assert found.text() == plain.text()
     assert found.roads == plain.roads
     assert found.digest == hashlib.sha256(packed).hexdigest() != plain.digest
+
+
+def test_members_of_gzip_are_one_file_and_prefixes_of_namespaces_do_not_count() -> None:
+    data = opendrive(road(LINE))
+    plain = read_opendrive(data, "x.xodr", "map x")
+    parts = gzip.compress(data[:300]) + gzip.compress(data[300:])
+    prefixed = re.sub(rb"<(/?)(\w)", rb"<\1od:\2", data).replace(b"<od:OpenDRIVE", b'<od:OpenDRIVE xmlns:od="u"')
+    for other in (parts, prefixed):
+        found = read_opendrive(other, "x.xodr", "map x")
+        assert (found.roads, found.left_out) == (plain.roads, plain.left_out)
 
 
 def test_a_compressed_file_is_decompressed_up_to_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,7 @@
 """The XML of a given map: parsed with bounds and without a document type, and its attributes as numbers."""
 
+import gzip
+import io
 import math
 import zlib
 from collections import Counter
@@ -14,7 +16,7 @@ from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import shown
 
 # As gzip compresses (.xodrz).
-GZIP_MAGIC, GZIP_BITS = b"\x1f\x8b", 31
+GZIP_MAGIC = b"\x1f\x8b"
 # Far above the files of towns, which have 20 MB in 300,000 elements.
 MAX_FILE_BYTES, MAX_ELEMENTS, MAX_DEPTH = 256 << 20, 5_000_000, 50
 # The largest number: coordinates in a UTM grid have up to seven digits.
@@ -26,21 +28,20 @@ def inflated(data: bytes, where: str) -> bytes:
     MAX_FILE_BYTES."""
     if not data.startswith(GZIP_MAGIC):
         return data
-    stream = zlib.decompressobj(GZIP_BITS)
     try:
-        found = stream.decompress(data, MAX_FILE_BYTES + 1)
-    except zlib.error as error:
+        found = gzip.GzipFile(fileobj=io.BytesIO(data)).read(MAX_FILE_BYTES + 1)
+    except EOFError:
+        raise FormatError(f"{where}: expected data of gzip, got a file that is cut off") from None
+    except (gzip.BadGzipFile, zlib.error) as error:
         raise FormatError(f"{where}: expected data of gzip, got {error}") from None
     if len(found) > MAX_FILE_BYTES:
         raise FormatError(f"{where}: expected at most {MAX_FILE_BYTES:,} bytes in the compressed file, got more")
-    if not stream.eof:
-        raise FormatError(f"{where}: expected data of gzip, got a file that is cut off")
     return found
 
 
 def parse_xml(data: bytes, where: str) -> Element:
-    """The root of a document. Raises FormatError, with one line that begins with `where`, for what is no XML, declares
-    a document type or is absurdly large or deep."""
+    """The root of a document, its tags without prefixes of namespaces. Raises FormatError, with one line that begins
+    with `where`, for what is no XML, declares a document type or is absurdly large or deep."""
     builder, depth, count = TreeBuilder(), 0, 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -50,12 +51,12 @@ def parse_xml(data: bytes, where: str) -> Element:
             raise FormatError(
                 f"{where}: expected at most {MAX_ELEMENTS} elements, {MAX_DEPTH} within each other, got more"
             )
-        builder.start(tag, attributes)
+        builder.start(tag.rpartition(":")[2], attributes)
 
     def end(tag: str) -> None:
         nonlocal depth
         depth -= 1
-        builder.end(tag)
+        builder.end(tag.rpartition(":")[2])
 
     def refuse(*_: object) -> None:
         # Its entities and the defaults of its attributes make a small file large.

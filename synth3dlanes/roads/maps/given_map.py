@@ -223,7 +223,7 @@ def read_packed(read: FileReader, data: bytes, source: str, where: str) -> Given
 def read_opendrive(data: bytes, source: str, where: str) -> GivenMap:
     """The map in the bytes of a file named `source`, as they are or of gzip; FormatErrors begin with `where`."""
     root = parse_xml(inflated(data, where), where)
-    if root.tag.rpartition("}")[2].rpartition(":")[2] != "OpenDRIVE":
+    if root.tag != "OpenDRIVE":
         raise FormatError(f"{where}: expected an OpenDRIVE file, got one of {shown(root.tag)}")
     try:
         return _read(root, hashlib.sha256(data).hexdigest(), packed(data), source, where)
