@@ -1,9 +1,23 @@
-"""Labels in closed form: parallel lines on a road plane with a chosen curvature, slope and camera."""
+"""Labels in closed form: parallel lines on a road plane with a chosen curvature, slope and camera; strategies of such
+roads and cameras."""
 
 import numpy as np
+from hypothesis import strategies as st
 
-from synth3dlanes.formats.writing import PinholeFrame
+from synth3dlanes.formats.writing import CV_FROM_CAM, PinholeFrame
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
+
+ROUNDING_M = 2e-6
+# Built inside the tests: the shape checks draw random numbers, which Hypothesis forbids in a strategy.
+cameras = st.tuples(st.floats(1.4, 1.9), st.floats(0.0, 0.0873))
+roads = st.fixed_dictionaries(
+    {
+        "n_lines": st.integers(2, 5),
+        "width_m": st.floats(3.2, 4.0),
+        "curvature": st.floats(-0.004, 0.004),
+        "slope": st.floats(-0.0008, 0.0015),
+    }
+)
 
 
 def frame(pinhole, **changes):
@@ -56,3 +70,9 @@ def road(camera, n_lines=4, width_m=3.6, curvature=0.0, slope=0.0, end_m=110.0):
         for i, x in enumerate(x_m[:-1])
     ]
     return labels_of(camera, *delimiters, *centers)
+
+
+def distance_to_lane_m(points_cv, lane):
+    """How far each point is from the nearest sample of a lane."""
+    lane_cv = lane.xyz_cam @ CV_FROM_CAM.T
+    return np.linalg.norm(points_cv[:, None] - lane_cv, axis=2).min(axis=1)

@@ -13,7 +13,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.system.errors import FormatError
 from tests import fake_samples
-from tests.formats.problems import problems
+from tests.formats.planting import problems
 from tests.scenes import FLAT
 
 CHANGES = (

@@ -1,10 +1,13 @@
-"""Faults in the files of an export: what is read of a file is changed, and written again."""
+"""Faults in the files of an export: what is read of a file is changed, and written again; what `verify` finds then."""
 
 import json
 from xml.etree import ElementTree
 
 import numpy as np
 from pyarrow import Table, feather, parquet
+
+from synth3dlanes.formats.export import Export
+from synth3dlanes.formats.verify import verify
 
 
 def _rows(read, write):
@@ -65,3 +68,9 @@ def swapped_tracks(instant, track):
             row[track] = name
 
     return change
+
+
+def problems(source, out, format_name, most_frames=100):
+    """All problems of all lists."""
+    results = verify(Export(str(source), out, format_name), most_frames)
+    return [problem for result in results for problem in result.problems]

@@ -10,7 +10,6 @@ from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.formats.argoverse2 import mark_type
 from synth3dlanes.formats.argoverse2 import write as annotate
 from synth3dlanes.formats.comparing_maps import goes_back, on_line
 from synth3dlanes.formats.export import Export
@@ -262,15 +261,6 @@ def test_a_boundary_goes_with_or_against_the_paint_that_it_runs_along(length_m):
     for points, is_back in ((boundary, False), (boundary[::-1], True)):
         assert goes_back(points, paint) is is_back
         assert _is_against(paint[:, :2], points) is is_back
-
-
-def test_mark_types():
-    assert mark_type("none", None, None) == "NONE"
-    assert mark_type("dashed", "white", False) == "DASHED_WHITE"
-    assert mark_type("solid", "yellow", True) == "DOUBLE_SOLID_YELLOW"
-    assert mark_type("solid", "yellow", True, "solid_dashed") == "SOLID_DASH_YELLOW"
-    assert mark_type("solid", "white", True, "dashed_solid") == "DASH_SOLID_WHITE"
-    assert mark_type("dashed", "yellow", True) == "DOUBLE_DASH_YELLOW"
 
 
 def test_thinned_lines_stay_within_the_limit():

@@ -27,7 +27,7 @@ from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests import fake_samples
 from tests.formats import closed_form as cf
-from tests.formats.problems import problems
+from tests.formats.planting import problems
 from tests.map_scenes import ARM_M, FOUR_WAY, map_scene
 from tests.scenes import FLAT, changed
 

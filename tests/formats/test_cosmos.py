@@ -18,7 +18,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats import cosmos as of_tables
 from synth3dlanes.formats.comparing import SourceSample
-from synth3dlanes.formats.cosmos import FOLDERS, ClipFiles, CosmosClip, fitted, line_style, video_problems
+from synth3dlanes.formats.cosmos import FOLDERS, ClipFiles, CosmosClip, fitted, video_problems
 from synth3dlanes.formats.cosmos_videos import (
     Scenario,
     depth_picture,
@@ -43,8 +43,7 @@ from synth3dlanes.system.files import replacing
 from synth3dlanes.world.world import resolve
 from tests import fake_samples
 from tests.formats import closed_form as cf
-from tests.formats.planting import other
-from tests.formats.problems import problems
+from tests.formats.planting import other, problems
 from tests.thorough import first
 
 FRONT, REAR = "camera_front_wide_120fov", "camera_rear_left_70fov"
@@ -389,12 +388,6 @@ def test_edges_by_the_definition() -> None:
     faint = np.full((40, 60, 3), 60, np.uint8)
     faint[:, 30:] = 80
     assert not edges(faint).any()
-
-
-def test_names_of_paint() -> None:
-    assert line_style("solid", False, "solid_dashed") == "DASHED_SOLID", "theirs begins at the right"
-    assert line_style("dashed", False, None) == "LONG_DASHED_SINGLE"
-    assert line_style("none", None, None) == "VIRTUAL"
 
 
 def test_what_is_beside_and_behind_a_fisheye_does_not_darken_its_depth_video() -> None:

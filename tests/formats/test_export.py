@@ -93,16 +93,20 @@ def test_of_two_exports_the_second_says_so(dataset, tmp_path, monkeypatch):
     """However far the first has come: before its `export.json` has its name, and while it writes."""
     told, rename = [], os.replace
 
+    def refused(*_):
+        with pytest.raises(ClaimedError, match="expected no other export at work here, got one; wait until"):
+            Export(str(dataset), tmp_path, "tusimple").write()
+
     def meanwhile(*names, **folders):
         monkeypatch.setattr(os, "replace", rename)
-        with pytest.raises(ClaimedError, match="expected no other export at work here, got one; wait"):
-            Export(str(dataset), tmp_path, "tusimple").write()
+        refused()
         told.append(names)
         rename(*names, **folders)
 
     monkeypatch.setattr(os, "replace", meanwhile)
-    Export(str(dataset), tmp_path, "tusimple").write()
+    first = Export(str(dataset), tmp_path, "tusimple").write(progress=refused)
     assert [str(name) for _, name in told] == ["export.json"]
+    assert Export(str(dataset), tmp_path, "tusimple").write() == first
 
 
 def test_counts_add_up_and_the_readme_names_every_reason(exported):

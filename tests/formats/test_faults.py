@@ -10,7 +10,7 @@ from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.plan import open_reader
 from tests.formats.faults import FAULTS, PLANTED
-from tests.formats.problems import problems
+from tests.formats.planting import problems
 from tests.formats.test_segmentation import passes_of
 from tests.thorough import first
 

@@ -18,7 +18,7 @@ from synth3dlanes.formats import export
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.nuscenes import scene_name
 from synth3dlanes.formats.nuscenes import write as annotate
-from synth3dlanes.formats.nuscenes_maps import arcline_paths, segment_type
+from synth3dlanes.formats.nuscenes_maps import arcline_paths
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import Sweep
@@ -333,13 +333,6 @@ def test_arcs_of_a_spiral_stay_within_a_centimetre_and_follow_each_other():
         first, last = (np.argmin(np.linalg.norm(points - arc[end][:2], axis=1)) for end in ("start_pose", "end_pose"))
         off = np.linalg.norm(points[first : last + 1] - center, axis=1) - r
         assert np.abs(off).max() <= 0.0101
-
-
-def test_names_of_paint():
-    assert segment_type("none", None, None) == "NIL"
-    assert segment_type("dashed", "white", False) == "SINGLE_DASHED_WHITE"
-    assert segment_type("solid", "yellow", True) == "DOUBLE_SOLID_YELLOW"
-    assert segment_type("solid", "white", True, "solid_dashed") == "SOLID_DASHED_WHITE"
 
 
 def test_points_ahead_of_the_lidar_have_a_positive_y_and_those_to_the_right_a_positive_x():

@@ -2,17 +2,15 @@
 
 import json
 import sys
-import threading
 import tomllib
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import format_names, open_format
-from synth3dlanes.system.errors import ClaimedError, InputError
-from tests.formats.problems import problems
+from synth3dlanes.system.errors import InputError
+from tests.formats.planting import problems
 
 NEWCOMER = Path(__file__).parents[2] / "examples/own_format"
 CODE = (NEWCOMER / "acme_lanes.py").read_text()
@@ -119,27 +117,3 @@ def test_an_unknown_format_is_a_line_with_all_names(dataset, tmp_path):
     assert refused.exit_code == 2
     assert refused.output.startswith("--format: expected one of apollo, ")
     assert refused.output.endswith("got 'acme'\n")
-
-
-def test_of_two_exports_into_a_folder_at_once_one_is_refused(dataset, tmp_path):
-    out, is_writing, is_refused, said = tmp_path / "out", threading.Event(), threading.Event(), []
-
-    def wait(done, total):
-        is_writing.set()
-        assert is_refused.wait(60)
-
-    def write():
-        said.append(Export(str(dataset), out, "once").write(progress=wait))
-
-    thread = threading.Thread(target=write)
-    thread.start()
-    try:
-        assert is_writing.wait(60)
-        with pytest.raises(
-            ClaimedError, match=r"expected no other export at work here, got one; wait until it is done$"
-        ):
-            Export(str(dataset), out, "once").write()
-    finally:
-        is_refused.set()
-        thread.join()
-    assert Export(str(dataset), out, "once").write() == said[0]

@@ -16,7 +16,7 @@ from synth3dlanes.formats.plan import open_reader
 from synth3dlanes.formats.yolo import document as settings_of_yolo
 from synth3dlanes.formats.yolo import outline
 from synth3dlanes.scene.things import SEMANTIC_IDS
-from tests.formats.problems import problems
+from tests.formats.planting import problems
 from tests.thorough import first
 
 CAR_BOX, TREE_BOX = (slice(200, 240), slice(100, 180)), (slice(40, 120), slice(300, 330))
