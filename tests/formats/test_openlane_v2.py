@@ -1,4 +1,4 @@
-"""OpenLane-V2: the devkit's rules, the map behind the labels; traffic elements by hand, and faults that verify finds."""
+"""OpenLane-V2: the devkit's rules, the map behind the labels; traffic elements by hand; faults that verify finds."""
 
 import json
 import re
