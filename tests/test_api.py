@@ -109,6 +109,7 @@ def test_maps_that_are_none_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.render
 def test_a_data_set_on_a_map(tmp_path: Path) -> None:
     params, path = synth3dlanes.load_params("tiny", ["trees.n=0", "cars.n=1"]), a_map(tmp_path)

@@ -59,6 +59,7 @@ def edited_yaml(draw, data):
 
 @pytest.mark.parametrize("name", READERS)
 @given(data=st.data())
+@files
 def test_settings(tmp_path_factory, name, data):
     whole = (presets_folder() / name).read_bytes()
     path = tmp_path_factory.getbasetemp() / "x.yaml"

@@ -162,7 +162,7 @@ def test_a_mistake_is_told_with_the_file_that_has_it(in_tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("changes", [(), ("road.lane_width_m=[3, 3.25]", "weather.headlights=false")])
-@pytest.mark.parametrize("name", ["streets", "town", "tiny"])
+@pytest.mark.parametrize("name", ["streets", "tiny"])
 def test_what_is_shown_of_a_file_is_short_and_equal(name: str, changes: tuple[str, ...], in_tmp_path: Path) -> None:
     """Of a file with a base, and of today's complete files, which say the same."""
     Path("ours.yaml").write_text(OURS.replace("streets", name))

@@ -133,6 +133,7 @@ def facing_outwards(mesh: bpy.types.Mesh) -> dict[str, list[bool]]:
     return seen
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", range(len(CARS)), ids=[m.name for m in CARS])
 def test_what_is_seen_of_a_car_faces_outwards(assets: LoadedAssets, number: int) -> None:
     """Seen from its back, a coated face reflects like a mirror: a tyre would be white."""
@@ -143,6 +144,7 @@ def test_what_is_seen_of_a_car_faces_outwards(assets: LoadedAssets, number: int)
     assert {name: np.mean(faces) for name, faces in seen.items() if np.mean(faces) < 0.98} == {}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "number"), MODELS, ids=MODEL_NAMES)
 def test_what_is_seen_of_a_thing_faces_outwards(assets: LoadedAssets, kind: ThingKind, number: int) -> None:
     seen = facing_outwards(assets.things[kind][number][-1])
@@ -177,6 +179,7 @@ def test_every_material_has_its_semantic_id(assets: LoadedAssets, materials: Mat
         assert [material.pass_index for material in group] == [semantic_id] * len(group)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("path", sorted((assets_dir() / "textures").glob("*.jpg")), ids=lambda path: path.stem)
 def test_textures_tile(path: Path) -> None:
     with Image.open(path) as picture:

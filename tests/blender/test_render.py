@@ -63,7 +63,7 @@ def test_rendered_surface_agrees_with_label_points_within_40_m():
     """Median depth error under 1 cm; 99 % of points within 2 cm of the rendered surface, measured along its normal
     (at a crest one pixel spans metres of depth, so that depth alone would judge the interpolation)."""
     errors, gaps = [], []
-    for index in range(4):
+    for index in range(2):
         scene = sample_scene(Scenes(BARE, 7, "test"), index)
         result = rendered(scene)
         for lane in result.labels.lanes:
@@ -80,14 +80,14 @@ def test_rendered_surface_agrees_with_label_points_within_40_m():
             errors.append(np.abs(error * points_cam[clear, 1]))
             gaps.append(np.abs(error * ((points_cam[clear] @ world_from_cam[:3, :3].T) * normals).sum(axis=1)))
     errors, gaps = np.concatenate(errors), np.concatenate(gaps)
-    assert len(errors) > 500
+    assert len(errors) > 250
     assert np.median(errors) < 0.01
     assert np.percentile(gaps, 99) < 0.02
 
 
 def test_terrain_visible_agrees_with_the_depth_of_a_scene_without_objects():
     right, total = 0, 0
-    for index in range(4):
+    for index in range(2):
         scene = sample_scene(Scenes(BARE, 8, "test"), index).model_copy(update={"cars": (), "trees": ()})
         result = rendered(scene)
         for lane in result.labels.lanes:
@@ -98,7 +98,7 @@ def test_terrain_visible_agrees_with_the_depth_of_a_scene_without_objects():
             seen = depth > y * 0.985 - 0.05
             right += (seen == lane.terrain_visible[lane.in_image])[clear].sum()
             total += clear.sum()
-    assert total > 700
+    assert total > 350
     assert right / total > 0.995
 
 
@@ -223,7 +223,7 @@ def test_our_projection_is_blenders_even_off_centre_and_with_oblong_pixels():
 
 def test_object_visible_agrees_with_the_instance_pass():
     right, hidden, total = 0, 0, 0
-    for index in range(3):
+    for index in range(2):
         result = rendered(
             sample_scene(Scenes(load_params("appendix_i", ["cars.n=20", "trees.n=300"]), 3, "test"), index)
         )

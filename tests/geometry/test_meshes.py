@@ -163,8 +163,7 @@ def test_no_ground_comes_up_where_the_exits_pavement_meets_the_main_one(topology
     assert (heights_at(world.site.surfaces.terrain, seam[:, :2]) < seam[:, 2] - 0.1).all()
 
 
-@pytest.mark.parametrize("topology", [1, 2, 3, 4])
-@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize(("topology", "flip"), [(1, False), (2, True), (3, False), (4, True)])
 def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
     world = world_of(topology, flip_lateral=flip)
     terrain = world.site.surfaces.terrain

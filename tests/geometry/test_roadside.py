@@ -188,7 +188,7 @@ def test_things_keep_the_distance_that_they_are_told(kind, n):
     for apart_m in (12, 60):
         params = load_params("streets", [f"roadside.{n}", "roadside.n_bridges=0", f"structures.{key}={apart_m}"])
         gaps = []
-        for index in range(6):
+        for index in range(3):
             roadside = sample_world(Scenes(params, 0, "apart"), index).scene.roadside
             things = [post for post in roadside.posts if post.kind == "sign"] if kind == "sign" else roadside.crossings
             gaps += np.diff(sorted(thing.s_m for thing in things)).tolist()
