@@ -134,12 +134,6 @@ def test_stats_of_a_data_set(run: Run, folder: Path, in_tmp_path: Path) -> None:
     assert {"grade [%]", "curvature [1/km]"} <= {row["name"] for row in document["labels"]}
 
 
-@pytest.mark.parametrize("arguments", [[], ["d", "--params", "tiny"], ["d", "--seed", "3"], ["d", "--set", "cars.n=1"]])
-def test_stats_is_of_one_thing(run: Run, arguments: list[str]) -> None:
-    result = run("stats", *arguments)
-    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
-
-
 def test_gallery_shows_what_a_query_selects(run: Run, folder: Path, in_tmp_path: Path) -> None:
     from synth3dlanes.dataset.read import Reader
 
@@ -169,17 +163,6 @@ def test_pages(run: Run, folder: Path, in_tmp_path: Path) -> None:
     assert (both["page"], both["figure"]) == ("b.html", "b.png")
 
 
-def test_passes_that_are_not_there(run: Run, folder: Path, in_tmp_path: Path) -> None:
-    for arguments, expected in (
-        (("gallery", folder, "--show", "depth"), f"--show depth: {folder}/train was made without this pass"),
-        (("inspect", f"{folder}/train:3", "--passes"), f"--passes: expected {folder}/train:3 to have passes, got none"),
-    ):
-        result = run(*arguments)
-        assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
-        assert expected in result.stderr
-    assert list(in_tmp_path.iterdir()) == []
-
-
 def test_split_info_and_merge(run: Run, folder: Path, in_tmp_path: Path) -> None:
     assert "complete" in run("info", folder).stdout
     result = run("split", f"{folder}/train", "--into", "train=3,val=1", "--out", "s")
@@ -195,13 +178,6 @@ def test_split_info_and_merge(run: Run, folder: Path, in_tmp_path: Path) -> None
     assert run("merge", folder, "--out", "m").stdout == "m/train: 12 samples\n"
     again = run("merge", folder, folder, "--out", "n")
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
-
-
-@pytest.mark.parametrize("shares", ["", "train", "train=0", "a=1,a=1", "../up=1", "a=-1"])
-def test_shares_that_are_none(run: Run, folder: Path, in_tmp_path: Path, shares: str) -> None:
-    result = run("split", f"{folder}/train", "--out", "s", "--into", shares)
-    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (2, "", 1)
-    assert list(in_tmp_path.iterdir()) == []
 
 
 def test_an_export_of_no_frame_fails(run: Callable[..., Result], in_tmp_path: Path) -> None:

@@ -26,19 +26,6 @@ from synth3dlanes.system.schema import did_you_mean
 Run = Callable[..., Result]
 
 
-@pytest.mark.thorough
-def test_nothing_is_cut_where_nobody_draws_a_screen(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    scene = run("sample").stdout
-    with open("s.json", "w") as file:
-        file.write(scene)
-    for command in (("stats", "--params", "streets", "--n", 3), ("inspect", "s.json")):
-        told = run(*command)
-        assert told.exit_code == 0, told.output
-        assert "…" not in told.stdout
-        assert max(map(len, told.stdout.splitlines())) > 80
-
-
 @pytest.mark.parametrize("width", [100, 120])
 def test_on_a_narrow_terminal_every_number_is_whole(width: int) -> None:
     params = load_params("streets")
@@ -95,11 +82,6 @@ def test_names_are_completed(words: str, expected: set[str]) -> None:
 )
 def test_the_word_that_was_meant(word: str, known: list[str], meant: str | None) -> None:
     assert did_you_mean(word, known) == (f"; did you mean {meant}?" if meant else "")
-
-
-def test_it_is_asked_on_the_command_line(run: Run) -> None:
-    assert "did you mean hdl_64e?" in run("generate", "--n", 1, "--out", "d", "--lidar", "hdl64e").stderr
-    assert "did you mean streets?" in run("sample", "--params", "street").stderr
 
 
 @pytest.mark.parametrize(("text", "number"), [("1e3", 1000), ("3E5", 300000), ("2.0e2", 200), ("7", 7), ("1e+2", 100)])

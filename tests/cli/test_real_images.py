@@ -70,17 +70,6 @@ def test_the_true_lanes_score_perfectly_and_only_with_the_true_camera(run, expor
         assert min(found[1:]) > 0.2
 
 
-def test_a_score_is_one_line(run, exported):
-    result = run(
-        *("evaluate", exported / "labels.json", "--predictions", exported / "p.jsonl"),
-        *("--intrinsics", f"{FOCAL_PX},{FOCAL_PX},640,360"),
-    )
-    n = len(documents(exported / "labels.json"))
-    assert result.output.startswith("tuSimple: accuracy 1.0000, FP 0.0000, FN 0.0000 ")
-    assert f"({n} images, " in result.output
-    assert len(result.output.splitlines()) == 1
-
-
 def test_predict_and_evaluate_take_the_same_camera(run, exported):
     """The file that `predict` writes scores as the checkpoint does, on pictures without any road."""
     options = ("--intrinsics", f"{FOCAL_PX},{FOCAL_PX},640,360", "--threshold", "0.01")
@@ -99,31 +88,6 @@ def test_predict_and_evaluate_take_the_same_camera(run, exported):
     np.testing.assert_allclose(a, b, atol=0.02)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        (("--checkpoint", "nano"), "labels.json: expected --intrinsics FX,FY,CX,CY of its camera"),
-        (("--checkpoint", "nano", "--intrinsics", "1,2,3"), "expected FX,FY,CX,CY or a calibration file, got '1,2,3'"),
-        (("--intrinsics", "1,1,1,1"), "expected --checkpoint or --predictions"),
-        (
-            ("--checkpoint", "nano", "--intrinsics", "1,1,1,1", "--plots", "x.png"),
-            "--plots has no effect on photographs",
-        ),
-    ],
-)
-def test_what_is_missing_is_said_in_a_line(run, exported, arguments, problem):
-    result = run("evaluate", exported, *arguments)
-    assert result.exit_code == 2
-    assert problem in result.output.splitlines()[-1]
-    assert "Traceback" not in result.output
-
-
-def test_predict_of_a_label_file_needs_the_camera(run, exported):
-    result = run("predict", "nano", exported, "--out", "found")
-    assert result.exit_code == 2
-    assert "expected --intrinsics FX,FY,CX,CY of its camera" in result.output
-
-
 def test_a_folder_with_several_label_files_is_asked_which(run, tmp_path):
     frame = {"raw_file": "1.jpg", "lanes": [[1, 2]], "h_samples": [400, 410]}
     for name in ("a.json", "b.json"):
@@ -131,9 +95,3 @@ def test_a_folder_with_several_label_files_is_asked_which(run, tmp_path):
     result = run("evaluate", tmp_path, "--checkpoint", "nano", "--intrinsics", "1,1,1,1")
     assert result.exit_code == 2
     assert "expected one of its label files, a.json, b.json" in result.output
-
-
-def test_intrinsics_are_for_photographs(run, folder):
-    result = run("evaluate", folder / "train", "--checkpoint", "nano", "--intrinsics", "1,1,1,1")
-    assert result.exit_code == 2
-    assert "expected a label file of tuSimple or a folder with one, or --lane-masks" in result.output

@@ -116,25 +116,6 @@ def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileS
     assert "s3://lanes/nowhere: expected a data set or one of its splits, got no folder\n" in result.stderr
 
 
-@pytest.mark.thorough
-def test_split_and_merge_write_to_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
-    shares = ("--into", "train=2,val=1")
-    assert run("split", f"{folder}/train", *shares, "--out", "parts").exit_code == 0
-    for _ in range(2):
-        result = run("split", f"{folder}/train", *shares, "--out", "s3://lanes/parts")
-        assert result.stdout == "s3://lanes/parts/train: 8 samples\ns3://lanes/parts/val: 4 samples\n", result.output
-        assert files_at(store, "lanes/parts") == files_in(Path("parts"))
-        store.rm("lanes/parts/train", recursive=True)
-    assert run("split", f"{folder}/train", *shares, "--out", "s3://lanes/parts").exit_code == 0
-    assert run("merge", "s3://lanes/parts", "--out", "s3://lanes/merged").exit_code == 0
-    assert files_at(store, "lanes/merged") == files_in(Path("parts"))
-    assert run("merge", "s3://lanes/merged", "--out", "here").exit_code == 0
-    assert files_in(Path("here")) == files_in(Path("parts"))
-    result = run("split", f"{folder}/train", *shares, "--seed", 1, "--out", "s3://lanes/parts")
-    assert result.exit_code == 2
-    assert "s3://lanes/parts/dataset.json: derived.seed: expected 0 as in this dataset, got 1" in result.stderr
-
-
 @pytest.mark.parametrize("fault", first(2, ["no such bucket", "no server", "wrong keys", "no keys"]))
 def test_a_store_that_refuses_is_named(
     store: s3fs.S3FileSystem, run: Run, folder: Path, monkeypatch: pytest.MonkeyPatch, fault: str

@@ -9,7 +9,7 @@ import pytest
 from synth3dlanes.dataset.description import recipe_text
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
-from synth3dlanes.system.errors import InputError, MissingPackageError
+from synth3dlanes.system.errors import MissingPackageError
 from tests import fake_samples
 
 RECIPE = fake_samples.recipe()
@@ -51,14 +51,6 @@ def test_a_shard_that_has_not_changed_is_not_written_again(tmp_path):
         (here.folder.parent / "failed/train/00000003/stderr.txt").write_text("why")
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.tar")} == before
     assert (tmp_path / "failed/train/00000003/stderr.txt").read_text() == "why"
-
-
-def test_another_recipe_is_refused_in_both(tmp_path):
-    for place in (tmp_path / "here", (tmp_path / "store").as_uri()):
-        extend(Destination(place), 3)
-        other = Destination(place).claim({**DESCRIPTION, "seed": 8}, "train", 3, [0])
-        with pytest.raises(InputError, match=r"dataset\.json: seed: expected 7 as in this dataset, got 8"), other:
-            pass
 
 
 def test_shards_are_locked_one_by_one_and_a_driver_leaves_its_own_to_others(tmp_path):

@@ -49,11 +49,6 @@ def test_passes_come_back_exactly_and_normals_to_half_precision(max_instance):
     assert np.abs(after["normal"] - before["normal"]).max() < 1e-3
 
 
-def test_one_pass_alone():
-    before = passes(np.random.default_rng(2), 9)
-    assert set(read_passes(write_passes({"depth": before["depth"]}), "x")) == {"depth"}
-
-
 def test_png_is_exact_and_jpg_is_close():
     rows, columns = np.mgrid[:48, :64]
     image = np.stack([rows * 4, columns * 3, rows + columns], axis=-1).astype(np.uint8)

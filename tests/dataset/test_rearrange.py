@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -132,15 +131,6 @@ def test_a_tar_that_is_not_what_its_index_says_is_not_taken_over(tmp_path, garba
     with pytest.raises(FormatError, match=r"00000\.tar"):
         merge([str(tmp_path / "a")], str(tmp_path / "c"))
     assert not list((tmp_path / "c").glob("train/*.tar"))
-
-
-def test_shards_that_several_share_are_joined_anew(tmp_path):
-    whole = make(tmp_path / "whole", list(range(8)))
-    parts = [make(tmp_path / name, indices) for name, indices in {"a": [0, 4, 7], "b": [1, 2, 3], "c": [5, 6]}.items()]
-    before = [files(part) for part in parts]
-    merge([str(part) for part in parts], str(tmp_path / "d"))
-    assert files(tmp_path / "d") == files(whole)
-    assert [files(part) for part in parts] == before
 
 
 def test_splits_are_merged_by_name(tmp_path):
@@ -331,26 +321,6 @@ def test_more_samples_finish_the_last_clip_and_other_frames_do_not_mix(data, tmp
         generate(plan(folder, 42, frames=7), lambda event: None)
     with pytest.raises(InputError, match="shots: expected"):
         generate(plan(folder, 42, frames=1), lambda event: None)
-
-
-def test_parts_of_clips_are_merged_to_what_one_run_makes(data, tmp_path):
-    for part in (1, 2):
-        made(tmp_path / str(part), 33, part=(part, 2))
-    merge([str(tmp_path / "1"), str(tmp_path / "2")], str(tmp_path / "whole"))
-    for name in ("train/00001.tar", "train/00001.parquet", "dataset.json"):
-        assert (tmp_path / "whole" / name).read_bytes() == (data / name).read_bytes()
-
-
-def test_info_and_the_start_line_count_clips(data):
-    assert dataset_info(str(data)).recipe["shots"] == {"frames": FRAMES, "fps": 10.0, "cameras": []}
-    assert "33 samples, 6 clips of 6 frames, 10 a second, the last of 3 frames" in plan(data, 33).text()
-
-
-def test_shards_of_single_pictures_made_before_are_continued(tmp_path):
-    """Columns of shards in a data set of single pictures are those that they always had."""
-    made(tmp_path / "data", 12, frames=1)
-    before = pq.read_schema(tmp_path / "data/train/00000.parquet")
-    assert made(tmp_path / "data", 25, frames=1).index.schema.equals(before)
 
 
 def test_statistics_of_scenes_count_each_once(data):

@@ -84,16 +84,6 @@ def test_a_worker_that_outlives_its_run_adds_nothing_to_the_next(tmp_path, monke
     assert sorted(path.name for path in old.path("parts").iterdir()) == ["00000000.tar", "00000001.tar"]
 
 
-@pytest.mark.parametrize("steps", [[(0, 1), (2, 3)], [(1, 3), (0, 2)], [(3,), (1,), (0, 2)]])
-def test_joined_in_steps_gives_the_same_shard(tmp_path, shard, steps):
-    other = a_shard(tmp_path / "other")
-    for step in steps:
-        add(other, *step)
-        other.join(4)
-        assert not other.path("parts").exists()
-    assert contents(other) == contents(shard)
-
-
 def test_a_join_killed_between_its_renames_is_repeated(tmp_path, shard):
     other = a_shard(tmp_path / "other")
     add(other, 0, 1)
@@ -345,20 +335,6 @@ def test_reader_names_what_is_wrong(tmp_path, shard):
 
 def enter(root, shards=(0,), split="train", n=4, **changes):
     return claim(root, {**fake_samples.recipe().description(), "shard_size": 10, **changes}, split, n, shards)
-
-
-def test_another_recipe_is_refused_by_name(tmp_path):
-    with enter(tmp_path):
-        before = (tmp_path / "dataset.json").read_bytes()
-    overridden = fake_samples.recipe(overrides=("road.n_lanes=3",)).description()["params"]
-    with pytest.raises(InputError) as caught, enter(tmp_path, split="val", params=overridden, seed=8):
-        pass
-    assert [problem.partition("dataset.json: ")[2] for problem in caught.value.problems] == [
-        "seed: expected 7 as in this dataset, got 8",
-        "params.road.n_lanes: expected [2, 4] as in this dataset, got 3",
-    ]
-    assert (tmp_path / "dataset.json").read_bytes() == before
-    assert not (tmp_path / "val").exists()
 
 
 def test_splits_are_added_and_n_only_grows(tmp_path):

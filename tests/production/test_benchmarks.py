@@ -110,15 +110,6 @@ def is_inside(values_m: np.ndarray) -> np.ndarray:
     return np.abs(values_m * 100 - np.rint(values_m * 100)) < 0.4
 
 
-@pytest.mark.render
-def test_another_recipe_in_the_folder_is_refused(made):
-    path = made / "other.yaml"
-    path.write_text((made / "small.yaml").read_text().replace("seed: 5", "seed: 6"))
-    result = command(str(path), "--out", str(made / "data"), "--workers", "1")
-    assert result.exit_code == 2
-    assert "seed: expected 5 as in this dataset, got 6" in result.stderr
-
-
 def test_every_benchmark_of_the_package_is_whole():
     assert benchmark_names() == ["clips", "exits", "hills", "weather"]
     for name in benchmark_names():

@@ -107,15 +107,6 @@ def log_of(folder: Path) -> list[dict]:
 
 
 @pytest.mark.thorough
-def test_a_cluster_goes_on_where_one_machine_has_stopped(tmp_path, whole, address):
-    finish(begin(str(tmp_path), 5))
-    told = finish(begin(str(tmp_path), N, address))
-    assert sum("kind='sample'" in line for line in told) == N - 5
-    assert "complete" in told[-1]
-    soak.check(tmp_path, N, whole)
-
-
-@pytest.mark.thorough
 def test_a_store_is_made_and_continued_on_a_cluster(tmp_path, whole, address):
     url = tmp_path.as_uri()
     for n in (5, N):

@@ -9,13 +9,11 @@ import subprocess
 import sys
 import time
 from collections import namedtuple
-from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path
 from threading import Thread
 
-import numpy as np
 import psutil
 import pytest
 
@@ -113,43 +111,6 @@ def test_parts_are_disjoint_and_make_the_whole(tmp_path, whole):
     assert contents(tmp_path / "joined") == whole
     report, _ = go(plan(tmp_path / "joined"))
     assert (report.made, report.done) == (0, N)
-
-
-@pytest.mark.thorough
-@pytest.mark.timeout(900)
-def test_sigkill_of_the_run_and_of_workers_at_any_moment(tmp_path, whole):
-    rng = np.random.default_rng(5)
-    command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "2"]
-    finished = set()
-    for _ in range(12):
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        time.sleep(rng.uniform(0.6, 3.0))
-        workers = psutil.Process(process.pid).children() if process.poll() is None else []
-        for victim in [w for w in workers if rng.random() < 0.7]:
-            with suppress(psutil.NoSuchProcess):  # the run may be over by now
-                victim.kill()
-            time.sleep(rng.uniform(0, 0.3))
-        process.kill()
-        process.communicate()
-        assert not [w for w in workers if _outlives(w)]
-        parts = {path.name for path in (tmp_path / "train").glob("*.parts/[0-9]*.tar")}
-        shards = {path.stem for path in (tmp_path / "train").glob("*.parquet")}
-        assert not {name for name in finished - parts if f"{int(name[:8]) // 10:05d}" not in shards}
-        finished |= parts
-    report, _ = go(plan(tmp_path))
-    assert report.exit_code == 0
-    assert contents(tmp_path) == whole
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        *(".lock", "README.md", "croissant.json", "dataset.json", "logs", "train")
-    ]
-
-
-def _outlives(worker: psutil.Process) -> bool:
-    """Whether a worker still runs long after its parent."""
-    try:
-        return worker.status() != psutil.STATUS_ZOMBIE and bool(psutil.wait_procs([worker], timeout=30)[1])
-    except psutil.NoSuchProcess:
-        return False
 
 
 def test_a_worker_whose_run_is_gone_makes_nothing():
