@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 from synth3dlanes_baseline import checkpoint as checkpoints
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.evaluate import score
 from synth3dlanes_baseline.train import plan_on, train_on
-from synth3dlanes_cli.main import main
 
 from synth3dlanes.system.errors import InputError
 
@@ -86,12 +84,6 @@ def test_networks_that_do_not_follow_the_protocol_are_refused_in_words(
     (tmp_path / "host_lane.py").write_text(code)
     with pytest.raises(InputError, match=problem):
         train_on(_config(), samples, samples, tmp_path / "run")
-
-
-def test_a_module_that_is_not_there_is_one_line(samples, tmp_path):
-    result = CliRunner().invoke(main, ["train", str(tmp_path), "--model", "no_such_module", "--out", str(tmp_path)])
-    assert result.exit_code == 2
-    assert "or MODULE:FUNCTION, got 'no_such_module'" in result.output
 
 
 def _tiny(**overrides):

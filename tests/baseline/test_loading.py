@@ -2,8 +2,6 @@
 
 import multiprocessing
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,15 +10,12 @@ import pytest
 import torch
 from synth3dlanes_baseline import loading
 from synth3dlanes_baseline.config import train_config
-from synth3dlanes_baseline.data import annotation_of
 from synth3dlanes_baseline.loading import (
     SLOT_BYTES,
     Process,
     Slots,
     decoding_of,
-    from_bytes,
     open_examples,
-    to_bytes,
     training_batches,
 )
 from synth3dlanes_baseline.workers import ahead
@@ -164,18 +159,6 @@ def test_a_full_disk_costs_the_cache_and_not_the_run():
     assert slots.get(3) is None
 
 
-def test_annotations_survive_their_file(roads):
-    rng = np.random.default_rng(0)
-    for _ in range(10):
-        one = annotation_of("clips/0é/1.jpg", roads.random(rng), (90, 160), "plane")
-        other = from_bytes(to_bytes(one))
-        assert other.key == one.key
-        assert np.float32(one.intrinsics).tolist() == list(other.intrinsics)
-        assert np.float32([*one.plane, *one.target]).tolist() == [*other.plane, *other.target]
-        for name in ("xyz_cam", "visible", "kind"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
 @pytest.mark.parametrize("workers", [0, 1])
 def test_an_error_in_a_worker_is_one_line(drawn, tmp_path, workers):
     class Broken(Counted):
@@ -205,28 +188,6 @@ def test_what_does_not_fit_is_told_with_figures(monkeypatch):
     assert not decoding_of(300_000, nano, process).is_once
     off = train_config("nano", {"device": "cpu", "keep_decoded": False})
     assert not decoding_of(50_000, off, process).is_once
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_decoded_images_are_not_memory_of_the_process(tmp_path):
-    """100 images of 1 MB behind a cache, read again and again: the process does not grow by them."""
-    script = f"""
-import os, sys
-sys.path.insert(0, {str(Path(__file__).parents[2])!r})
-from synth3dlanes_baseline.loading import pixel_memory
-def resident_mb():
-    return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-slots = pixel_memory((600, 600))
-before = resident_mb()
-for index in range(100):
-    slots.put(index, os.urandom(1_080_000))
-for index in range(100):
-    assert len(slots.get(index)) == 1_080_000
-print(resident_mb() - before)
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=os.sep)
-    assert float(done.stdout) < 20
 
 
 @pytest.mark.parametrize("n", [1, 3])

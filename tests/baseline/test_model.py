@@ -77,18 +77,6 @@ def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(nam
     assert np.diff(model.anchors_m.numpy()) == pytest.approx(np.full(29, 0.7718), abs=2e-4)
 
 
-@pytest.mark.parametrize("variant", ["full", "image_view", "top_view", "early_ipm", "late_ipm"])
-def test_every_variant_takes_a_fixed_pose(roads, variant):
-    batch = _batch(roads, n=1)
-    changes = {"model.pose_target": "fixed", "model.fixed_pitch_deg": 4.0, "model.fixed_height_m": 1.5}
-    model = LaneNet(train_config("tiny", changes, "full").model.model_copy(update={"variant": variant})).eval()
-    assert model.pose is None
-    with torch.no_grad():
-        output = model(batch.image, batch.intrinsics)
-    assert output.pose.tolist() == [pytest.approx([math.radians(4.0), 1.5])]
-    assert output.x_m.isfinite().all()
-
-
 COMPILED = """
 import torch
 from synth3dlanes_baseline.config import train_config

@@ -135,12 +135,15 @@ def test_untrained_it_changes_nothing_and_flat_lanes_stay_flat():
 @pytest.mark.parametrize("pose_target", ["plane", "fixed"])
 def test_every_variant_can_have_it(variant, pose_target):
     changes = {"refinements": 1, "has_close_look": True, "variant": variant, "pose_target": pose_target}
+    changes |= {"fixed_pitch_deg": 4.0, "fixed_height_m": 1.5}
     with torch.no_grad():
         output = LaneNet(TINY.model_copy(update=changes)).eval()(
             torch.rand(1, 3, 120, 160), torch.tensor([[138.6, 138.6, 80.0, 60.0]])
         )
     assert output.x_m.isfinite().all()
     assert len(output.earlier) == 2
+    if pose_target == "fixed":
+        assert output.pose.tolist() == [pytest.approx([math.radians(4.0), 1.5])]
 
 
 def test_every_stage_is_trained():

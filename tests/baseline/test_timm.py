@@ -242,12 +242,6 @@ def test_weights_of_a_package_give_its_features_for_its_own_normalisation(timm, 
         load_pretrained(model, str(tmp_path / "part.pth"))
 
 
-def test_without_timm_it_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "timm", None)
-    with pytest.raises(MissingPackageError, match="timm, which has resnet18, is not installed: pip install timm"):
-        LaneNet(_config("timm:resnet18"))
-
-
 def test_a_timm_that_cannot_be_imported_is_told_in_a_line(monkeypatch, tmp_path):
     (tmp_path / "timm.py").write_text('raise RuntimeError("operator torchvision::nms does not exist")')
     monkeypatch.syspath_prepend(tmp_path)

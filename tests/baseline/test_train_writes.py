@@ -176,3 +176,39 @@ def test_of_two_trainings_into_one_folder_the_second_ends_with_a_line(run, in_tm
         train.claimed(in_tmp_path / "run", process, read),
     ):
         pass
+
+
+def test_a_log_file_gets_a_line_now_and_then_with_what_is_left(capsys, monkeypatch):
+    clock = 0.0
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
+    with progress.ProgressLine("step", 100, is_shown=True) as line:
+        for step in range(1, 101):
+            clock = step * 2.0
+            line.update(step, 100, "8.0 samples/s")
+    told = capsys.readouterr().err.splitlines()
+    assert [text.split()[1] for text in told] == ["16/100", "32/100", "48/100", "64/100", "80/100", "96/100"]
+    assert told[0] == "step 16/100  8.0 samples/s  0:02:48 left"
+
+
+def test_an_epoch_is_one_line_with_loss_validation_speed_and_time_left(capsys, monkeypatch, tmp_path):
+    """As trainers print it: the mean loss since the line before, also where a validation comes within an epoch."""
+    from synth3dlanes_baseline.metrics import Evaluation, MetricConfig
+
+    clock = 100.0
+    monkeypatch.setattr(progress.time, "monotonic", lambda: clock)
+    report = Evaluation(MetricConfig()).report()
+    with progress.TrainingLog(tmp_path, 20, 10, 0, 4, is_shown=True) as log:
+        for step in range(1, 21):
+            clock += 0.5
+            log.step(step, 1e-3, {"total": torch.tensor(float(step))})
+            if step in (5, 20):
+                log.validation(step, report)
+            if step in (5, 10, 20):
+                log.epoch(step, report if step in (5, 20) else None)
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("epoch")]
+    assert [line.split(":")[0] for line in lines] == ["epoch 0.5/2", "epoch 1/2", "epoch 2/2"]
+    assert [line.split(", ")[0].split(": ")[1] for line in lines] == ["loss 3", "loss 8", "loss 15.5"]
+    assert lines[1] == "epoch 1/2: loss 8, 8.0 images/s, 0:00:05 left"
+    assert lines[2].endswith("8.0 images/s")
+    assert "centerline AP" in lines[0]
+    assert "reaches confidence" not in "".join(lines)

@@ -165,6 +165,7 @@ REFUSED = [
     ("bench --against broken.json", "broken.json: expected JSON: "),
     ("bench --against other.json", "other.json: expected a result of bench --json, got another document"),
     ("bench --samples 4 --quality draft", "--quality: expected none beside --samples"),
+    ("drive check FOLDER/train", "expected a data set with a lidar (generate --lidar)"),
     ("drive check d --lanes _NO_", "synth3dlanes: expected no empty argument, got one after "),
     ("drive mark d --cell nan", "'--cell': expected a finite number, got 'nan'"),
     ("evaluate d --device cpu --model a:b", "--model and --device have no effect without --checkpoint."),
@@ -278,6 +279,15 @@ REFUSED = [
     ("validate d --assets mine", "--assets has no effect without --rerender."),
 ]
 OF_NETWORKS = [
+    (
+        "evaluate FOLDER/train --checkpoint nanoo",
+        "nanoo: expected a checkpoint or one of nano, compact, streets, got no",
+    ),
+    ("onnx nanoo x.onnx", "got no such file; did you mean nano?"),
+    ("predict . streets", "expected the checkpoint first; did you mean streets .?"),
+    ("predict nanoo FOLDER/train", "got no such file; did you mean nano?"),
+    ("train FOLDER --init nanoo --out e", "got no such file; did you mean nano?"),
+    ("train FOLDER --model no_such_module --out e", "or MODULE:FUNCTION, got 'no_such_module'"),
     (
         "evaluate FOLDER/train --checkpoint nano --intrinsics 1,1,1,1",
         "expected a label file of tuSimple or a",

@@ -21,7 +21,6 @@ from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.recorded.drives.open import open_drive
 from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.settings import RenderSettings
-from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth
 
 LIDAR = LidarSpec(
@@ -115,17 +114,3 @@ def test_bad_arguments_are_told_in_one_line(split, tmp_path, monkeypatch, argume
     assert result.exit_code == 2
     assert told in result.stderr
     assert len(result.stderr.splitlines()) == 1
-
-
-def test_a_data_set_without_a_lidar_is_no_drive(tmp_path):
-    scenes = Scenes(load_params("tiny", FLAT_ROAD))
-    recipe = Recipe(scenes, RenderSettings(), "png")
-    with claim(tmp_path / "d", {**recipe.description(), "shard_size": 1}, "train", 1, range(1)) as found:
-        shard = Shard(found, 0, 1, recipe.names)
-        scene = sample_scene(scenes, 0)
-        labels = ground_truth(scene)
-        image = np.zeros((labels.camera.height_px, labels.camera.width_px, 3), np.uint8)
-        shard.write_part(0, encode(Picture(image, labels), scene_module.to_json(scene), "png"))
-        shard.join(1)
-    with pytest.raises(FormatError, match=r"expected a data set with a lidar \(generate --lidar\)"):
-        open_drive(str(tmp_path / "d" / "train"))

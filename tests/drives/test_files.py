@@ -455,13 +455,6 @@ def test_a_bad_file_is_told_in_one_line(tmp_path, name):
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_folder_a_pipe_and_nothing_are_no_files_of_points(tmp_path):
-    (tmp_path / "a.bin").mkdir()
-    for path in (tmp_path / "a.bin", tmp_path / "none.pcd"):
-        with pytest.raises(FormatError, match=path.name):
-            read_cloud(path)
-
-
 @files
 @given(data=st.data(), name=st.sampled_from([*FILES, "sweep.feather"]))
 def test_damaged_clouds_are_refused_or_read(tmp_path, data, name):

@@ -144,19 +144,16 @@ def test_a_line_is_drawn_and_moved_by_the_keyboard_alone(open_page, page_text, t
     assert lanes[1].xy_world == pytest.approx(expected, abs=2e-3)
 
 
-@pytest.mark.parametrize("scheme", first(1, ["dark", "light"]))
-def test_the_marking_page_fits_a_small_screen_and_can_be_read(open_page, page_text, scheme):
-    page = open_page(page_text, width=700, scheme=scheme)
-    contrasts = page.evaluate(CONTRASTS)
-    assert [text for ratio, text in contrasts if ratio < 4.5] == []
-    assert page.evaluate("document.documentElement.scrollWidth") <= 700
-
-
-@pytest.mark.parametrize("kind", first(1, ["marking", "review"]))
-def test_axe_finds_no_fault(open_page, page_text, kind):
+@pytest.mark.parametrize(
+    ("kind", "width", "scheme"),
+    first(1, [("marking", 700, "dark"), ("marking", 1400, "light"), ("review", 1400, "light")]),
+)
+def test_pages_fit_their_screen_and_can_be_read_and_operated_by_everybody(open_page, page_text, kind, width, scheme):
     frames = [ReviewedFrame("00000000", "", ground_truth(FLAT), None)]
-    text = page_text if kind == "marking" else review_page(ReviewedSplit("monday"), frames)
-    found = Axe().run(open_page(text, 1400)).response
+    page = open_page(page_text if kind == "marking" else review_page(ReviewedSplit("monday"), frames), width, scheme)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert [text for ratio, text in page.evaluate(CONTRASTS) if ratio < 4.5] == []
+    found = Axe().run(page).response
     assert len(found["passes"]) > 15, "rules that apply and hold"
     assert [(rule["id"], rule["impact"], len(rule["nodes"])) for rule in found["violations"]] == []
 

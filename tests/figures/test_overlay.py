@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from rich.console import Console
 
 from synth3dlanes.figures.colors import ELEMENT, KINDS, OBJECT
 from synth3dlanes.figures.gallery import draw_clip, draw_gallery
-from synth3dlanes.figures.inspect import draw_inspect, summary
+from synth3dlanes.figures.inspect import draw_inspect
 from synth3dlanes.figures.overlay import draw_overlay, lines_img, objects_in_image, stretches_img
 from synth3dlanes.figures.page import MAX_FRAMES, scene_page
 from synth3dlanes.figures.passes import pass_picture
@@ -190,12 +189,6 @@ def test_a_page_of_a_clip_has_each_frame_and_begins_with_its_own(flat_scene, gra
     assert 'id="frames"' not in scene_page(ShownScene(flat_scene, clip[0][0], gray_image))
 
 
-def text_of(renderable: object) -> str:
-    console = Console(file=io.StringIO(), width=80)
-    console.print(renderable)
-    return console.file.getvalue()  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize("with_image", [False, True])
 def test_four_views_with_their_units(with_image, gray_image, exit_scene):
     scene = exit_scene
@@ -213,22 +206,6 @@ def test_four_views_with_their_units(with_image, gray_image, exit_scene):
     assert buffer.getvalue().startswith(b"\x89PNG")
 
 
-def test_the_summary_names_what_a_reader_looks_for_on_80_columns(exit_scene):
-    scene = exit_scene
-    text = text_of(summary(ShownScene(scene, ground_truth(scene))))
-    for words in (
-        "merge from the left",
-        "two-lane exit",
-        "1 sedan, 1 truck",
-        "1.600 m",
-        "2.86°",
-        "main_line_0",
-        "exit_1",
-    ):
-        assert words in text
-    assert "…" not in text
-
-
 def test_cars_stand_at_their_size_where_the_scene_puts_them(flat_scene):
     """The host is at y = -50 in lane 2 of 3: the sedan is 30 m ahead and one lane to the left."""
     scene = flat_scene
@@ -243,13 +220,6 @@ def test_roads_reach_from_shoulder_to_shoulder(flat_scene):
     half_m = 1.5 * 3.5 + 0.4 * 3.5
     assert np.allclose(left[:, 0], -half_m)
     assert np.allclose(right[:, 0], half_m)
-
-
-def test_the_legend_explains_every_kind_of_line_and_shape(exit_scene):
-    figure = draw_inspect(ShownScene(exit_scene, ground_truth(exit_scene), None))
-    words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
-    for kind in ("centre line", "solid", "dashed", "pale", "dotted", "field of view", "camera"):
-        assert kind in words
 
 
 def test_passes_are_shown_with_their_scales(exit_scene, gray_image):

@@ -68,21 +68,17 @@ def test_lifting_again_adds_nothing(made: tuple[Path, LiftReport]) -> None:
         lift_to(hill.drive(8), out, precision=replace(NO_ERROR, lanes_px=3.0))
 
 
-def test_it_passes_validate(made: tuple[Path, LiftReport]) -> None:
-    report = validate(made[0], 1, None, lambda done, total: None)
-    assert not report.problems
-    with pytest.raises(InputError, match="rerender: expected a data set of scenes, got one lifted"):
-        validate(made[0], 1, None, lambda done, total: None, rerender=1)
-
-
 def test_validate_says_what_it_could_not_ask_of_a_drive(made: tuple[Path, LiftReport]) -> None:
     report = validate(made[0], 1, None, lambda done, total: None)
+    assert not report.problems
     asked = {name: check["samples"] for name, check in report.document()["checks"].items()}
     assert {name for name, n in asked.items() if n} == {"index", "form", "frame", "moving"}
     assert all("scene" in check["lacks"] for name, check in report.document()["checks"].items() if not asked[name])
     console = Console(width=200, record=True)
     console.print(report.text())
     assert "no scene: labels, bonnet, " in console.export_text()
+    with pytest.raises(InputError, match="rerender: expected a data set of scenes, got one lifted"):
+        validate(made[0], 1, None, lambda done, total: None, rerender=1)
 
 
 def test_a_pose_that_is_off_and_a_black_picture_are_found_in_their_frame(made: tuple[Path, LiftReport]) -> None:
