@@ -5,13 +5,17 @@ import json
 import os
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from synth3dlanes.dataset.description import recipe_text
+from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import LABELS, Picture, encode
+from synth3dlanes.dataset.write import Shard
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph, Segment
@@ -115,6 +119,21 @@ def _sweep(found: Labels) -> Sweep:
         instance[:, 2 * count : 2 * count + 2] = item.id
     semantic = np.where(instance > 0, SEMANTIC_IDS["car"], SEMANTIC_IDS["building"]).astype(np.uint8)
     return Sweep(lidar, range_m, semantic, instance)
+
+
+def data_set(root: Path, indices: Iterable[int], n: int, size: int, split: str = "train", seed: int = 7) -> Path:
+    """Those of these samples that are not there yet, of `n` that are asked for, in shards of `size`; no run writes
+    them, but this process."""
+    made, wanted = recipe(seed=seed, split=split), set(indices)
+    description = {**made.description(), "shard_size": size}
+    numbers = sorted({index // size for index in wanted})
+    with claim(root, description, split, n, numbers) as folder:
+        for number in numbers:
+            shard = Shard(folder, number, size, made.names, recipe_text(description))
+            for index in sorted(wanted.intersection(shard.missing(n))):
+                shard.write_part(index, make(made, index).members)
+            shard.join(n)
+    return root
 
 
 def sign(recipe: Recipe, index: int) -> EncodedSample:

@@ -21,7 +21,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from synth3dlanes.dataset.description import parse_description, updated_description
-from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.format import decode_image, encode_image, read_passes, tar_bytes, tar_members, write_passes
 from synth3dlanes.dataset.index import read_index, read_indices
 from synth3dlanes.dataset.info import dataset_info
@@ -135,14 +134,7 @@ def test_tars(tmp_path_factory, data, size):
 @pytest.fixture(scope="session")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of four samples."""
-    root = tmp_path_factory.mktemp("small") / "d"
-    recipe = fake_samples.recipe()
-    with claim(root, {**recipe.description(), "shard_size": 10}, "train", 4, [0]) as split:
-        shard = Shard(split, 0, 10, recipe.names)
-        for index in range(4):
-            shard.write_part(index, fake_samples.make(recipe, index).members)
-        shard.join(4)
-    return root
+    return fake_samples.data_set(tmp_path_factory.mktemp("small") / "d", range(4), 4, 10)
 
 
 def use(root: Path) -> None:

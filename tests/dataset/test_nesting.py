@@ -10,7 +10,6 @@ from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.info import dataset_info
 from synth3dlanes.dataset.rearrange import merge, split_dataset
 from synth3dlanes.dataset.splits import one_reader, readers
-from synth3dlanes.dataset.write import Shard
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.validate.run import validate
 from tests import fake_samples
@@ -19,15 +18,10 @@ RECIPE = fake_samples.recipe()
 DESCRIPTION = {**RECIPE.description(), "shard_size": 4}
 
 
-def make(root: Path, split: str = "train", place: str = "") -> Path:
-    destination = Destination(place or root)
-    with destination.claim(DESCRIPTION, split, 4, [0]):
-        shard = Shard(Path(split), 0, 4, RECIPE.names)
-        with destination.working_copy(shard) as here:
-            for index in range(4):
-                here.write_part(index, fake_samples.make(RECIPE, index).members)
-            here.join(4)
-    return root
+def make(root: Path, split: str = "train") -> Path:
+    with Destination(root).claim(DESCRIPTION, split, 4, [0]):
+        pass
+    return fake_samples.data_set(root, range(4), 4, 4, split)
 
 
 @pytest.fixture
@@ -48,7 +42,7 @@ def test_every_writer_refuses_a_place_in_a_data_set(tmp_path: Path, inside: str,
     out = f"{tmp_path.as_uri() if is_store else tmp_path}/{inside}"
     writers: list[Callable[[], object]] = [
         lambda: Destination(out).check_recipe(DESCRIPTION, "train", 4),
-        lambda: make(tmp_path, place=out),
+        lambda: Destination(out).claim(DESCRIPTION, "train", 4, [0]).__enter__(),
         lambda: merge([str(outer)], out),
         lambda: split_dataset(one_reader(str(outer)), {"a": 0.5, "b": 0.5}, 0, out),
     ]

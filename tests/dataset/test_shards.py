@@ -6,7 +6,6 @@ import os
 import pickle
 import shutil
 from dataclasses import replace
-from itertools import permutations
 
 import numpy as np
 import pyarrow as pa
@@ -50,14 +49,6 @@ def shard(tmp_path):
     add(shard, 0, 1, 2, 3)
     shard.join(4)
     return shard
-
-
-def test_order_of_completion_leaves_no_trace(tmp_path, shard):
-    for number, order in enumerate(permutations(range(4))):
-        other = a_shard(tmp_path / str(number))
-        add(other, *order)
-        other.join(4)
-        assert contents(other) == contents(shard)
 
 
 @pytest.mark.parametrize("is_writing", [False, True])
@@ -335,13 +326,6 @@ def test_reader_names_what_is_wrong(tmp_path, shard):
 
 def enter(root, shards=(0,), split="train", n=4, **changes):
     return claim(root, {**fake_samples.recipe().description(), "shard_size": 10, **changes}, split, n, shards)
-
-
-def test_splits_are_added_and_n_only_grows(tmp_path):
-    for split, n in [("val", 3), ("train", 9), ("val", 2)]:
-        with enter(tmp_path, split=split, n=n):
-            pass
-    assert json.loads((tmp_path / "dataset.json").read_text())["splits"] == {"train": {"n": 9}, "val": {"n": 3}}
 
 
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path, shard):

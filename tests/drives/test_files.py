@@ -15,7 +15,7 @@ from synth3dlanes.recorded.drives.checks import drive_findings
 from synth3dlanes.recorded.drives.clouds import lzf, read_cloud
 from synth3dlanes.recorded.drives.drive import MarkedLane
 from synth3dlanes.recorded.drives.lines import read_lines_of
-from synth3dlanes.recorded.drives.marks import marks_text, read_marks, read_review
+from synth3dlanes.recorded.drives.marks import marks_document, read_marks, read_review
 from synth3dlanes.recorded.drives.open import open_drive
 from synth3dlanes.recorded.drives.pages import top_view
 from synth3dlanes.recorded.drives.poses import read_kitti_poses, read_pose_feather, read_pose_json, read_tum
@@ -210,7 +210,7 @@ def test_marks_are_written_as_they_are_read(tmp_path):
         MarkedLane("a", np.array([[0.0, 1.0], [5.125, 2.0]]), "centerline", "none", None, "oncoming"),
         MarkedLane("b", np.array([[1e6, 5e6], [1e6 + 0.001, 5e6]]), "delimiter", "dashed", "yellow"),
     )
-    (tmp_path / "m.geojson").write_text(marks_text(lanes, "monday"))
+    (tmp_path / "m.geojson").write_text(json.dumps(marks_document(lanes, "monday")))
     read = read_marks(tmp_path / "m.geojson")
     assert [vars(lane) | {"xy_world": lane.xy_world.tolist()} for lane in read] == [
         vars(lane) | {"xy_world": lane.xy_world.tolist()} for lane in lanes
@@ -237,7 +237,7 @@ def test_marks_of_another_program_are_read(tmp_path):
 
 LINES = json.dumps({"format": "synth3dlanes.lines", "version": 1, "images": {"1.jpg": [[[1, 2], [3, 4]]]}}).encode()
 REVIEW = b'{"format": "synth3dlanes.review", "version": 1, "source": "d", "frames": {"1": "accepted"}}'
-MARKS = marks_text([MarkedLane("a", np.array([[0.0, 1.0], [5.0, 2.0]]))], "monday").encode()
+MARKS = json.dumps(marks_document([MarkedLane("a", np.array([[0.0, 1.0], [5.0, 2.0]]))], "monday")).encode()
 READERS = {
     "lines.json": (LINES, lambda path: read_lines_of(path), True),
     "review.json": (REVIEW, read_review, True),

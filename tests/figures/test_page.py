@@ -7,7 +7,6 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from matplotlib.tri import Triangulation
 
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures.page import report_page, scene_page
@@ -101,48 +100,3 @@ def test_a_report_shows_samples_and_distributions(gray_image):
     assert [address for address in addresses if address.startswith("#train")] == [f"#train:{i:08d}" for i in range(6)]
     assert page.count('<figure id="train:') == 6
     assert "road.lane_width_m: 6 values from 3.2 to 4" in page
-
-
-def feet_of(vertices, scene, name):
-    """Where cars (four corners below four others) and trees (after 8 vertices of the crown, those of a trunk) stand."""
-    if name == "objects":
-        return vertices.reshape(-1, 8, 3)[:, :4].reshape(-1, 3)
-    return vertices.reshape(-1, 16, 3)[:, 8:12].mean(axis=1)
-
-
-def heights_of(vertices, _, faces, places):
-    """The height of a surface at each place; NaN beside it."""
-    surface = Triangulation(vertices[:, 0], vertices[:, 1], faces)
-    triangles = vertices[surface.triangles].astype(float)
-    heights = np.full(len(places), np.nan)
-    for number, place in enumerate(places):
-        a, b, c = (triangles[:, i, :2] - place for i in range(3))
-        areas = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], -1)
-        total = areas.sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            weights = areas / total[:, None]
-        over = (weights > -1e-6).all(axis=1)
-        if over.any():
-            heights[number] = (weights[over] * triangles[over, :, 2]).sum(axis=1).max()
-    return heights
-
-
-@pytest.mark.thorough
-def test_every_car_and_tree_of_the_space_stands_on_ground_that_is_shown():
-    params = load_params("appendix_i", ["trees.n=40"])
-    n_near, n_far = 0, 0
-    for index in range(6):
-        scene = sample_scene(Scenes(params, 3, "train"), index)
-        groups = spaces(scene)
-        surfaces = [groups["terrain"], groups["road"]]
-        for name in ("objects", "trees"):
-            feet = feet_of(groups[name][0], scene, name)
-            n_near += len(feet)
-            heights = np.stack([heights_of(*surface, feet[:, :2]) for surface in surfaces])
-            assert np.isfinite(heights).any(axis=0).all(), f"{name} of scene {index} over nothing"
-            assert np.abs(np.nanmax(heights, axis=0) - feet[:, 2]).max(initial=0) < 0.6, (
-                f"{name} of scene {index} float"
-            )
-        n_far += len(scene.cars) - len(groups["objects"][0]) // 8
-    assert n_near > 100
-    assert n_far > 10, "cars out of the area that is shown are left out"

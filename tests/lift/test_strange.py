@@ -1,5 +1,6 @@
 """Strange drives are lifted, or end in one line that says what is wrong; a lift that is killed goes on."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from fsspec.implementations.memory import MemoryFileSystem
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, MarkedLane
-from synth3dlanes.recorded.drives.marks import marks_text
+from synth3dlanes.recorded.drives.marks import marks_document
 from synth3dlanes.recorded.drives.open import open_drive
 from synth3dlanes.recorded.lift import tracks
 from synth3dlanes.recorded.lift.path import path_of
@@ -151,7 +152,7 @@ def test_lanes_marked_in_a_drive_of_kitti_are_where_its_projection_matrix_has_th
     lines = {name: np.column_stack([along * c - off * s, along * s + off * c]) for name, off in aside.items()}
     origin = (truth.lidar_poses[0] @ made.VELO_FROM_IMU)[:2, 3]
     marks = tmp_path / "marks.geojson"
-    marks.write_text(marks_text([MarkedLane(name, xy - origin) for name, xy in lines.items()], "kitti"))
+    marks.write_text(json.dumps(marks_document([MarkedLane(name, xy - origin) for name, xy in lines.items()], "kitti")))
     drive = open_drive(str(folder), marked=str(marks))
     lift_to(drive, tmp_path / "out", precision=NO_ERROR)
     reader, checked = Reader(f"{tmp_path}/out/train"), 0

@@ -182,26 +182,8 @@ def test_time_between_samples_is_that_of_each_worker():
 def test_a_comparison_is_free_of_the_machines_speed():
     """Against itself on a machine that is three times slower, and with one stage twice as long."""
     stages = {"build": 0.1, "path tracing": 0.3, "denoise": 0.1}
-    now = Bench(
-        "tiny",
-        1,
-        3,
-        1,
-        "cpu",
-        4,
-        (96, 72),
-        7200,
-        7200,
-        0.5,
-        0.5,
-        0.4,
-        1.25,
-        stages,
-        0,
-        [],
-        None,
-        DefaultTiming(0.6, 128, 5.0),
-    )
+    sizes, rates, seconds = ((96, 72), 7200, 7200), (0.5, 0.5, 0.4, 1.25), DefaultTiming(0.6, 128, 5.0)
+    now = Bench("tiny", 1, 3, 1, "cpu", 4, *sizes, *rates, stages, 0, [], None, seconds)
     slower = json.loads(json.dumps(now.document()))
     for group in (slower, slower["stages"], slower["naive"]):
         group.update({name: 3 * group[name] for name in group if name in stages or "seconds" in name})

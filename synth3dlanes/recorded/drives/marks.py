@@ -4,7 +4,6 @@ from a lifted data set to be corrected; and verdicts on frames and lanes, the fi
 Lines are in metres, in the frame of the drive's poses: x and y of its world, whose z points up.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -85,11 +84,6 @@ def marks_document(lanes: Sequence[MarkedLane], drive: str) -> dict[str, Any]:
             for lane in lanes
         ],
     }
-
-
-def marks_text(lanes: Sequence[MarkedLane], drive: str) -> str:
-    """The text of such a file."""
-    return json.dumps(marks_document(lanes, drive), indent=1) + "\n"
 
 
 def _lane(feature: _Feature, number: int, where: str) -> MarkedLane:
