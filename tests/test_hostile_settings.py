@@ -98,35 +98,13 @@ PLAIN = "expected plain values (null, true, false, numbers, text, lists and mapp
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("null", None),
-        ("~", None),
-        ("", None),
-        ("true", True),
-        ("False", False),
-        ("yes", "yes"),
-        ("off", "off"),
-        ("12", 12),
-        ("-7", -7),
-        ("010", 10),
-        ("0o17", 15),
-        ("0x1F", 31),
-        ("1_000", "1_000"),
-        ("1:59:59", "1:59:59"),
-        ("1e-3", 0.001),
-        ("1.", 1.0),
-        ("-.5E+02", -50.0),
-        (".inf", float("inf")),
-        ("-.Inf", float("-inf")),
-        ("2001-01-01", "2001-01-01"),
-        ("=", "="),
-        ("!!str 3", "3"),
-        ("!!int '3'", 3),
-        ("!!float 3", 3.0),
-        ("'3'", "3"),
-        ("{<<: {a: 1}}", {"<<": {"a": 1}}),
-        ("{a: &x [1, 2], b: *x}", {"a": [1, 2], "b": [1, 2]}),
+        ("null", None), ("~", None), ("", None), ("true", True), ("False", False), ("yes", "yes"), ("off", "off"),
+        ("12", 12), ("-7", -7), ("010", 10), ("0o17", 15), ("0x1F", 31), ("1_000", "1_000"), ("1:59:59", "1:59:59"),
+        ("1e-3", 0.001), ("1.", 1.0), ("-.5E+02", -50.0), (".inf", float("inf")), ("-.Inf", float("-inf")),
+        ("2001-01-01", "2001-01-01"), ("=", "="), ("!!str 3", "3"), ("!!int '3'", 3), ("!!float 3", 3.0),
+        ("'3'", "3"), ("{<<: {a: 1}}", {"<<": {"a": 1}}), ("{a: &x [1, 2], b: *x}", {"a": [1, 2], "b": [1, 2]}),
     ],
-)
+)  # fmt: skip
 def test_the_core_schema(text: str, value: object) -> None:
     assert repr(read_yaml(text, "f")) == repr((value, []))
     if not set(text) & set("!{'"):

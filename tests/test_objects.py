@@ -74,13 +74,11 @@ def test_cars_behind_and_beside_the_camera():
 @pytest.mark.parametrize(
     "camera",
     [
-        {},
-        {"roll_rad": 0.3, "pitch_rad": 0.1},
-        {"fx_px": 90, "fy_px": 90, "lens": FISHEYE},
+        {}, {"roll_rad": 0.3, "pitch_rad": 0.1}, {"fx_px": 90, "fy_px": 90, "lens": FISHEYE},
         {"yaw_rad": -1.4, "right_m": 0.9, "forward_m": 1.5},
         {"width_px": 40, "height_px": 30, "cx_px": 20, "cy_px": 15},
     ],
-)
+)  # fmt: skip
 def test_rectangles_and_truncation_are_those_of_the_points_of_the_box(camera):
     """Of 200,000 points of a box's surface, and of 100,000 in it. A camera of 40 px sees but the middle of a van."""
     rng = np.random.default_rng(0)

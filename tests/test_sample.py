@@ -38,33 +38,17 @@ def uniform(values, low, high):
 
 # The paper's Appendix I, read again here: part of the scene, field, range.
 RANGES = [
-    ("road", "lane_width_m", 3.2, 4.0),
-    ("road", "shoulder_factor", 0.2, 0.6),
-    ("road", "offset_m100_m", -10, 10),
-    ("road", "offset_m50_m", -10, 10),
-    ("road", "offset_p50_m", -10, 10),
-    ("road", "offset_p100_m", -10, 10),
-    ("road", "exit_angle_rad", np.radians(1), np.radians(5)),
-    ("road", "exit_offset_m", 0, 10),
-    ("road", "ramp_height_m", 2, 6),
-    ("road", "ramp_slope", 0.5, 4.5),
-    ("markings", "dash_cycle_m", 0.5, 4.5),
-    ("markings", "dash_fraction", 0.3, 1),
-    ("markings", "width_m", 0.1, 0.15),
-    ("markings", "grayscale", 0.2, 1),
-    ("markings", "gloss", 0.5, 1),
-    ("surface", "road_texture_scale", 10, 30),
-    ("surface", "road_gloss", 0, 0.2),
-    ("surface", "terrain_texture_scale", 5, 15),
-    ("surface", "texture_orientation_rad", 0, np.pi / 2),
-    ("camera", "y_m", -80, -20),
-    ("camera", "offset_m", -0.4, 0.4),
-    ("camera", "height_m", 1.4, 1.9),
-    ("camera", "pitch_rad", 0, np.radians(5)),
-    ("light", "sun_zenith_rad", 0, np.pi / 4),
-    ("light", "sun_azimuth_rad", 0, 2 * np.pi),
-    ("light", "exposure", 1, 3),
-]
+    ("road", "lane_width_m", 3.2, 4.0), ("road", "shoulder_factor", 0.2, 0.6), ("road", "offset_m100_m", -10, 10),
+    ("road", "offset_m50_m", -10, 10), ("road", "offset_p50_m", -10, 10), ("road", "offset_p100_m", -10, 10),
+    ("road", "exit_angle_rad", np.radians(1), np.radians(5)), ("road", "exit_offset_m", 0, 10),
+    ("road", "ramp_height_m", 2, 6), ("road", "ramp_slope", 0.5, 4.5), ("markings", "dash_cycle_m", 0.5, 4.5),
+    ("markings", "dash_fraction", 0.3, 1), ("markings", "width_m", 0.1, 0.15), ("markings", "grayscale", 0.2, 1),
+    ("markings", "gloss", 0.5, 1), ("surface", "road_texture_scale", 10, 30), ("surface", "road_gloss", 0, 0.2),
+    ("surface", "terrain_texture_scale", 5, 15), ("surface", "texture_orientation_rad", 0, np.pi / 2),
+    ("camera", "y_m", -80, -20), ("camera", "offset_m", -0.4, 0.4), ("camera", "height_m", 1.4, 1.9),
+    ("camera", "pitch_rad", 0, np.radians(5)), ("light", "sun_zenith_rad", 0, np.pi / 4),
+    ("light", "sun_azimuth_rad", 0, 2 * np.pi), ("light", "exposure", 1, 3),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("part", "field", "low", "high"), RANGES)

@@ -192,11 +192,8 @@ def test_the_schema_of_labels_refuses_what_the_reader_refuses() -> None:
         except FormatError as error:
             problem = str(error)
         assert is_valid == (not problem) or (is_valid and any(words in problem for words in BY_COUNT)), (
-            kind,
-            path,
-            value,
-            problem,
-        )
+            kind, path, value, problem,
+        )  # fmt: skip
         refused[kind] += not is_valid
     assert refused["remove"] > 40
     assert refused["add"] >= 10

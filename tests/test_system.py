@@ -58,10 +58,8 @@ MACHINES = {
     "version 1, nested": (
         "5:memory:/a/b\n4:cpu:/a/b",
         {
-            "cpu/a/cpu.cfs_quota_us": "600000",
-            "cpu/a/cpu.cfs_period_us": "100000",
-            "cpu/a/b/cpu.cfs_quota_us": "-1",
-            "cpu/a/b/cpu.cfs_period_us": "100000",
+            "cpu/a/cpu.cfs_quota_us": "600000", "cpu/a/cpu.cfs_period_us": "100000",
+            "cpu/a/b/cpu.cfs_quota_us": "-1", "cpu/a/b/cpu.cfs_period_us": "100000",
             "memory/a/memory.limit_in_bytes": str(5 * GIB),
             "memory/a/b/memory.limit_in_bytes": "9223372036854771712",
         },
@@ -70,7 +68,7 @@ MACHINES = {
     ),
     "both": ("1:name=systemd:/x\n0::/x\n4:cpu:/y", {"x/cpu.max": "700000 100000"}, 7, 64),
     "nonsense": ("0::/a\nx\n:::", {"a/cpu.max": "some words", "a/memory.max": "", "cpu.max": "5 0"}, 16, 64),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MACHINES)
