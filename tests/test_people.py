@@ -14,12 +14,13 @@ from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.assets.catalogue import THINGS
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4
+from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.motion import host_speed
 from synth3dlanes.world.world import World
 from tests.golden.frozen import ROWS, scenes_of
 from tests.maps.files import lane, opendrive, plan, road, section
 from tests.thorough import first
-from tests.town_checks import bodies
+from tests.town_checks import bodies, houses
 
 MANY = ("people.per_100_m=20", "people.crossing=4", "riders.cyclists=8", "riders.motorcyclists=3")
 WALKWAYS = (
@@ -53,13 +54,8 @@ def thing_bodies(world: World) -> list[shapely.Polygon]:
 
 def standing(scene: Scene) -> list[shapely.Geometry]:
     """Walls, poles and trunks from above."""
-    found: list[shapely.Geometry] = []
-    for at in scene.roadside.buildings:
-        c, s = np.cos(at.yaw_rad), np.sin(at.yaw_rad)
-        pose = np.array([[c, -s, 0, at.x_m], [s, c, 0, at.y_m], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-        found.append(rectangle(pose, at.width_m, at.length_m))
-    found += [shapely.Point(at.x_m, at.y_m).buffer(0.1) for at in scene.roadside.free_elements if at.has_pole]
-    return [*found, *(shapely.Point(tree.x_m, tree.y_m).buffer(0.15) for tree in scene.trees)]
+    poles = [shapely.Point(at.x_m, at.y_m).buffer(0.1) for at in scene.roadside.free_elements if at.has_pole]
+    return [*houses(scene), *poles, *(shapely.Point(tree.x_m, tree.y_m).buffer(0.15) for tree in scene.trees)]
 
 
 def overlaps(world: World) -> list[tuple[int, int]]:
@@ -88,22 +84,6 @@ def test_nobody_is_in_a_body_at_any_instant_of_a_clip(index: int, own: tuple[str
         assert overlaps(world_in_shot(SEEN, world, CLIP.place(frame))) == []
 
 
-def mesh_height(world: World, xy_world: np.ndarray) -> float:
-    """The highest height of the built pavement at a place, from its triangles."""
-    found = [-np.inf]
-    for mesh in world.site.surfaces.pavement:
-        quads = mesh.vertices_world[mesh.faces]
-        near = (np.abs(quads[:, :, :2].mean(axis=1) - xy_world) < 15).all(axis=1)
-        for quad in quads[near]:
-            for a, b, c in ((quad[0], quad[1], quad[2]), (quad[0], quad[2], quad[3])):
-                edges = np.stack([b - a, c - a], axis=1)
-                if abs(np.linalg.det(edges[:2])) > 1e-9:
-                    share = np.linalg.solve(edges[:2], xy_world - a[:2])
-                    if (share >= -1e-6).all() and share.sum() <= 1 + 1e-6:
-                        found.append(float(a[2] + edges[2] @ share))
-    return max(found)
-
-
 def test_feet_are_on_the_mesh_of_walkways_or_crosswalks() -> None:
     world = town(1, "town.junction=crossing", "town.control=priority")
     scene = world.scene
@@ -120,8 +100,8 @@ def test_feet_are_on_the_mesh_of_walkways_or_crosswalks() -> None:
     assert sum(on_walkway) > 20
     for foot, is_raised in zip(people, on_walkway, strict=True):
         assert is_raised or crosswalks.contains(shapely.Point(foot[:2]))
-    for foot in people[::4]:
-        assert foot[2] == pytest.approx(mesh_height(world, foot[:2]), abs=0.02)
+    feet = np.array(people)
+    assert MeshFaces(world.site.surfaces.pavement).height(feet[:, :2]) == pytest.approx(feet[:, 2], abs=0.02)
 
 
 @pytest.mark.parametrize("index", first(1, [4, 5, 0, 6, 7]))
@@ -210,6 +190,7 @@ def test_people_climb_kerbs_smoothly() -> None:
     assert np.ptp(feet[:, climbed, 2], axis=0).min() > 0.09
 
 
+@pytest.mark.thorough
 def test_umbrellas_are_for_rain() -> None:
     held = {}
     for kind in ("rain", "clear"):

@@ -95,6 +95,16 @@ def bodies(world: World) -> list[shapely.Polygon]:
     return found
 
 
+def houses(scene: Scene) -> list[shapely.Polygon]:
+    """Walls of buildings from above."""
+    found = []
+    for at in scene.roadside.buildings:
+        x, y, cos, sin = at.width_m / 2, at.length_m / 2, np.cos(at.yaw_rad), np.sin(at.yaw_rad)
+        places = [(a * x, b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        found.append(shapely.Polygon([(at.x_m + cos * u - sin * v, at.y_m + sin * u + cos * v) for u, v in places]))
+    return found
+
+
 def touching(polygons: list[shapely.Polygon]) -> list[tuple[int, int]]:
     """Pairs of bodies that touch, by their places in the list."""
     if len(polygons) < 2:
@@ -127,16 +137,11 @@ def standing_problems(world: World) -> Iterator[str]:
     yield from crosswalk_problems(world)
     cars = bodies(world)
     yield from (f"bodies {i} and {j} touch" for i, j in touching(cars))
-    houses = []
-    for at in world.scene.roadside.buildings:
-        x, y = at.width_m / 2, at.length_m / 2
-        cos, sin = np.cos(at.yaw_rad), np.sin(at.yaw_rad)
-        places = [(a * x, b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        houses.append(shapely.Polygon([(at.x_m + cos * u - sin * v, at.y_m + sin * u + cos * v) for u, v in places]))
-    yield from (f"buildings {i} and {j} touch" for i, j in touching(houses))
-    everything = shapely.union_all(houses)
+    walls = houses(world.scene)
+    yield from (f"buildings {i} and {j} touch" for i, j in touching(walls))
+    everything = shapely.union_all(walls)
     yield from (f"body {i} is in a building" for i, car in enumerate(cars) if car.intersects(everything))
-    if houses:
+    if walls:
         paved = shapely.intersection(world.ground.paved.pavement, everything).area  # type: ignore[union-attr]
         if paved > 0.01:
             yield f"buildings on {paved:.2f} m2 of pavement"

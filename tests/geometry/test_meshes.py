@@ -11,6 +11,7 @@ from synth3dlanes.params.params import load_params
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import SINGLE, Shots, clips
 from synth3dlanes.truth.ground_truth import label
+from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.horizon import HORIZON_M
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
@@ -24,30 +25,8 @@ def world_of(topology, **road):
 
 
 def heights_at(mesh, xy):
-    """Heights of a mesh straight above or below points, by its triangles; NaN where it does not reach."""
-    triangles = mesh.vertices_world[np.concatenate([mesh.faces[:, [0, 1, 2]], mesh.faces[:, [0, 2, 3]]])]
-    low, high = triangles[:, :, :2].min(axis=1) - 1e-6, triangles[:, :, :2].max(axis=1) + 1e-6
-    near = np.flatnonzero(((high >= xy.min(axis=0)) & (low <= xy.max(axis=0))).all(axis=1))
-    near = near[np.argsort(low[near, 1])]
-    near = near[np.abs(_cross(*(triangles[near, i] - triangles[near, 0] for i in (1, 2)))) > 1e-9]
-    triangles, low, high = triangles[near], low[near], high[near]
-    # Candidates of each point: triangles that begin before it and not farther back than the longest reaches.
-    last = np.searchsorted(low[:, 1], xy[:, 1], side="right")
-    count = last - np.searchsorted(low[:, 1], xy[:, 1] - np.ptp([low[:, 1], high[:, 1]], axis=0).max(initial=0))
-    point = np.repeat(np.arange(len(xy)), count)
-    triangle = np.arange(len(point)) + np.repeat(last - np.cumsum(count), count)
-    inside = ((low[triangle] <= xy[point]) & (high[triangle] >= xy[point])).all(axis=1)
-    point, (a, b, c) = point[inside], np.moveaxis(triangles[triangle[inside]], 1, 0)
-    area, to = _cross(b - a, c - a), xy[point] - a[:, :2]
-    u, v = _cross(to, c - a) / area, _cross(b - a, to) / area
-    found = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
-    heights = np.full(len(xy), np.nan)
-    heights[point[found]] = (a[:, 2] + u * (b - a)[:, 2] + v * (c - a)[:, 2])[found]
-    return heights
-
-
-def _cross(a, b):
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    """Heights of a mesh straight above or below points; NaN where it does not reach."""
+    return MeshFaces([mesh]).height(xy)
 
 
 def gaps_m(world):

@@ -14,7 +14,7 @@ from synth3dlanes.roads.maps.places import draw_place
 from synth3dlanes.system.errors import FormatError, InputError
 from tests.hostile import edited_xml
 from tests.maps.files import lane, opendrive, plan, road, section
-from tests.maps.test_parts import link
+from tests.maps.test_on_maps import link
 
 LINE = ("<line/>", 60.0)
 ON = '<predecessor id="{0}"/><successor id="{1}"/>'

@@ -28,7 +28,7 @@ from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.map_scenes import FOUR_WAY, map_scene
 from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
-from tests.maps.test_parts import link
+from tests.maps.test_on_maps import link
 
 NO_TYPE = "expected a map without a document type, got <!DOCTYPE"
 LINE = plan(("<line/>", 50.0))
