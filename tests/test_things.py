@@ -132,8 +132,8 @@ NAMING = {
     ),
     "who draws it": ("draw/",),
     "its shape and place": (
-        *(f"world/{name}.py" for name in ("bonnet", "buildings", "crossings", "elements", "mounted", "objects")),
-        *(f"world/{name}.py" for name in ("placement", "posts", "rails", "signals", "solids", "world")),
+        *(f"world/{name}.py" for name in ("bonnet", "buildings", "crossings", "elements", "placement")),
+        *(f"world/{name}.py" for name in ("posts", "rails", "signals", "solids", "world")),
     ),
     "its paint and models": (
         *(f"blender/{name}.py" for name in ("check_assets", "load_assets", "materials", "user_models")),

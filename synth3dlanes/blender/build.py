@@ -25,8 +25,8 @@ from synth3dlanes.world import bonnet
 from synth3dlanes.world.grass import Blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.meshes import Mesh
-from synth3dlanes.world.objects import PlacedObject
 from synth3dlanes.world.paint import paint_color
+from synth3dlanes.world.placement import PlacedObject
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import View, World
 
@@ -129,12 +129,11 @@ def prepare(studio: Studio, world: World, view: View, labelled: Sequence[str] = 
         made = world.site.surfaces
         surfaces["ground"] = [(made.terrain, [terrain], 0)]
         surfaces["ground"] += [(mesh, [road, shoulder, terrain], 0) for mesh in made.pavement]
-        surfaces["structures"] = [(body, materials.structures, id_) for id_, body in world.site.bodies.items()]
+        surfaces["structures"] = _bodies(materials, world.site.bodies)
     surfaces["paint"] = [*_paint(materials, world, view, labelled)]
     grass = world.grass(view)
     surfaces["grass"] = [] if grass is None else [(grass, [materials.grass], 0)]
-    lights = world.site.lights(world.scene.shot.time_s)
-    surfaces["lights"] = [(body, materials.structures, id_) for id_, body in lights.items()]
+    surfaces["lights"] = _bodies(materials, world.site.lights(world.scene.shot.time_s))
     assets = studio.assets
     instances = {"objects": _objects(assets, view), "trees": _trees(assets, world), "host": _host(studio, view)}
     return Prepared(surfaces, instances, is_built)
@@ -221,6 +220,10 @@ def _object(assets: LoadedAssets, item: PlacedObject) -> MeshInstance:
     if item.kind is None:
         return MeshInstance(assets.cars[item.model - 1], *place, body=(*item.colors[0], item.gloss))
     return MeshInstance(assets.things[item.kind][item.model - 1][item.pose], *place, paints=item.colors)
+
+
+def _bodies(materials: Materials, bodies: dict[int, Body]) -> list[BuiltMesh]:
+    return [(body, [materials.structures[body.surface]], id_) for id_, body in bodies.items()]
 
 
 def _trees(assets: LoadedAssets, world: World) -> list[MeshInstance]:

@@ -4,7 +4,7 @@ Every mesh carries a UV layer "UVMap" in metres: terrain (world x, world y), roa
 middle, along it), paint (across, along). A material's `pass_index` is its semantic id.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,7 @@ CLEARED = {kind.semantic_id for kind in KINDS if kind.is_cleared}
 
 @dataclass(frozen=True, eq=False)
 class Materials:
-    """Road, shoulder and terrain materials by texture number minus 1, the paints, and those of structures."""
+    """Road, shoulder and terrain materials by texture number minus 1, the paints, and those of structures by name."""
 
     roads: tuple[bpy.types.Material, ...]
     shoulders: tuple[bpy.types.Material, ...]
@@ -75,7 +75,7 @@ class Materials:
     ghost: bpy.types.Material
     removed: bpy.types.Material
     grass: bpy.types.Material
-    structures: tuple[bpy.types.Material, ...]
+    structures: Mapping[str, bpy.types.Material]
 
     @property
     def paints(self) -> tuple[bpy.types.Material, ...]:

@@ -15,9 +15,9 @@ from synth3dlanes.world.solids import SURFACES, Body
 DIRT_M = 6.0
 
 
-def structure_materials() -> tuple[bpy.types.Material, ...]:
+def structure_materials() -> dict[str, bpy.types.Material]:
     """The materials of SURFACES: each face's colour with a little dirt, under a coat with its gloss."""
-    return tuple(_material(name) for name in SURFACES)
+    return {name: _material(name) for name in SURFACES}
 
 
 def _material(name: str) -> bpy.types.Material:
@@ -40,12 +40,9 @@ def structure_mesh(body: Body, materials: Sequence[bpy.types.Material]) -> bpy.t
     """A mesh of flat quads with the face colours as attribute `paint`."""
     corners = body.corners_world.reshape(-1, 3)
     data = polygons(body.kind, corners, np.arange(len(corners)).reshape(-1, 4))
-    used, slots = np.unique(body.surface, return_inverse=True)
-    data.attributes.new("material_index", "INT", "FACE").data.foreach_set("value", slots.astype(np.int32))
     paint = data.attributes.new("paint", "FLOAT_COLOR", "CORNER")
     paint.data.foreach_set("color", np.repeat(body.colors, 4, axis=0).astype(np.float32).ravel())
-    for number in used:
-        data.materials.append(materials[number])
+    data.materials.append(materials[0])
     data.update(calc_edges=True)
     return data
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.draw.bodies import way_places
-from synth3dlanes.draw.car_colors import sold_color
+from synth3dlanes.draw.colors import sold_color
 from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw, DrawsOf
 from synth3dlanes.geometry.polylines import spaced
 from synth3dlanes.params.distributions import extent
@@ -17,13 +17,11 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.assets.catalogue import Assets
-from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.road_map import LaneName
 from synth3dlanes.scene.scene import Car, Scene
 from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.world import placement
-from synth3dlanes.world.camera import world_from_host
 
 # Free length and width around a car, and draws of a place for each.
 CAR_GAP_M, TRIES = (1.0, 0.3), 300
@@ -59,10 +57,13 @@ class CarPlace(NamedTuple):
 class Traffic:
     """Host and cars on their ways through a clip, to which cars are added one by one; none touches what is closed."""
 
-    def __init__(self, shot: Shot, host: Way, closed: Float[np.ndarray, "k 4 2"]) -> None:
+    def __init__(self, scene: Scene, network: Network) -> None:
+        shot, camera = scene.shot, scene.camera
         self.times_s = np.linspace(0, shot.duration_s, 1 + int(np.ceil(shot.duration_s / CHECK_EVERY_S)))
-        self.ways, self.speeds = host(shot.speed_m_s * self.times_s)[None], [shot.speed_m_s]
-        self.ways = np.concatenate([self.ways, np.repeat(closed[:, None], len(self.times_s), axis=1)])
+        start_m, driven_m = camera.y_m * network.onwards, shot.speed_m_s * self.times_s
+        host = way_places(network.host_way(camera), start_m, driven_m, camera.offset_m, placement.HOST_SIZE_M)
+        closed = np.repeat(network.closed[:, None], len(self.times_s), axis=1)
+        self.ways, self.speeds = np.concatenate([host[None], closed]), [shot.speed_m_s]
 
     def _is_free(self, own: Float[np.ndarray, "t 4 2"]) -> bool:
         """Whether footprints at the first instants touch nobody. Only pairs whose circles meet are looked at."""
@@ -132,11 +133,7 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
     # A stream for what was added since the paper's, so that it changes none of these.
     looks, at, parking = of("cars"), of("cars", "car_places"), of("cars", "parked_cars")
     added, speeds = (of("cars", "car_saturation"), of("cars", "car_palette")), of("motion", "car_speeds")
-    camera, parked, is_clip = scene.camera, parking("parked"), scene.shot.n_frames > 1
-    host = placement.host_footprint(world_from_host(network, camera))[None]
-
-    def way(lane: str, s_m: float, offset_m: float, size: BodySize) -> Way:
-        return partial(way_places, network.path(lane), s_m * network.onwards, offset_m=offset_m, size=size)
+    parked, is_clip, traffic = parking("parked"), scene.shot.n_frames > 1, Traffic(scene, network)
 
     def places(size: BodySize) -> Iterator[CarPlace]:
         is_parked = parking.rng.random() < parked
@@ -147,14 +144,10 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
             lane, offset_m = lanes[int(at.rng.random() * len(lanes))].id, 0.0
             if is_parked and (found := _parking(network, s_m, size[1], parking.rng)):
                 lane, offset_m = found
-            own = way(lane, s_m, offset_m, size)
+            way = partial(way_places, network.path(lane), s_m * network.onwards, offset_m=offset_m, size=size)
             wanted = [0.0] if offset_m or not is_clip else [*drawn_m_s, *traffic.speeds]
-            if not is_clip or not placement.overlaps_any(own(np.zeros(1)), host):
-                yield CarPlace({"lane": lane, "s_m": s_m, "offset_m": offset_m}, own, wanted)
+            yield CarPlace({"lane": lane, "s_m": s_m, "offset_m": offset_m}, way, wanted)
 
-    own_lane = network.host_lane(camera.lane, camera.y_m).id
-    own_way = way(own_lane, camera.y_m, camera.offset_m, placement.HOST_SIZE_M)
-    traffic = Traffic(scene.shot, own_way if is_clip else lambda _: host, network.closed)
     cars = list[Car]()
     for car in draw_cars(looks, scene.assets, traffic, places, added):
         if car is None and len(cars) < looks.least("n"):
@@ -223,7 +216,7 @@ def cars_on_map(
 ) -> tuple[Car, ...]:
     """Cars in the lanes as near to the host as stations of `cars.s_m` are to the paper's, which in a clip keep a speed
     through lanes that follow each other and touch nobody; those without room are left out."""
-    shot, camera, is_clip = scene.shot, scene.camera, scene.shot.n_frames > 1
+    shot, is_clip = scene.shot, scene.shot.n_frames > 1
     looks, speeds = of("cars", "map_cars"), of("motion", "car_speeds")
     near, chances = _near(scene, network, max(map(abs, extent(of.params.cars.s_m))))
     lines, rng = red_lines(scene, network), looks.rng
@@ -244,9 +237,7 @@ def cars_on_map(
                 possible,
             )
 
-    host = partial(way_places, network.way, camera.y_m, offset_m=camera.offset_m, size=placement.HOST_SIZE_M)
-    traffic = Traffic(shot, host, network.closed)
-    return tuple(filter(None, draw_cars(looks, scene.assets, traffic, places))) if near else ()
+    return tuple(filter(None, draw_cars(looks, scene.assets, Traffic(scene, network), places))) if near else ()
 
 
 def _near(scene: Scene, network: Network, reach_m: float) -> tuple[list[NetworkLane], np.ndarray]:

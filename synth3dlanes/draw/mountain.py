@@ -31,6 +31,7 @@ from synth3dlanes.world.rails import RAILS
 ROAD = "m"
 # Widths of shoulders and of a lay-by; lengths of a lay-by's full width and of each of its tapers.
 SHOULDER_M, LAY_BY_M, LAY_BY_LENGTH_M, TAPER_M = 0.5, 2.75, 25.0, 12.0
+LAY_BY_IN_ALL_M = LAY_BY_LENGTH_M + 2 * TAPER_M
 # Length of a spiral before and behind each bend's arc, and of the legs at both ends of the road.
 SPIRAL_M, END_LEG_M = 15.0, 100.0
 # Distance of the host from both ends of its way.
@@ -57,12 +58,9 @@ def mountain_roads(of: DrawsOf, shots: Shots, assets: Assets) -> Roads:
     draw = of("mountain")
     rail, is_descent, u_place = draw("rail"), draw("descent"), draw("host_place")
     road, stretches = lay_out(draw, of("markings")("left_yellow"))
-    names = [f"{ROAD}.{i}.{1 if is_descent else -1}" for i in range(len(stretches))]
-    lanes = {
-        side: tuple((f"{ROAD}.{i}.{side}", f"{ROAD}.{j}.{side}") for i, j in _pairs(stretches)) for side in (1, -1)
-    }
-    links = (*lanes[-1], *((b, a) for a, b in lanes[1]))
-    roads = RoadMap(roads=(road,), links=links, route=tuple(names[::-1] if is_descent else names))
+    up, down = ([f"{ROAD}.{i}.{side}" for i in range(len(stretches))] for side in (-1, 1))
+    links = (*pairwise(up), *((after, before) for before, after in pairwise(down)))
+    roads = RoadMap(roads=(road,), links=links, route=tuple(down[::-1] if is_descent else up))
     at_m = HOST_BEHIND_M + u_place * (road.length_m - HOST_BEHIND_M - HOST_AHEAD_M)
     camera = draw_camera(of("camera"), 1, round(at_m, SCENE_DECIMALS))
 
@@ -82,7 +80,7 @@ def lay_out(draw: Draw, is_yellow: bool) -> tuple[MapRoad, list[LegOrBend]]:
         # The next leg is higher and on the side to which the road bends next.
         valley: Literal["left", "right"] = "right" if side > 0 else "left"
         parts.append([(length_m, 0.0, 0.0)])
-        stretches.append(LegOrBend(length_m, 0, valley, has_lay_by and i == n // 2 and length_m > _lay_by_length()))
+        stretches.append(LegOrBend(length_m, 0, valley, has_lay_by and i == n // 2 and length_m > LAY_BY_IN_ALL_M))
         grades.append(draw("grade"))
         if i < n:
             radius_m, turn_rad = draw("radius_m"), draw("turn_deg")
@@ -105,16 +103,8 @@ def lay_out(draw: Draw, is_yellow: bool) -> tuple[MapRoad, list[LegOrBend]]:
     return MapRoad(id=ROAD, plan=plan, sections=sections, heights=heights), stretches
 
 
-def _pairs(stretches: list[LegOrBend]) -> Iterator[tuple[int, int]]:
-    return pairwise(range(len(stretches)))
-
-
 def _stations(stretches: list[LegOrBend]) -> list[float]:
     return list(accumulate((at.length_m for at in stretches), initial=0.0))
-
-
-def _lay_by_length() -> float:
-    return LAY_BY_LENGTH_M + 2 * TAPER_M
 
 
 def _heights(stations: list[float], grades: list[float]) -> Iterator[Polynomial]:
@@ -142,7 +132,7 @@ def _lanes(at: LegOrBend, lane_m: float, widening_m: float, is_yellow: bool) -> 
     yield _lane(1, "driving", wide, edge)
     yield MapLane(number=0, kind="none", marks=(MapMark(kind=kind, yellow=is_yellow),))
     if at.has_lay_by:
-        bare_m = (at.length_m - _lay_by_length()) / 2
+        bare_m = (at.length_m - LAY_BY_IN_ALL_M) / 2
         bay = (Polynomial(s_m=0.0, a=0.0), *_bay(bare_m))
         edges = (0.0, edge), (bare_m, MapMark(kind="dashed")), (at.length_m - bare_m, edge)
         marks = [mark.model_copy(update={"s_m": round(s_m, 6)}) for s_m, mark in edges]
@@ -162,7 +152,7 @@ def _bay(bare_m: float) -> Iterator[Polynomial]:
     yield smooth(round(bare_m, 6), TAPER_M, 0.0, LAY_BY_M)
     yield Polynomial(s_m=round(bare_m + TAPER_M, 6), a=LAY_BY_M)
     yield smooth(round(bare_m + TAPER_M + LAY_BY_LENGTH_M, 6), TAPER_M, LAY_BY_M, 0.0)
-    yield Polynomial(s_m=round(bare_m + _lay_by_length(), 6), a=0.0)
+    yield Polynomial(s_m=round(bare_m + LAY_BY_IN_ALL_M, 6), a=0.0)
 
 
 def _widths(length_m: float, start_m: float, wide_m: float, taper_m: float) -> tuple[Polynomial, ...]:

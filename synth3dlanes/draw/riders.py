@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.draw.bodies import Bodies, Motion, track_times, way_poses
-from synth3dlanes.draw.clothes import dressed
+from synth3dlanes.draw.colors import dressed
 from synth3dlanes.draw.draws import Draw, DrawsOf
 from synth3dlanes.params.distributions import extent
 from synth3dlanes.roads.cross_section import CrossSection

@@ -1,4 +1,5 @@
-"""Params -> Scene: draw scenes from named random streams. Degrees become radians here."""
+"""Params -> Scene: draw scenes from named random streams. Degrees become radians here. The things of a scene come last:
+all else of a seed is as it is without them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -7,25 +8,31 @@ from typing import Any
 
 import numpy as np
 
+from synth3dlanes.draw.bodies import Bodies
 from synth3dlanes.draw.draws import Draw, DrawsOf, draws_of
 from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.like import Neighbourhood
-from synth3dlanes.draw.makers import Maker
+from synth3dlanes.draw.makers import Maker, Roads
 from synth3dlanes.draw.mountain import mountain_roads
 from synth3dlanes.draw.paper import paper_roads
-from synth3dlanes.draw.things import draw_things
+from synth3dlanes.draw.people import draw_people
+from synth3dlanes.draw.riders import draw_riders
 from synth3dlanes.draw.town.draw import town_roads
-from synth3dlanes.draw.trees import draw_trees
 from synth3dlanes.draw.views import first_view, seen_from
+from synth3dlanes.draw.works import draw_devices
+from synth3dlanes.params.distributions import extent
 from synth3dlanes.params.groups import NO_JUNCTION
 from synth3dlanes.params.lidars import LidarSpec
 from synth3dlanes.params.params import Params
 from synth3dlanes.params.shots import SINGLE, ShotNumbers, Shots
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.scene.host import HostCamera, Lidar
-from synth3dlanes.scene.scene import SCENE_VERSION, Scene, to_json
+from synth3dlanes.scene.scene import SCENE_VERSION, Scene, Thing, Tree, to_json
+from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.processes import process_pool
 from synth3dlanes.system.streams import stream
+from synth3dlanes.world.ground import Ground
+from synth3dlanes.world.roadside import footprints
 from synth3dlanes.world.world import World, surfaces_of, world_on
 
 # Of a lidar's elevations: on the road ahead, a microradian is a centimetre of range.
@@ -36,6 +43,10 @@ MAKERS: dict[tuple[str, str], Maker] = {("town", "junction"): town_roads, ("moun
 PARTS = ("markings", "surface", "light", "air", "sensor", "weather", "host", "vegetation")
 # Number of scenes from which several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
+# Draws of places for all trees that have none yet.
+TRIES = 300
+# Least distance of a tree from the pavement: TREE_GAP_M plus a share of its crown's radius.
+TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -177,3 +188,40 @@ def _lidar(spec: LidarSpec, draw: Draw) -> Lidar:
     fixed = {name: getattr(spec, name) for name in ("name", "azimuths", "min_range_m", "max_range_m")}
     elevations_rad = tuple(np.round(np.radians(spec.elevations_deg), LIDAR_DECIMALS).tolist())
     return Lidar(**fixed, **{name.replace("_deg", "_rad"): draw(name) for name in place}, elevations_rad=elevations_rad)
+
+
+def draw_trees(scene: Scene, ground: Ground, of: DrawsOf, has_to_fit: bool) -> tuple[Tree, ...]:
+    """The trees of a scene. Without room in its ranges a tree is left out; with `has_to_fit` InputError is raised."""
+    looks, places = of("trees"), of("trees", "tree_places")
+    drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
+    models = scene.assets.tree_models
+    trees: list[Tree] = []
+    structures = footprints(ground, scene.roadside)
+    for _ in range(TRIES):
+        if len(trees) == len(drawn):
+            break
+        xy = np.array(places.rows(("x_m", "y_m"), 2 * (len(drawn) - len(trees)) + 16))
+        clear = ground.clearance(xy)
+        stands = structures.clear(xy, TREE_GAP_M)
+        for (x, y), clearance_m, is_free in zip(xy.tolist(), clear.tolist(), stands.tolist(), strict=True):
+            if len(trees) == len(drawn):
+                break
+            model, yaw_rad, scale = drawn[len(trees)]
+            gap_m = TREE_GAP_M + TREE_GAP_OF_CROWN * scale * models[model - 1].crown_radius_m
+            if is_free and clearance_m >= gap_m:
+                trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
+    if has_to_fit and len(trees) < len(drawn):
+        missing = len(drawn) - len(trees)
+        raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {scene.index}")
+    return tuple(trees)
+
+
+def draw_things(scene: Scene, ground: Ground, of: DrawsOf, roads: Roads) -> tuple[Thing, ...]:
+    """People, riders, and what stands along road works."""
+    devices = tuple(draw_devices(scene, ground, of))
+    people, riders = of.params.people, of.params.riders
+    most = people.per_100_m, people.crossing, riders.cyclists, riders.motorcyclists
+    if not any(extent(number)[1] > 0 for number in most):
+        return devices
+    bodies = Bodies(scene, ground)
+    return (*draw_riders(scene, bodies, of, roads.ride), *draw_people(scene, bodies, of, roads.crossers), *devices)

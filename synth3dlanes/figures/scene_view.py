@@ -16,7 +16,7 @@ from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import KIND_OF_CATEGORY
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
-from synth3dlanes.world.objects import PlacedObject
+from synth3dlanes.world.placement import PlacedObject
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import World, resolve
 

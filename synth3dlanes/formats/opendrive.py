@@ -19,7 +19,7 @@ from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.line_forms import plan_points
-from synth3dlanes.roads.maps.cubics import values
+from synth3dlanes.roads.maps.cubics import Profile
 from synth3dlanes.roads.maps.document import parse_xml
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
 from synth3dlanes.roads.maps.plan import places
@@ -424,7 +424,7 @@ def _gaps(road: MapRoad) -> Iterator[float]:
     widths = (lane.widths for section in road.sections for lane in section.lanes)
     for cubics in (road.heights, road.banks, road.lane_offsets, *widths):
         for k in range(1, len(cubics)):
-            yield abs(float(values(cubics[:k], np.array([cubics[k].s_m]))[0]) - cubics[k].a)
+            yield abs(float(Profile(cubics[:k])(np.array([cubics[k].s_m]))[0]) - cubics[k].a)
     yield 0.0
 
 

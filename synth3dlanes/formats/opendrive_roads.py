@@ -19,11 +19,10 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import MIRRORED
-from synth3dlanes.roads.cross_section import Profile
 from synth3dlanes.roads.from_map import bare_road
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.line_forms import Chain, plan_line
-from synth3dlanes.roads.maps.cubics import steepened, times, value
+from synth3dlanes.roads.maps.cubics import Profile, steepened, times, value
 from synth3dlanes.roads.maps.profiles import cubics, knots, pieces
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.reference_line import Offset

@@ -1,13 +1,14 @@
 """Cross-sections of roads: lanes of many kinds beside each other, with widths that change, heights and banks of their
 own. World frame, metres; t grows to the right of growing s."""
 
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from jaxtyping import Float
 
-from synth3dlanes.roads.maps.cubics import holding
+from synth3dlanes.roads.maps.cubics import Profile, holding
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.scene.road_map import MapLane, MapLaneKind, MapRoad, MapShape, Polynomial
 from synth3dlanes.system.arrays import AnyScalars, Numbers, Spread
@@ -17,36 +18,6 @@ KERB_M, SEAM_M = 0.12, 0.005
 RAISED: frozenset[MapLaneKind] = frozenset({"walkway", "kerb"})
 # The number of widths of lanes that a process keeps as arrays.
 WIDTHS_KEPT = 2**13
-
-
-@dataclass(frozen=True, eq=False)
-class Profile:
-    """A value along a road, by cubics of the distance from where each begins; before the first one it goes on."""
-
-    pieces: tuple[Polynomial, ...]
-
-    @cached_property
-    def table(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "4 k"]]:
-        """Where each cubic begins, and its coefficients."""
-        pieces = sorted(self.pieces, key=lambda piece: piece.s_m) or [Polynomial(s_m=0.0, a=0.0)]
-        rows = [[piece.a, piece.b, piece.c, piece.d] for piece in pieces]
-        return np.array([piece.s_m for piece in pieces]), np.array(rows, float).T
-
-    @cached_property
-    def constant(self) -> float | None:
-        """Its value if it is the same everywhere, as most widths are; else None."""
-        _, table = self.table
-        return None if table[1:].any() or np.ptp(table[0]) else float(table[0, 0])
-
-    def __call__(self, s: AnyScalars) -> AnyScalars:
-        """Values at stations."""
-        if self.constant is not None:
-            return np.full(s.shape, self.constant)
-        starts, table = self.table
-        # Most have one piece, and no time is to be lost with looking for it.
-        which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None) if len(starts) > 1 else 0
-        x, (a, b, c, d) = s - starts[which], table[:, which]
-        return np.asarray(a + x * (b + x * (c + x * d)))
 
 
 @lru_cache(maxsize=WIDTHS_KEPT)
@@ -202,8 +173,21 @@ class CrossSection:
     @cached_property
     def raised(self) -> list[tuple[int, int]]:
         """Runs of lanes that are raised beside each other: the numbers of their outer edges."""
+        return self._runs(RAISED)
+
+    @cached_property
+    def medians(self) -> list[tuple[int, int]]:
+        """Those of medians."""
+        return self._runs({"median"})
+
+    @cached_property
+    def level(self) -> list[tuple[int, int]]:
+        """Those of lanes of the pavement that are not raised."""
+        return self._runs({lane.kind for lane in self.lanes} - RAISED - {"none"})
+
+    def _runs(self, kinds: Container[MapLaneKind]) -> list[tuple[int, int]]:
         runs: list[tuple[int, int]] = []
         for i, lane in enumerate(self.lanes):
-            if lane.kind in RAISED:
+            if lane.kind in kinds:
                 runs[-1:] = [(runs[-1][0], i + 1)] if runs and runs[-1][1] == i else [*runs[-1:], (i, i + 1)]
         return runs

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from synth3dlanes.labels.labels import Direction, Marking
-from synth3dlanes.roads.cross_section import Profile
 from synth3dlanes.roads.lane_curves import LaneCurve, Neighbour, Piece, joined, neighbours, ways_through
 from synth3dlanes.roads.line_forms import S_END_M, Displaced, Flips, Opening, Quartic
 from synth3dlanes.roads.line_table import RoadLines
+from synth3dlanes.roads.maps.cubics import Profile
 from synth3dlanes.roads.network import HostLine, LanePattern, Network
 from synth3dlanes.roads.reference_line import Offset
 from synth3dlanes.roads.roads import NetworkLane, Parting, Ramp, Road
@@ -175,8 +175,9 @@ class _Plan:
         middles: list[Offset],
         span_m: tuple[float, float],
         direction: Direction = "same",
+        works: WorksLanes | None = None,
     ) -> list[NetworkLane]:
-        """The lanes of a section, from the host's left."""
+        """The lanes of a section, from the host's left; those along road works have their widths and sides."""
         lanes = [
             NetworkLane(
                 self.lane_id(name, k),
@@ -184,10 +185,11 @@ class _Plan:
                 name,
                 self._seen(k, len(middles) + 1),
                 at,
-                self.road.lane_width_m,
+                works.width_m if works else self.road.lane_width_m,
                 *span_m,
                 direction,
                 ascends=(direction == "same") == (self.flips.y > 0),
+                sides=(works.boundary(k - 1), works.boundary(k)) if works else None,
             )
             for k, at in enumerate(middles, 1)
         ]
@@ -206,21 +208,12 @@ class _Plan:
             lanes = self.section("stem", "main", middles, (-np.inf, 0.0))
             lanes += self.section("main", "main", after, (0.0, np.inf))
         else:
-            lanes = [lane for at in self.sections for lane in self._lanes_of(at, middles)]
+            lanes = []
+            for at in self.sections:
+                works = self.works if at.name == "works" else None
+                own = [works.middle(k) for k in range(1, works.n + 1)] if works else middles
+                lanes += self.section(at.name, "main", own, (at.start_m, at.end_m), works=works)
         return lanes + self.section("oncoming", "main", oncoming, whole, "oncoming")
-
-    def _lanes_of(self, at: LaneSection, middles: list[Offset]) -> list[NetworkLane]:
-        """The lanes of a section of a road without exit."""
-        span_m, works = (at.start_m, at.end_m), self.works
-        if works is None or at.name != "works":
-            return self.section(at.name, "main", middles, span_m)
-        own = self.section("works", "main", [works.middle(k) for k in range(1, works.n + 1)], span_m)
-        numbers = {self.lane_id("works", k): k for k in range(1, works.n + 1)}
-        return [
-            replace(lane, width_m=works.width_m, sides=(works.boundary(k - 1), works.boundary(k)))
-            for lane in own
-            for k in (numbers[lane.id],)
-        ]
 
     def _opens(self, s: AnyScalars) -> AnyScalars:
         """How far a lane that opens beside its neighbour has come."""
@@ -351,7 +344,10 @@ class _Plan:
         self, section: str, j: int, marking: Marking, parts: Parts, start_m: float = -np.inf, end_m: float = np.inf
     ) -> LaneCurve:
         """Painted line j of a section; parts are a road, an offset and where it begins."""
-        return self._painted(self.line_id(section, j), marking, self._beside(section, j), parts, start_m, end_m)
+        road = "exit" if section == "exit" else "main"
+        direction: Direction = "oncoming" if section == "oncoming" else "same"
+        sides, pieces = self._seen_sides(self._beside(section, j)), joined(parts)
+        return LaneCurve(self.line_id(section, j), "delimiter", road, marking, sides, pieces, start_m, end_m, direction)
 
     def _beside(self, section: str, j: int) -> LanesBeside:
         """The lanes beside line j of a section as t grows, that between both directions included."""
@@ -359,20 +355,6 @@ class _Plan:
         if j == 0 and section in {at.name for at in self.sections} and self.road.is_divided_by_line:
             left = self.lane_id("oncoming", self.road.n_oncoming)
         return left, right
-
-    def _painted(
-        self,
-        name: str,
-        marking: Marking,
-        beside: LanesBeside,
-        parts: Parts,
-        start_m: float = -np.inf,
-        end_m: float = np.inf,
-    ) -> LaneCurve:
-        sides = self._seen_sides(beside)
-        road = "exit" if name.startswith("exit") else "main"
-        direction: Direction = "oncoming" if name.startswith("oncoming") else "same"
-        return LaneCurve(name, "delimiter", road, marking, sides, joined(parts), start_m, end_m, direction)
 
     def _seen_sides(self, beside: LanesBeside) -> tuple[Neighbour, ...]:
         """Lanes on both sides, as the host sees them."""
@@ -443,9 +425,10 @@ class _Plan:
         lines = [self._through(j) for j in range(n if topology == 2 else n - 1)]
         if topology == 3:
             # The dashed line between the last two lanes continues along the exit's left side to the nose.
-            parted = self.lane_id("main", n), self.lane_id("exit", 1)
+            parted = self._seen_sides((self.lane_id("main", n), self.lane_id("exit", 1)))
+            stem = self._line("main", n - 1, "dashed", leaving(self.boundary_m(n - 1), -half_m), -np.inf, nose_m)
             lines += [
-                self._painted("stem_line", "dashed", parted, leaving(self.boundary_m(n - 1), -half_m), -np.inf, nose_m),
+                replace(stem, id="stem_line", neighbours=parted),
                 self._line("main", n - 1, "dashed", beyond(main, self.boundary_m(n - 1)), nose_m),
             ]
         lines += [
@@ -460,12 +443,7 @@ class _Plan:
         """The lines of the oncoming lanes; without a median the innermost is the main road's own."""
         n = self.road.n_oncoming
         return [
-            self._line(
-                "oncoming",
-                j,
-                "dashed" if 0 < j < n else "solid",
-                self._on_main(self.left_m + j * self.road.lane_width_m),
-            )
+            self._line("oncoming", j, self._marking(j, n), self._on_main(self.left_m + j * self.road.lane_width_m))
             for j in range(n if self.road.is_divided_by_line or n == 0 else n + 1)
         ]
 

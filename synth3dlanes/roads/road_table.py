@@ -14,9 +14,10 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.polylines import parted, spaced
-from synth3dlanes.roads.cross_section import KERB_M, SEAM_M, CrossSection, Profile, Shapes
+from synth3dlanes.roads.cross_section import KERB_M, SEAM_M, CrossSection, Shapes
 from synth3dlanes.roads.lane_curves import TableLine, n_knots
 from synth3dlanes.roads.line_forms import Spiral, spiral_frames
+from synth3dlanes.roads.maps.cubics import Profile
 from synth3dlanes.roads.reference_line import MAX_STEP_M, MIN_SHARE, SETTLED_M, LineFrames, dot
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.scene.instance_ids import thing_of
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.bonnet import FROM_M, HALF_WIDTH_M, TO_M, surface_m
-from synth3dlanes.world.objects import PlacedObject
+from synth3dlanes.world.placement import PlacedObject
 from synth3dlanes.world.world import World
 
 # Twigs may extend beyond the boxes of trees, and mirrors may hide what is beside a car. Of objects no more than points

@@ -241,10 +241,11 @@ def _ends(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 def _faces(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """A pole's is not a sign's."""
     boxes, own = evidence.bodies["structure"], seen.number("structure")
-    surface = np.concatenate([np.zeros(0, int), *(body.surface for body in evidence.world.site.structures)])
-    for number, name in enumerate(SURFACES):
+    bodies = evidence.world.site.structures
+    surface = np.array([body.surface for body in bodies for _ in body.corners_world], dtype=str)
+    for name in SURFACES:
         at = (seen.ids["semantic"] == SEMANTIC_IDS[name]) & (own >= 0)
-        found = inside(boxes.at(surface == number), seen.points_world[at], own[at])
+        found = inside(boxes.at(surface == name), seen.points_world[at], own[at])
         yield PartSeen(name, np.where(found, 0, np.inf))
 
 

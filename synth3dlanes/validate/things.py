@@ -19,7 +19,7 @@ from synth3dlanes.validate.bodies import FAR_M, box_of, grown, meet
 from synth3dlanes.validate.documents import differences, some
 from synth3dlanes.validate.evidence import Evidence, some_pixels
 from synth3dlanes.validate.findings import Finding, Result, judged
-from synth3dlanes.world.objects import PlacedObject
+from synth3dlanes.world.placement import PlacedObject
 
 # Lights are judged of signals that are seen as a whole.
 MIN_SEEN = 0.99

@@ -11,9 +11,8 @@ from synth3dlanes.roads.roads import NetworkLane
 from synth3dlanes.scene.roadside import Crossing
 from synth3dlanes.world.beside import frames_beside, ground_over, on_ground
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.mounted import Mounted, board_size
 from synth3dlanes.world.sign_faces import Patch, board
-from synth3dlanes.world.signals import LANE_HEAD_M
+from synth3dlanes.world.signals import LANE_HEAD_M, Mounted, board_size
 from synth3dlanes.world.solids import METAL, SINK_M, Body, GroundFrame, Quads
 
 # Least gap between a crossing's supports and any pavement, and how far from its axis supports are looked for.

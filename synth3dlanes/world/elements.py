@@ -10,10 +10,18 @@ from synth3dlanes.scene.things import ElementCategory
 from synth3dlanes.scene.traffic_elements import ElementKind, ElementState, LaneSignal, TrafficSignal
 from synth3dlanes.world.crossings import gantry_boards, lane_signal_places
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.mounted import Mounted, board_body
 from synth3dlanes.world.posts import post_frames, sign_place
 from synth3dlanes.world.sign_faces import BOARD_KINDS, FACE_KINDS, FACES, SIGN_FACES
-from synth3dlanes.world.signals import foot_frames, head_body, head_light, lane_head_body, lane_light, mounted
+from synth3dlanes.world.signals import (
+    Mounted,
+    board_body,
+    foot_frames,
+    head_body,
+    head_light,
+    lane_head_body,
+    lane_light,
+    mounted,
+)
 from synth3dlanes.world.solids import Body
 
 

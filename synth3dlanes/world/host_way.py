@@ -10,7 +10,6 @@ from jaxtyping import Float
 from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
-from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2
 
 # Distance between the places of the way from which distances are measured.
@@ -44,10 +43,6 @@ class HostWay:
         squares = ((xy_world[..., 0] - x) ** 2 + (xy_world[..., 1] - y) ** 2 for x, y in self.places.tolist())
         return np.sqrt(reduce(np.minimum, squares))
 
-    def away_along(self, road: Road, s: AnyScalars) -> AnyScalars:
-        """How far places on a road's line are from it."""
-        return self.away_at(road.xy(s, 0.0))
-
     def away_on(
         self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
     ) -> list[Float[np.ndarray, " _"]]:
@@ -60,28 +55,3 @@ class HostWay:
         """(x0, y0, x1, y1) around all that is this near to it."""
         (x0, y0), (x1, y1) = self.places.min(axis=0) - reach_m, self.places.max(axis=0) + reach_m
         return float(x0), float(y0), float(x1), float(y1)
-
-
-@dataclass(frozen=True, eq=False)
-class EndlessWay(HostWay):
-    """The way along a road without ends, whose stations as the host drives are world y: distances from it are those of
-    stations."""
-
-    def away_m(self, driven_m: AnyScalars) -> AnyScalars:
-        """How far stations as the host drives are from its places."""
-        last_m = self.near_m + self.driven_m
-        return np.abs(np.where(driven_m > last_m, driven_m - last_m, np.minimum(driven_m - self.near_m, 0)))
-
-    def away_at(self, xy_world: AnyPoints2) -> AnyScalars:
-        """How far points are from it, along the road."""
-        return self.away_m(xy_world[..., 1])
-
-    def away_along(self, road: Road, s: AnyScalars) -> AnyScalars:
-        """How far stations of a road, which shares those of the way, are from it."""
-        return self.away_m(self.network.stations(s))
-
-    def away_on(
-        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, " _"]]:
-        """How far stations of each of some curves, which share those of the way, are from it."""
-        return [self.away_m(self.network.stations(s)) for s in stations]

@@ -60,7 +60,7 @@ def host_stations(network: Network, camera: HostCamera, driven_m: Float[np.ndarr
     return network.stations(stations_after(network.host_way(camera), camera.y_m * network.onwards, driven_m))
 
 
-def car_at(network: Network, car: Car, time_s: float, where: str = "car") -> Car:
+def car_at(network: Network, car: Car, time_s: float, where: str = "cars") -> Car:
     """A car some seconds after the clip's start, with its speed then. Raises InputError, which begins with `where`, for
     one that is not in its lane at the start, and where its lanes do not reach; and as `Network.path` for its lane."""
     lane = next(at for at in network.path(car.lane).lanes if at.id == car.lane)

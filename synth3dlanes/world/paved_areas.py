@@ -5,10 +5,9 @@ Roads are strips of lanes; the pavement of those that connect others in a juncti
 pavement at its edges.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -18,13 +17,12 @@ from jaxtyping import Bool, Float
 from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.geometry.polylines import parted, spaced
-from synth3dlanes.roads.cross_section import KERB_M, RAISED
+from synth3dlanes.roads.cross_section import KERB_M, CrossSection
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import SEARCH_RATIO, Junction, Network
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
-from synth3dlanes.scene.road_map import MapLane
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.world.areas import (
@@ -66,8 +64,9 @@ FAR_FROM_M, FAR_FALL = 400.0, 0.0005
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
 # Paint farther than this from the host's way is not drawn; places along a line that are asked.
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
-# The edges of a road's pavement.
-EDGES = attrgetter("left"), attrgetter("right")
+# The runs of lanes of a section that are raised, level, or medians.
+LaneRuns = Callable[[CrossSection], list[tuple[int, int]]]
+RAISED_RUNS, LEVEL_RUNS, MEDIAN_RUNS = attrgetter("raised"), attrgetter("level"), attrgetter("medians")
 # Distance beside a junction's decks at which the ground ends; pavement farther than this from the host is left out.
 OFF_M, REACH_M = 0.3, 480.0
 # Greatest width of faces of lanes.
@@ -179,9 +178,8 @@ class PavedAreas:
         stretches = [stretch for road in self.roads for stretch in road.stretches]
         for i, stretch in enumerate(stretches):
             (section,) = stretch.sections
-            bounds = [section.paved, *section.raised]
-            is_inside = stretch.junction in known
-            bounds += [(k, k + 1) for k, lane in enumerate(section.lanes) if is_inside or lane.kind == "median"]
+            bounds = [section.paved, *section.raised, *section.medians]
+            bounds += [(k, k + 1) for k in range(len(section.lanes)) if stretch.junction in known]
             wanted += [(i, stretch, edge) for edge in sorted({edge for pair in bounds for edge in pair})]
         rows = [self.stretch_rows(stretch) for stretch in stretches]
         counts = [len(rows[i]) for i, _, _ in wanted]
@@ -227,17 +225,15 @@ class PavedAreas:
 
     def _junction(self, at: Junction) -> tuple[BaseGeometry, BaseGeometry]:
         """The pavement of a junction, and its raised walkways."""
-        level, high = list[tuple[Points2, Points2]](), list[tuple[Points2, Points2]]()
-        for road in at.roads:
-            for stretch in road.stretches:
-                for is_raised, run in groupby(enumerate(stretch.sections[0].lanes), key=_is_raised):
-                    if is_raised is not None:
-                        numbers = [i for i, _ in run]
-                        (high if is_raised else level).append(self._edges(stretch, (numbers[0], numbers[-1] + 1)))
-        lanes, raised = polygons_between(level), polygons_between(high)
-        whole = filled(union([*lanes, ring_area(at.outline)]))
+        raised = self._runs(at.roads, RAISED_RUNS)
+        whole = filled(union([*self._runs(at.roads, LEVEL_RUNS), ring_area(at.outline)]))
         paved, walkways = difference(whole, self._arms_at(whole)), union(raised)
         return paved, difference(walkways, union([paved, self._arms_at(walkways)])) if raised else NOTHING
+
+    def _runs(self, roads: Iterable[Road], runs_of: LaneRuns) -> list[BaseGeometry]:
+        """The runs of lanes of some kinds of roads from above."""
+        runs = [(id(at), run) for road in roads for at in road.stretches for run in runs_of(at.sections[0])]
+        return polygons_between([(self._edge_lines[at, low], self._edge_lines[at, high]) for at, (low, high) in runs])
 
     def _arms_at(self, area: BaseGeometry) -> BaseGeometry:
         """The parts of `arms` that an area may touch."""
@@ -257,9 +253,9 @@ class PavedAreas:
         return whole
 
     def edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
-        """The edges of the pavement of traffic, walkways left out, within about `reach_m` of a place: lines with points
-        a metre apart."""
-        lines = clipped(shapely.boundary(self.carriageways), _around(xy_world, reach_m))
+        """The edges of the pavement of traffic, walkways and grass left out, within about `reach_m` of a place: lines
+        with points a metre apart."""
+        lines = clipped(shapely.boundary(self._drivable), _around(xy_world, reach_m))
         for line in shapely.get_parts(shapely.line_merge(lines)):
             if not line.is_empty:
                 ring = shapely.get_coordinates(shapely.segmentize(line, 1.0))
@@ -268,27 +264,23 @@ class PavedAreas:
     @cached_property
     def _raised_strips(self) -> list[BaseGeometry]:
         """The raised lanes of roads outside junctions."""
-        stretches = [stretch for road in self.outside for stretch in road.stretches]
-        return polygons_between(
-            [self._edges(stretch, edges) for stretch in stretches for edges in stretch.sections[0].raised]
-        )
-
-    def _edges(self, stretch: Road, edges: tuple[int, int]) -> tuple[Points2, Points2]:
-        """The lines of two edges of a stretch of a road."""
-        left, right = (self._edge_lines[id(stretch), edge] for edge in edges)
-        return left, right
+        return self._runs(self.outside, RAISED_RUNS)
 
     def strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
-        """Both edges of the pavement of every road within about `reach_m` of a place, those in junctions included."""
-        for road in self.network.roads:
-            rows = [(at, self.stretch_rows(at)) for at in road.stretches]
-            left, right = (np.concatenate([at.points(s, edge(at)(s)) for at, s in rows]) for edge in EDGES)
-            if (np.hypot(*(left[:, :2] - xy_world).T) < SEARCH_RATIO * reach_m).any():
-                yield left, right
+        """Both edges of each strip of pavement within about `reach_m` of a place: of every section of a road, those in
+        junctions included, and on both sides of a median."""
+        for stretch in (stretch for road in self.roads for stretch in road.stretches):
+            s, (section,) = self.stretch_rows(stretch), stretch.sections
+            near = np.flatnonzero(np.hypot(*(stretch.xy(s, 0.0) - xy_world).T) < SEARCH_RATIO * reach_m)
+            if len(near) > 1:
+                s, (first, last) = s[near[0] : near[-1] + 1], section.paved
+                ends = [first, *(edge for run in section.medians for edge in run), last]
+                for low, high in zip(ends[::2], ends[1::2], strict=True):
+                    yield stretch.points(s, section.edge(low, s)), stretch.points(s, section.edge(high, s))
 
     def carriageway(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
-        """The pavement of traffic from above, within about `reach_m` of a place."""
-        return clipped(self.carriageways, _around(xy_world, reach_m))
+        """The pavement of traffic from above, without grass, within about `reach_m` of a place."""
+        return clipped(self._drivable, _around(xy_world, reach_m))
 
     def walkways(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
         """The walkways of roads and junctions from above, within about `reach_m` of a place."""
@@ -306,13 +298,14 @@ class PavedAreas:
         return whole
 
     @cached_property
+    def _drivable(self) -> BaseGeometry:
+        """The pavement of traffic without grass."""
+        return difference(self.carriageways, self._grass)
+
+    @cached_property
     def _grass(self) -> BaseGeometry:
         found = [area.polygon for area in self.areas if area.kind == "grass"]
-        for road in self.outside:
-            for stretch in road.stretches:
-                medians = [i for i, lane in enumerate(stretch.sections[0].lanes) if lane.kind == "median"]
-                found += polygons_between([self._edges(stretch, (i, i + 1)) for i in medians])
-        grass = union(found)
+        grass = union(found + self._runs(self.outside, MEDIAN_RUNS))
         shapely.prepare(grass)
         return grass
 
@@ -510,11 +503,6 @@ def _around(xy_world: Float[np.ndarray, "2"], reach_m: float) -> tuple[float, fl
     """The box about a place in which roads are near it."""
     (x0, y0), (x1, y1) = xy_world - SEARCH_RATIO * reach_m, xy_world + SEARCH_RATIO * reach_m
     return float(x0), float(y0), float(x1), float(y1)
-
-
-def _is_raised(lane: tuple[int, MapLane]) -> bool | None:
-    """Whether a lane (with its number) is raised over the pavement; None of one that is no part of the ground."""
-    return None if lane[1].kind == "none" else lane[1].kind in RAISED
 
 
 def _even(ends_m: Sequence[float], step_m: float) -> list[Float[np.ndarray, " _"]]:

@@ -8,8 +8,8 @@ from synth3dlanes.scene.roadside import Post
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.beside import frames_beside
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.mounted import Mounted, board_size
 from synth3dlanes.world.sign_faces import FACES
+from synth3dlanes.world.signals import Mounted, board_size
 from synth3dlanes.world.solids import (
     BLACK,
     DARK_METAL,

@@ -30,7 +30,7 @@ def rail_stations(ground: Ground, rail: Rail) -> Scalars:
     """Stations of the rows of a rail, denser near the host."""
     low, high = sorted((rail.from_m, rail.to_m))
     s = np.linspace(low, high, 2 + int(high - low))
-    away_m = ground.way.away_along(ground.network.road(rail.road), s)
+    away_m = ground.way.away_at(ground.network.road(rail.road).xy(s, 0.0))
     rows = [low]
     while rows[-1] < high:
         here_m = np.interp(rows[-1], s, away_m)
@@ -139,7 +139,7 @@ class RailPosts(NamedTuple):
 def _posts(quads: Quads, ground: Ground, rail: Rail, posts: RailPosts, color: Sequence[float]) -> None:
     first_m = rail.from_m + posts.from_ends_m
     s = np.arange(first_m, rail.to_m - (first_m - rail.from_m) + 0.01, POSTS_M)
-    away = ground.way.away_along(ground.network.road(rail.road), s)
+    away = ground.way.away_at(ground.network.road(rail.road).xy(s, 0.0))
     s = s[(away < FAR_POSTS_M) | (np.arange(len(s)) % round(POSTS_FAR_M / POSTS_M) == 0)]
     foot = _foot_height(ground, rail, s, posts.across_m)
     top = foot if rail.kind == "noise_wall" else _edge_height(ground, rail, s)

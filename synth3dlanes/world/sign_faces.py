@@ -132,9 +132,9 @@ def _text(text: str, height_m: float) -> list[Outline]:
     return found
 
 
-def _round(fill: Color, ink: Color, shapes: list[Outline]) -> tuple[Patch, ...]:
+def _round(fill: Color, shapes: list[Outline]) -> tuple[Patch, ...]:
     """A round sign with a white edge."""
-    return (Patch(disc(24, 0.38), WHITE), Patch(disc(24, 0.36), fill), *(Patch(shape, ink) for shape in shapes))
+    return (Patch(disc(24, 0.38), WHITE), Patch(disc(24, 0.36), fill), *(Patch(shape, WHITE) for shape in shapes))
 
 
 def _ring(shapes: list[Outline], is_barred: bool = False) -> tuple[Patch, ...]:
@@ -163,7 +163,7 @@ SIGN_FACES: dict[SignKind, tuple[Patch, ...]] = {
     ),
     "give_way": (Patch(disc(3, 0.55, 0.5), RED), Patch(disc(3, 0.36, 0.5), WHITE)),
     "priority": (Patch(disc(4, 0.5), BLACK), Patch(disc(4, 0.485), WHITE), Patch(disc(4, 0.36), YELLOW)),
-    "no_entry": _round(RED, WHITE, [_rectangle(0.52, 0.13)]),
+    "no_entry": _round(RED, [_rectangle(0.52, 0.13)]),
     "speed_20": _ring(_text("20", 0.28)),
     "speed_30": _ring(_text("30", 0.28)),
     "speed_40": _ring(_text("40", 0.28)),
@@ -175,9 +175,9 @@ SIGN_FACES: dict[SignKind, tuple[Patch, ...]] = {
     "speed_100": _ring(_text("100", 0.22)),
     "speed_120": _ring(_text("120", 0.22)),
     "speed_130": _ring(_text("130", 0.22)),
-    "ahead_only": _round(BLUE, WHITE, arrow(0, -0.02, 0.55, 0.0)),
-    "left_only": _round(BLUE, WHITE, arrow(0, 0, 0.55, LEFT_RAD)),
-    "right_only": _round(BLUE, WHITE, arrow(0, 0, 0.55, RIGHT_RAD)),
+    "ahead_only": _round(BLUE, arrow(0, -0.02, 0.55, 0.0)),
+    "left_only": _round(BLUE, arrow(0, 0, 0.55, LEFT_RAD)),
+    "right_only": _round(BLUE, arrow(0, 0, 0.55, RIGHT_RAD)),
     "no_left_turn": _ring(arrow(0, 0, 0.45, LEFT_RAD), is_barred=True),
     "no_right_turn": _ring(arrow(0, 0, 0.45, RIGHT_RAD), is_barred=True),
     "no_u_turn": _ring(_around(), is_barred=True),

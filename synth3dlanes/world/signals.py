@@ -1,18 +1,34 @@
-"""Signals and signs at free places, and signals over the lanes of a gantry: poles, heads and lit lenses. World frame,
-metres."""
+"""Signals and signs at free places, and signals over the lanes of a gantry: places of heads and boards, poles, heads,
+lit lenses and boards. World frame, metres."""
 
 from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from synth3dlanes.geometry.frames import from_axes
 from synth3dlanes.scene.traffic_elements import LaneState, LensForm, SignalState, TrafficSign, TrafficSignal
+from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.schema import Color
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.mounted import Mounted, board_size
 from synth3dlanes.world.sign_faces import SIGN_FACES, Outline, Patch, arrow, bar, disc
-from synth3dlanes.world.solids import DARK_METAL, LIT_GLOSS, METAL, SINK_M, Body, GroundFrame, Quads
+from synth3dlanes.world.solids import (
+    DARK_METAL,
+    LIT_GLOSS,
+    METAL,
+    SHEETING_GLOSS,
+    SINK_M,
+    Body,
+    GroundFrame,
+    QuadCorners,
+    Quads,
+)
 
+# A board: its depth, and where its back and the first layer of its face are in it; each further layer is nearer. All
+# are close together: a rim of the face that shows beside the back would shine in headlights.
+BOARD_M, BACK_M, FACE_M, LAYER_M = 0.08, 0.0, -0.002, 0.003
 HOUSING, DARK_LENS = (0.012, 0.014, 0.012, 0.25), (0.03, 0.03, 0.03, 0.5)
 RED_LIGHT, AMBER_LIGHT, GREEN_LIGHT = (1.0, 0.02, 0.012), (1.0, 0.36, 0.01), (0.02, 1.0, 0.38)
 # A head with three lights: its size with the hoods of its lenses, their radius, how far apart they are, and the depth
@@ -39,6 +55,52 @@ LANE_LIGHTS: dict[LaneState, tuple[Color, list[Outline]]] = {
     "amber_left": (AMBER_LIGHT, arrow(0, 0, 0.75, -3 * np.pi / 4)),
     "amber_right": (AMBER_LIGHT, arrow(0, 0, 0.75, 3 * np.pi / 4)),
 }
+
+
+class Mounted(NamedTuple):
+    """The middle of a head or a board in the frame of its foot, and its size: width, depth and height."""
+
+    frame: GroundFrame
+    middle: Float[np.ndarray, "3"]
+    size_m: Float[np.ndarray, "3"]
+
+    @property
+    def world_from_face(self) -> Matrix4:
+        """Its pose: x to the right and y ahead as its traffic drives, z up, in its middle."""
+        x, y = self.frame.forward
+        right, forward, up = np.array([[y, -x, 0.0], [x, y, 0.0], [0.0, 0.0, 1.0]])
+        return from_axes(right, forward, up, self.frame.world(self.middle))
+
+
+def board_size(layers: Sequence[Patch]) -> Float[np.ndarray, "3"]:
+    """Width, depth and height of a board."""
+    width_m, height_m = np.ptp(layers[0].outline, axis=0)
+    return np.array([width_m, BOARD_M, height_m])
+
+
+def board_body(place: Mounted, layers: tuple[Patch, ...]) -> Body:
+    """A board's gray back and the layers of its face, towards its traffic."""
+    corners, colors = _board(layers)
+    quads = Quads("face", "sign")
+    quads.add(place.frame.world(place.middle + corners), colors)
+    return quads.body()
+
+
+@lru_cache(maxsize=64)
+def _board(layers: tuple[Patch, ...]) -> tuple[QuadCorners, Float[np.ndarray, "f 4"]]:
+    """The quads of a board around its middle, and their colours with gloss. Consecutive shapes of one colour are one
+    layer: thick faces would cast shadows on themselves."""
+    outline = layers[0].outline
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    level, before, found, colors = 0, METAL[:3], list[QuadCorners](), list[tuple[float, ...]]()
+    for i, layer in enumerate([Patch(outline, METAL[:3]), *layers]):
+        quads = layer.quads()
+        level, before = level + (layer.color != before), layer.color
+        x, up = np.moveaxis(quads[..., :2] - middle, -1, 0)
+        depth = np.full(x.shape, BACK_M if i == 0 else FACE_M - LAYER_M * level)
+        found.append(np.stack([x, depth, up], -1))
+        colors += [(*layer.color, METAL[3] if i == 0 else SHEETING_GLOSS)] * len(quads)
+    return np.concatenate(found), np.array(colors)
 
 
 def foot_frames(ground: Ground, items: Sequence[TrafficSignal | TrafficSign]) -> list[GroundFrame]:
@@ -99,7 +161,7 @@ def head_light(place: Mounted, form: LensForm, state: SignalState) -> Body:
     for number in SHINING[state]:
         for shape in shapes:
             at = _lenses(place)[number] - [0, 0.01, 0]
-            _add_patch(quads, place.frame, Patch(shape, LIGHTS[number]), at, LIT_GLOSS)
+            _add_patch(quads, place.frame, Patch(shape, LIGHTS[number]), at)
     return quads.body()
 
 
@@ -108,7 +170,7 @@ def lane_light(place: Mounted, state: LaneState) -> Body:
     quads, (color, shapes) = Quads("head", "signal"), LANE_LIGHTS[state]
     for number, shape in enumerate(shapes):
         at = place.middle - [0, place.size_m[1] / 2 + 0.01 + 0.002 * number, 0]
-        _add_patch(quads, place.frame, Patch(shape, color), at, LIT_GLOSS)
+        _add_patch(quads, place.frame, Patch(shape, color), at)
     return quads.body()
 
 
@@ -118,7 +180,7 @@ def _lenses(place: Mounted) -> Float[np.ndarray, "3 3"]:
     return np.asarray(place.middle - [0, place.size_m[1] / 2 - HOOD_M, 0] + down)
 
 
-def _add_patch(quads: Quads, frame: GroundFrame, patch: Patch, at: Float[np.ndarray, "3"], gloss: float) -> None:
-    """A patch upright at a place of a frame, towards the traffic."""
+def _add_patch(quads: Quads, frame: GroundFrame, patch: Patch, at: Float[np.ndarray, "3"]) -> None:
+    """A lit patch upright at a place of a frame, towards the traffic."""
     corners = patch.quads()[..., [0, 2, 1]]
-    quads.add(frame.world(corners + at), (*patch.color, gloss))
+    quads.add(frame.world(corners + at), (*patch.color, LIT_GLOSS))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.scene.things import KINDS
@@ -12,7 +12,7 @@ from synth3dlanes.system.arrays import Points3
 
 QuadCorners = Float[np.ndarray, "f 4 3"]
 
-# The semantic names of a body's faces; `Body.surface` numbers them.
+# The semantic names of bodies.
 SURFACES = tuple(kind.name for kind in KINDS if kind.series == "structure")
 # How far bodies reach into the ground, so that none floats on a slope.
 SINK_M = 0.4
@@ -27,13 +27,13 @@ LIT_GLOSS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One structure: its quads, each with a colour (linear red, green, blue, and gloss) and a number in SURFACES, and
-    the points where it stands on the ground."""
+    """One structure: its semantic name, one of SURFACES, its quads, each with a colour (linear red, green, blue, and
+    gloss), and the points where it stands on the ground."""
 
     kind: str
+    surface: str
     corners_world: QuadCorners
     colors: Float[np.ndarray, "f 4"]
-    surface: Int[np.ndarray, " f"]
     feet_world: Points3
 
 
@@ -41,33 +41,24 @@ class Quads:
     """Collects the quads of one body."""
 
     def __init__(self, kind: str, surface: str) -> None:
-        self.kind, self.default = kind, surface
+        self.kind, self.surface = kind, surface
         self.corners: list[QuadCorners] = []
         self.colors: list[Float[np.ndarray, "f 4"]] = []
-        self.surfaces: list[Int[np.ndarray, " f"]] = []
         self.feet: list[Points3] = []
 
-    def add(self, corners: QuadCorners, color: Sequence[float] | Float[np.ndarray, "f 4"], surface: str = "") -> None:
+    def add(self, corners: QuadCorners, color: Sequence[float] | Float[np.ndarray, "f 4"]) -> None:
         """Quads of one colour, or of one each."""
         colors = color if isinstance(color, np.ndarray) else np.array(_glossy(color), dtype=float)
         self.corners.append(corners)
         self.colors.append(np.broadcast_to(colors, (len(corners), 4)))
-        self.surfaces.append(np.full(len(corners), SURFACES.index(surface or self.default)))
 
-    def box(
-        self,
-        frame: "GroundFrame",
-        low: Sequence[float],
-        high: Sequence[float],
-        color: Sequence[float],
-        surface: str = "",
-    ) -> None:
+    def box(self, frame: "GroundFrame", low: Sequence[float], high: Sequence[float], color: Sequence[float]) -> None:
         """A box between two corners of a frame."""
         (x0, y0, z0), (x1, y1, z1) = low, high
         ring = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
         walls = [[(*a, z0), (*b, z0), (*b, z1), (*a, z1)] for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
         ends = [[(*corner, z) for corner in ring] for z in (z0, z1)]
-        self.add(frame.world(np.array(walls + ends)), color, surface)
+        self.add(frame.world(np.array(walls + ends)), color)
 
     def tube(
         self, ends_world: Float[np.ndarray, "2 3"], radii_m: tuple[float, float], color: Sequence[float], n: int = 6
@@ -82,18 +73,18 @@ class Quads:
         rings = ends_world[:, None] + np.array(radii_m)[:, None, None] * ring
         self.sweep(rings, color)
 
-    def sweep(self, rows: Float[np.ndarray, "r c 3"], color: Sequence[float], surface: str = "") -> None:
+    def sweep(self, rows: Float[np.ndarray, "r c 3"], color: Sequence[float]) -> None:
         """Quads between consecutive rows and columns of points."""
         corners = np.stack([rows[:-1, :-1], rows[:-1, 1:], rows[1:, 1:], rows[1:, :-1]], axis=2)
-        self.add(corners.reshape(-1, 4, 3), color, surface)
+        self.add(corners.reshape(-1, 4, 3), color)
 
     def body(self) -> Body:
         """The body of all quads that were added."""
         return Body(
             self.kind,
+            self.surface,
             np.concatenate([*self.corners, np.zeros((0, 4, 3))]),
             np.concatenate([*self.colors, np.zeros((0, 4))]),
-            np.concatenate([*self.surfaces, np.zeros(0, dtype=int)]),
             np.concatenate([*self.feet, np.zeros((0, 3))]),
         )
 

@@ -11,16 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from shapely.geometry.base import BaseGeometry
 
-from synth3dlanes.geometry.polylines import stretches
-from synth3dlanes.roads.cross_section import CrossSection, Profile
+from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.maps.cubics import Profile
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapLane, MapLaneKind, Polynomial
-from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3, Scalars, Spread
-from synth3dlanes.world.areas import NOTHING, polygon_between, union
+from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Scalars, Spread
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, TerrainGrid
 from synth3dlanes.world.paved_areas import COARSE_M, PRESS_M, ROW_STEPS_M, PavedAreas, row_count
@@ -40,8 +38,9 @@ CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
 BEFORE_M, OVERLAP_M = 20.0, 1.0
 # Least distance beyond the verges within which roads are searched.
 ROAD_SEARCH_M = 3.0
-# How far a road goes on behind a host that does not look there.
-ROAD_BEHIND_M = 30.0
+# How far behind a host that does not look there paint goes on, and the rows of roads beyond that, which exported maps
+# have: the paper's roads are straight from some 160 m on.
+PAINT_BEHIND_M, ROAD_BEHIND_M = 30.0, np.append(np.arange(30.0, 165.0, 5.0), 260.0)
 # A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
 STEEP_M = 1.0
 # Greatest width of faces of lanes.
@@ -82,11 +81,11 @@ class Verges(PavedAreas):
 
     @cached_property
     def rows_m(self) -> Scalars:
-        """The stations of all rows, to beyond the horizon, and more of them on a ramp that needs these."""
+        """The stations of the rows of paint, to beyond the horizon, and more of them on a ramp that needs these."""
         away_m = np.arange(0.0, 2 * HORIZON_M, COARSE_M)
         count = row_count(away_m, away_m)
         ahead_m = np.interp(np.arange(count[-1]), count, away_m)
-        behind_m = ahead_m if self.way.both_ways else ahead_m[ahead_m < ROAD_BEHIND_M]
+        behind_m = ahead_m if self.way.both_ways else ahead_m[ahead_m < PAINT_BEHIND_M]
         driven_m = np.arange(0.0, self.way.driven_m, ROW_STEPS_M[0])
         rows_m = self.way.near_m + np.concatenate([-behind_m, driven_m, self.way.driven_m + ahead_m])
         ramps = [road.ramp.stations for road in self.network.roads if road.ramp]
@@ -95,10 +94,13 @@ class Verges(PavedAreas):
 
     @cached_property
     def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
-        return {road.id: self.rows_m for road in self.network.roads}
+        rows_m = self.rows_m
+        if not self.way.both_ways:
+            rows_m = np.union1d(rows_m, self.network.stations(self.way.near_m - ROAD_BEHIND_M))
+        return {road.id: rows_m for road in self.network.roads}
 
     def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
-        """The stations of the rows of the paint of each curve: those of the roads."""
+        """The stations of the rows of the paint of each curve."""
         return [self.rows_m] * len(curves)
 
     def drawn(self, lines: Sequence[LaneCurve], seen: Sector | None) -> dict[LaneCurve, bool]:
@@ -110,8 +112,8 @@ class Verges(PavedAreas):
     @cached_property
     def roads(self) -> Sequence[Road]:
         """The roads within their rows, each with a section."""
-        first_m, last_m = self.rows_m[[0, -1]].tolist()
-        spans = [(road, max(road.start_m, first_m), min(road.end_m, last_m)) for road in self.network.roads]
+        ends = [(road, *self._road_rows[road.id][[0, -1]].tolist()) for road in self.network.roads]
+        spans = [(road, max(road.start_m, first_m), min(road.end_m, last_m)) for road, first_m, last_m in ends]
         return [
             replace(road, start_m=start_m, end_m=end_m, sections=(self._section(road, start_m, end_m),))
             for road, start_m, end_m in spans
@@ -166,42 +168,6 @@ class Verges(PavedAreas):
         """Width of a road's pavement outside its outermost lanes: it covers the paint of their edge lines."""
         outer_m = self.markings.width_m * (1.5 if self.markings.left_double else 0.5)
         return min(outer_m + PAINT_ROOM_M, road.shoulder_m)
-
-    def edges(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[Points3]:
-        """The edges of the pavement, shoulders included, and of a median's grass, within about `reach_m` of a place of
-        the host."""
-        for road, s, (left, *grass, right) in self._pavement_lines(xy_world, reach_m):
-            for t in (left, right, *grass):
-                points = road.points(s, t)
-                alone = stretches(~self.network.is_on_other(road, points[:, :2], s))
-                yield from (points[first:end] for first, end in alone if end - first > 1)
-
-    def strips(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Iterator[tuple[Points3, Points3]]:
-        """Both edges of each strip of pavement within about `reach_m` of a place of the host: of every road, and on
-        both sides of a median's grass."""
-        for road, s, offsets in self._pavement_lines(xy_world, reach_m):
-            for low, high in zip(offsets[::2], offsets[1::2], strict=True):
-                if len(s) > 1:
-                    yield road.points(s, low), road.points(s, high)
-
-    def carriageway(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
-        """The pavement of traffic from above, shoulders included, within about `reach_m` of a place of the host."""
-        strips = self.strips(xy_world, reach_m)
-        return union(polygon_between(low[:, :2], high[:, :2]) for low, high in strips)
-
-    def walkways(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> BaseGeometry:
-        """They have none."""
-        return NOTHING
-
-    def _pavement_lines(
-        self, xy_world: Float[np.ndarray, "2"], reach_m: float
-    ) -> Iterator[tuple[Road, Scalars, list[Scalars]]]:
-        """Of every road the stations, and the offsets where pavement begins and ends in turn, as t grows."""
-        stations = self.network.stations_near(xy_world, reach_m)
-        for road, paved in zip(self.network.roads, self.roads, strict=True):
-            s, (section,) = stations[(stations >= road.start_m) & (stations <= road.end_m)], paved.sections
-            medians = [i for i, lane in enumerate(section.lanes) if lane.kind == "median"]
-            yield road, s, [road.left(s), *(section.edge(k, s) for i in medians for k in (i, i + 1)), road.right(s)]
 
     # -- heights and distances
 
@@ -295,14 +261,6 @@ class Verges(PavedAreas):
         clear = np.full(len(xy_world), np.inf)
         clear[near] = _nearest(roads, int(near.sum()))
         return clear
-
-    def is_clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
-        """Which points are farther than `room_m` from any pavement."""
-        return np.asarray(self.distance(xy_world) > room_m)
-
-    def off_carriageways(self, xy_world: Points2) -> Scalars:
-        """The same: there are no walkways."""
-        return self.distance(xy_world)
 
     def _reach_m(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from a pavement within which the ground may differ from the terrain."""

@@ -3,10 +3,8 @@
 World frame, metres. Labels, meshes, masks and light are all computed from a world and a view.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -18,9 +16,8 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.host import HostCamera, Lidar
 from synth3dlanes.scene.instance_ids import instance_id
-from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.scene.roadside import Roadside
-from synth3dlanes.scene.scene import Car, PaperRoad, Scene, Tree
+from synth3dlanes.scene.scene import Car, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world import roadside
 from synth3dlanes.world.bonnet import cam_from_bonnet
@@ -29,13 +26,12 @@ from synth3dlanes.world.elements import TrafficElement, traffic_elements
 from synth3dlanes.world.grass import Blades, blades
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.horizon import FarHills
-from synth3dlanes.world.host_way import EndlessWay, HostWay
+from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.meshes import Mesh
 from synth3dlanes.world.motion import car_at, host_at, host_driven, host_station
-from synth3dlanes.world.objects import PlacedObject, placed_cars, placed_things
 from synth3dlanes.world.paint import paint_meshes
 from synth3dlanes.world.paved_areas import PavedAreas
-from synth3dlanes.world.placement import tree_poses, tree_positions
+from synth3dlanes.world.placement import PlacedObject, placed_cars, placed_things, tree_poses, tree_positions
 from synth3dlanes.world.seams import ghost_mesh, removed_mesh, tar_mesh
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.surfaces import Surfaces
@@ -298,39 +294,16 @@ def surfaces_of(scene: Scene, network: Network) -> Surfaces:
     shot, camera = scene.shot, scene.start
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     driven_m = driven_m if shot.views is None else shot.views.reach_m
-    kind = KINDS[type(scene.roads)]
-    way = kind.way(network, camera.y_m, driven_m, shot.behind_m > 0)
     hills = FarHills.draw(scene.stream("far_hills"))
-    return Surfaces(Ground(kind.paved(way, scene.markings, kind.hills(hills, scene, network))))
+    if scene.map is not None:
+        x, y = network.host_points(scene.start, np.zeros(1))[0, :2].tolist()
+        hills = replace(hills, center_world=(x, y))
+    way = HostWay(network, camera.y_m, driven_m, shot.behind_m > 0)
+    return Surfaces(Ground((Verges if scene.map is None else PavedAreas)(way, scene.markings, hills)))
 
 
 def scene_network(scene: Scene) -> Network:
     """The roads of a scene."""
-    return KINDS[type(scene.roads)].network(scene.roads, scene)
-
-
-class RoadKind(NamedTuple):
-    """What makes the network of a scene of its roads, the host's way on it, its pavement along that, and its hills."""
-
-    network: Callable[[Any, Scene], Network]
-    way: type[HostWay]
-    paved: type[PavedAreas]
-    hills: Callable[[FarHills, Scene, Network], FarHills]
-
-
-def _network_of(roads: RoadMap, scene: Scene) -> Network:
-    return map_network(roads, bare_roads(roads, scene.terrain), scene.terrain, scene.start.y_m)
-
-
-def _around_host(hills: FarHills, scene: Scene, network: Network) -> FarHills:
-    x, y = network.host_points(scene.start, np.zeros(1))[0, :2].tolist()
-    return replace(hills, center_world=(x, y))
-
-
-# By how a scene has its roads; nothing else asks.
-KINDS: dict[type, RoadKind] = {
-    PaperRoad: RoadKind(
-        lambda road, scene: paper_network(road, scene.terrain), EndlessWay, Verges, lambda hills, *_: hills
-    ),
-    RoadMap: RoadKind(_network_of, HostWay, PavedAreas, _around_host),
-}
+    if scene.map is None:
+        return paper_network(scene.paper_road, scene.terrain)
+    return map_network(scene.map, bare_roads(scene.map, scene.terrain), scene.terrain, scene.start.y_m)

@@ -19,7 +19,7 @@ from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
-from synth3dlanes.roads.maps.places import MapStation
+from synth3dlanes.roads.maps.part import MapStation
 from synth3dlanes.truth.ground_truth import ground_truth
 from tests.maps.files import opendrive, plan, road
 from tests.signals import signals_scene

@@ -18,7 +18,6 @@ from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.world import grass
 from synth3dlanes.world.placement import car_place
 from synth3dlanes.world.sign_faces import FACES, SIGNS
-from synth3dlanes.world.solids import SURFACES
 from synth3dlanes.world.world import World, resolve
 from tests.scenes import FLAT, changed, hill
 from tests.validate.examining import findings
@@ -225,7 +224,7 @@ def signs():
 
 def facing(body):
     """Where the front of a sign's board looks."""
-    a, b, _, d = body.corners_world[np.array(body.surface) == SURFACES.index("sign")][-1]
+    a, b, _, d = body.corners_world[-1]
     normal = np.cross(b - a, d - a)
     return normal[:2] / np.linalg.norm(normal[:2])
 

@@ -24,7 +24,7 @@ from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import SINGLE, Shots
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.roads.maps.given_map import read_opendrive
-from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import RenderSettings

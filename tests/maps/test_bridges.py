@@ -8,7 +8,7 @@ from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
-from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.scene.roadside import MAX_RAILS
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.faces import MeshFaces

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.roads.maps.part import part_around
-from synth3dlanes.roads.maps.places import draw_place
+from synth3dlanes.roads.maps.part import draw_place, part_around
 from synth3dlanes.system.errors import FormatError, InputError
 from tests.hostile import edited_xml
 from tests.maps.files import lane, opendrive, plan, road, section

@@ -19,7 +19,7 @@ from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps import document
-from synth3dlanes.roads.maps.cubics import times, value, values
+from synth3dlanes.roads.maps.cubics import Profile, times, value
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.lanelet_map import read_lanelet2
 from synth3dlanes.roads.maps.read import read_map
@@ -338,5 +338,5 @@ def test_products_are_as_exact_with_few_pieces_as_with_many() -> None:
         bank = [Polynomial(s_m=0.0, a=0.1, b=float(rng.normal(0, 1e-3)), c=float(rng.normal(0, 1e-6)))]
         found = times(one, partial(_cosine, bank), 1000.0)
         s = np.linspace(0, 1000, 3001)
-        assert values(found, s) == pytest.approx(values(one, s) * np.cos(values(bank, s)), abs=5e-5)
+        assert Profile(found)(s) == pytest.approx(Profile(one)(s) * np.cos(Profile(bank)(s)), abs=5e-5)
         assert len(found) < 150

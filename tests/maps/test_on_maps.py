@@ -24,8 +24,7 @@ from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import value
 from synth3dlanes.roads.maps.furniture import edges_at, section_index
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.roads.maps.part import KEPT_M, part_around
-from synth3dlanes.roads.maps.places import MapStation, draw_place, read_place
+from synth3dlanes.roads.maps.part import KEPT_M, MapStation, draw_place, part_around, read_place
 from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.roads.terrain import gradient_at, height_at
 from synth3dlanes.scene.road_map import MapRoad, RoadMap

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.draw.cars import red_lines
-from synth3dlanes.draw.given_map import MapPlace
-from synth3dlanes.draw.given_standing import _shown
+from synth3dlanes.draw.given_map import MapPlace, _shown
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
@@ -13,7 +12,7 @@ from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import value
 from synth3dlanes.roads.maps.elements import GivenElement
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.scene.road_map import MapMark
 from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
 from synth3dlanes.world.world import World

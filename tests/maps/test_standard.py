@@ -14,7 +14,7 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
-from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.world import World
 from tests.maps.comparing import apart, everywhere

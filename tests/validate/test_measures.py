@@ -14,7 +14,7 @@ from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
-from synth3dlanes.roads.maps.places import read_place
+from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car, Scene
 from synth3dlanes.scene.things import SEMANTIC_IDS

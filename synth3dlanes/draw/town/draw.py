@@ -14,7 +14,6 @@ from synth3dlanes.draw.makers import Roads, draw_camera, draw_hills, first_shot,
 from synth3dlanes.draw.town.furniture import StreetDraws, furnish, street_trees
 from synth3dlanes.draw.town.lanes import LaneLine, LaneLines, Route
 from synth3dlanes.draw.town.layout import TownMap, lay_out
-from synth3dlanes.draw.town.meetings import draw_meetings
 from synth3dlanes.draw.town.plan import poses
 from synth3dlanes.draw.town.streets import LANES, PARKING_M
 from synth3dlanes.draw.town.traffic import (
@@ -24,6 +23,7 @@ from synth3dlanes.draw.town.traffic import (
     TownDrive,
     Usual,
     body_places,
+    draw_meetings,
     plan_host,
     simulate,
 )

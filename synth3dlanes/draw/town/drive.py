@@ -13,9 +13,8 @@ from jaxtyping import Float
 from synth3dlanes.draw.crossing import STEP_S, Crosser
 from synth3dlanes.draw.town.junctions import Arm
 from synth3dlanes.draw.town.lanes import LaneLines, Route
-from synth3dlanes.draw.town.lights import Lights
 from synth3dlanes.draw.town.paint import CROSSWALK_M, line_m
-from synth3dlanes.draw.town.rules import Conflict, JunctionRules, LightGroup
+from synth3dlanes.draw.town.rules import Conflict, JunctionRules, LightGroup, Lights
 from synth3dlanes.draw.town.streets import LaneAt
 from synth3dlanes.system.arrays import Points2
 

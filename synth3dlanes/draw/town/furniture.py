@@ -11,10 +11,9 @@ from synth3dlanes.draw.draws import SCENE_DECIMALS, Draw
 from synth3dlanes.draw.roadside import BuildingKind, building_size, coloured, floor_plan
 from synth3dlanes.draw.town.junctions import Arm
 from synth3dlanes.draw.town.layout import TownMap
-from synth3dlanes.draw.town.lights import Lights
 from synth3dlanes.draw.town.paint import line_m
 from synth3dlanes.draw.town.plan import PlanPose, poses
-from synth3dlanes.draw.town.rules import JunctionRules, LightGroup
+from synth3dlanes.draw.town.rules import JunctionRules, LightGroup, Lights
 from synth3dlanes.draw.town.streets import LaneAt, Street
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.roadside import Building, Post, Roadside
@@ -23,7 +22,6 @@ from synth3dlanes.scene.traffic_elements import LensForm, SignKind, TrafficSign,
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.placement import overlaps_any
 
-Rng = np.random.Generator
 # Distance of poles behind the front of a kerb, and beside a pavement without a kerb.
 BEHIND_KERB_M, BESIDE_M = 0.5, 0.8
 # Heights of the lower edges of heads beside and over lanes, and of signs.
@@ -163,8 +161,9 @@ def _speed_signs(town_map: TownMap, kind: SignKind) -> Iterator[TrafficSign]:
         s_m = SPEED_M if arm.at_start else street.length_m - SPEED_M
         side = "right" if arm.at_start else "left"
         at = _along(street, side, s_m, BEHIND_KERB_M if street.profile.walkway_m else BESIDE_M)
-        section = min(int(np.searchsorted(street.stations, s_m, side="right")) - 1, len(street.pieces) - 1)
-        lanes = tuple(name for key, name in street.names(section)[side].items() if key.startswith("lane"))
+        lanes = tuple(
+            name for key, name in street.names(street.section_at(s_m))[side].items() if key.startswith("lane")
+        )
         yield _sign(at.moved(0.0, 0.0, 0.0 if side == "right" else np.pi), kind, lanes)
 
 
@@ -172,9 +171,7 @@ def _along(street: Street, side: str, s_m: float, aside_m: float) -> PlanPose:
     """A place beside a street at a station, from the edge of its pavement or the front of its kerb; with its heading
     there."""
     points, headings = poses(street.plan, np.array([s_m]))
-    i = min(max(int(np.searchsorted(street.stations, s_m, side="right")) - 1, 0), len(street.pieces) - 1)
-    piece, u = street.pieces[i], (s_m - street.stations[i]) / street.pieces[i].length_m
-    share = u * u * (3 - 2 * u)
+    piece, share = street.eased_at(s_m)
     start, end = abs(piece.start.edge(side)), abs(piece.end.edge(side))
     out_m = start + share * (end - start) + aside_m
     at = PlanPose(float(points[0, 0]), float(points[0, 1]), float(headings[0]))

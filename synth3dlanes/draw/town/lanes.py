@@ -150,9 +150,9 @@ class Route:
         return self.xy(length_m), np.stack([np.cos(heading), np.sin(heading)], -1)
 
 
-def street_lanes(street: Street, side: str, key: str, sections: Sequence[int]) -> list[str]:
-    """The names of a lane of a street through some sections, where it has its width."""
-    names = [street.names(i)[side] for i in sections]
+def street_lanes(street: Street, side: str, key: str) -> list[str]:
+    """The names of a lane of a street through its sections, where it has its width."""
+    names = [street.names(i)[side] for i in range(len(street.pieces))]
     return [name[key] for name in names if key in name]
 
 

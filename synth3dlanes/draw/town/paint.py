@@ -7,7 +7,7 @@ import numpy as np
 from synth3dlanes.draw.town.junctions import Arm, Turn
 from synth3dlanes.draw.town.plan import PlanPose, poses
 from synth3dlanes.draw.town.rules import JunctionRules, turns_of_lane
-from synth3dlanes.draw.town.streets import LANES, LaneAt, Street
+from synth3dlanes.draw.town.streets import LaneAt, Street
 from synth3dlanes.scene.road_map import GroundPoint, MapIsland, MapMark, MapPaint, MapRoad
 from synth3dlanes.system.schema import SymbolKind
 
@@ -123,10 +123,7 @@ def islands_of(streets: Sequence[Street], has_crosswalks: bool) -> Iterator[MapI
 
 def _median(street: Street, s_m: float) -> tuple[float, float]:
     """The offsets to the left of both edges of the median at a station."""
-    stations = street.stations
-    i = min(max(int(np.searchsorted(stations, s_m, side="right")) - 1, 0), len(street.pieces) - 1)
-    piece, u = street.pieces[i], (s_m - stations[i]) / street.pieces[i].length_m
-    share = u * u * (3 - 2 * u)
+    piece, share = street.eased_at(s_m)
 
     def between(start: float, end: float) -> float:
         return start + share * (end - start)
@@ -152,8 +149,3 @@ def _around(street: Street, s: np.ndarray, edges: np.ndarray) -> tuple[GroundPoi
 
 def _point(pose: PlanPose) -> GroundPoint:
     return round(pose.x, 6), round(pose.y, 6)
-
-
-def is_lane(key: str) -> bool:
-    """Whether a strip of a street is a lane that is driven."""
-    return key in LANES

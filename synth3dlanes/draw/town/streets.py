@@ -4,6 +4,7 @@ A cross section is told looking away from a junction: traffic that comes in is o
 World frame, metres.
 """
 
+from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate, pairwise
@@ -153,6 +154,16 @@ class Street:
     def stations(self) -> list[float]:
         """Where its sections begin, and the end of the last one."""
         return list(accumulate((piece.length_m for piece in self.pieces), initial=0.0))
+
+    def section_at(self, s_m: float) -> int:
+        """The number of the section at a station."""
+        return min(max(bisect_right(self.stations, s_m) - 1, 0), len(self.pieces) - 1)
+
+    def eased_at(self, s_m: float) -> tuple[StreetPiece, float]:
+        """The section at a station, and the share of the change from its start to its end there."""
+        i = self.section_at(s_m)
+        u = (s_m - self.stations[i]) / self.pieces[i].length_m
+        return self.pieces[i], u * u * (3 - 2 * u)
 
     def cross_at(self, at_start: bool) -> Cross:
         """The cross section at an end, looking away from the junction there."""

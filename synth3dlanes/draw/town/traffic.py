@@ -1,6 +1,7 @@
-"""The traffic of a town: cars at the start, the host's drive to its place, and the ways of all through a clip."""
+"""The traffic of a town: cars at the start, the host's drive to its place, and the ways of all through a clip, in
+which people come to crosswalks. World frame, metres and seconds."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -8,18 +9,18 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.draw.crossing import STEP_S, Crosser
-from synth3dlanes.draw.draws import Draw
-from synth3dlanes.draw.town.drive import STANDING, Driver, Gate, TownTraffic, gates_of
+from synth3dlanes.draw.draws import Draw, DrawsOf
+from synth3dlanes.draw.town.drive import STANDING, CrosswalkKey, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.draw.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.draw.town.layout import TownMap
-from synth3dlanes.draw.town.lights import Lights
-from synth3dlanes.draw.town.meetings import Meeting
-from synth3dlanes.draw.town.paint import line_m
-from synth3dlanes.draw.town.rules import JunctionWay
+from synth3dlanes.draw.town.paint import CROSSWALK_M, line_m
+from synth3dlanes.draw.town.rules import JunctionWay, LightGroup, Lights
 from synth3dlanes.draw.town.streets import Street
-from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
 
+# Crosswalks farther from the host's way in the clip are left out; people keep this far from a crosswalk's sides.
+MAX_FROM_HOST_M, INSIDE_M = 55.0, 0.4
 Rng = np.random.Generator
 # Distance before its place at which the host starts, and the most time that it takes to get there.
 RUN_UP_M, PATIENCE_S = 80.0, 150.0
@@ -31,6 +32,41 @@ APART_M = 0.12
 BEFORE_END_M = 6.0
 # The most junctions on a route.
 MOST_JUNCTIONS = 4
+
+
+class Meeting(NamedTuple):
+    """Somebody at a crosswalk, and the lights of the lanes that lead across it."""
+
+    key: CrosswalkKey
+    crosser: Crosser
+    groups: tuple[LightGroup, ...]
+
+
+def draw_meetings(town_map: TownMap, host_places: Points2, of: DrawsOf, duration_s: float) -> Iterator[Meeting]:
+    """Who comes to the crosswalks near the host, each on a strip of its own."""
+    people = of("people")
+    people("per_100_m")
+    n, own = people("crossing"), of("people", "people_crossing")
+    for rules in town_map.junctions if town_map.town.has_crosswalks else ():
+        for number, arm in enumerate(rules.junction.arms):
+            near_m, far_m = CROSSWALK_M
+            middle = arm.pose.moved((near_m + far_m) / 2)
+            if np.linalg.norm(host_places - [middle.x, middle.y], axis=1).min() > MAX_FROM_HOST_M:
+                continue
+            has_signals = rules.control == "signals" and not rules.junction.is_roundabout
+            groups = {rules.group(number, lane.key) for lane in arm.lanes(incoming=True)} if has_signals else set()
+            for i in range(n):
+                speed_m_s, (from_left, at, share) = own("speed_m_s"), own.rng.random(3).tolist()
+                strip = (i + 0.4 + 0.2 * at) / n
+                ahead_m = near_m + INSIDE_M + strip * (far_m - near_m - 2 * INSIDE_M)
+                kerbs = [arm.pose.moved(ahead_m, arm.cross.edge(side)) for side in ("left", "right")]
+                places = np.array([(pose.x, pose.y) for pose in kerbs])
+                places = places if from_left < 0.5 else places[::-1]
+                yield Meeting(
+                    (rules.junction.id, number),
+                    Crosser.draw(places, speed_m_s, share, duration_s),
+                    tuple(sorted(groups)),
+                )
 
 
 class CarBody(NamedTuple):
@@ -237,7 +273,7 @@ class _Simulation:
         """Cars along all streets, and in turn lanes."""
         for street in self.town_map.streets:
             for side, key in lanes_along(street):
-                names = street_lanes(street, side, key, range(len(street.pieces)))
+                names = street_lanes(street, side, key)
                 names = names if side == "right" else names[::-1]
                 route = self.lines.route(tuple(names))
                 at_m = float(self.rng.uniform(4, 40))
@@ -270,7 +306,7 @@ class _Simulation:
             if street.end is None:
                 for side, key in lanes_along(street):
                     if side == "left":
-                        names = street_lanes(street, side, key, range(len(street.pieces)))
+                        names = street_lanes(street, side, key)
                         found.append(tuple(names[::-1]))
         return found
 

@@ -4,16 +4,19 @@ import math
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from operator import attrgetter
 from typing import TypeVar
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from jaxtyping import Float
 
 from synth3dlanes.roads.maps.document import number
 from synth3dlanes.scene.road_map import MapMark, Polynomial
-from synth3dlanes.system.arrays import Scalars
+from synth3dlanes.system.arrays import AnyScalars
 
 Cubics = tuple[Polynomial, ...]
 # Stations within this distance are one, because files round them.
@@ -24,6 +27,36 @@ EXACT, SHORT_M, SHARES = 1e-7, 5.0, (0.25, 0.5, 0.75)
 # What holds from a station on.
 Begun = TypeVar("Begun", Polynomial, MapMark)
 BEGIN = attrgetter("s_m")
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A value along a road, by cubics of the distance from where each begins; before the first one it goes on."""
+
+    pieces: tuple[Polynomial, ...]
+
+    @cached_property
+    def table(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "4 k"]]:
+        """Where each cubic begins, and its coefficients."""
+        pieces = sorted(self.pieces, key=lambda piece: piece.s_m) or [Polynomial(s_m=0.0, a=0.0)]
+        rows = [[piece.a, piece.b, piece.c, piece.d] for piece in pieces]
+        return np.array([piece.s_m for piece in pieces]), np.array(rows, float).T
+
+    @cached_property
+    def constant(self) -> float | None:
+        """Its value if it is the same everywhere, as most widths are; else None."""
+        _, table = self.table
+        return None if table[1:].any() or np.ptp(table[0]) else float(table[0, 0])
+
+    def __call__(self, s: AnyScalars) -> AnyScalars:
+        """Values at stations."""
+        if self.constant is not None:
+            return np.full(s.shape, self.constant)
+        starts, table = self.table
+        # Most have one piece, and no time is to be lost with looking for it.
+        which = np.clip(np.searchsorted(starts, s, side="right") - 1, 0, None) if len(starts) > 1 else 0
+        x, (a, b, c, d) = s - starts[which], table[:, which]
+        return np.asarray(a + x * (b + x * (c + x * d)))
 
 
 def read_cubics(elements: Iterable[Element], key: str, where: str, end_m: float, left_out: Counter[str]) -> Cubics:
@@ -81,16 +114,6 @@ def slope(cubics: Sequence[Polynomial], s_m: float, end_m: float = math.inf) -> 
     """The slope at a station; 0 without any piece."""
     piece = piece_at(cubics, s_m, end_m)
     return 0.0 if piece is None else _begun(piece, s_m)[1]
-
-
-def values(cubics: Sequence[Polynomial], s: Scalars) -> Scalars:
-    """The values at stations; 0 without any piece."""
-    if not cubics:
-        return np.zeros(s.shape)
-    rows = np.array([(piece.s_m, *_numbers(piece)) for piece in cubics])
-    start, a, b, c, d = rows[np.clip(np.searchsorted(rows[:, 0], s, side="right") - 1, 0, None)].T
-    x = s - start
-    return np.asarray(a + x * (b + x * (c + x * d)))
 
 
 def begun_at(piece: Polynomial, s_m: float) -> Polynomial:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Int
 from pydantic import ValidationError
 
-from synth3dlanes.roads.maps.cubics import SAME_M, is_zero, part, read_cubics, steepened, times, value, values
+from synth3dlanes.roads.maps.cubics import SAME_M, Profile, is_zero, part, read_cubics, steepened, times, value
 from synth3dlanes.roads.maps.document import inflated, number, parse_xml, passing_over
 from synth3dlanes.roads.maps.elements import (
     FileRoad,
@@ -391,15 +391,15 @@ def check_sizes(road: MapRoad, where: str) -> None:
     for i, section in enumerate(road.sections):
         start_m, end_m = road.span_m(i)
         s = np.linspace(start_m, end_m, 2 + int((end_m - start_m) / CHECK_STEP_M))
-        widths = {lane.number: np.maximum(values(lane.widths, s - start_m), 0.0) for lane in section.lanes}
+        widths = {lane.number: np.maximum(Profile(lane.widths)(s - start_m), 0.0) for lane in section.lanes}
         sides = (sum(at for number, at in widths.items() if number * side > 0) for side in (1, -1))
         left, right = (
-            np.abs(values(road.lane_offsets, s) + side * of) for side, of in zip((1, -1), sides, strict=True)
+            np.abs(Profile(road.lane_offsets)(s) + side * of) for side, of in zip((1, -1), sides, strict=True)
         )
         for what, most, found in (
             ("edges of lanes", MAX_ASIDE_M, np.maximum(left, right)),
-            ("heights", MAX_HEIGHT_M, np.abs(values(road.heights, s))),
-            ("superelevations", MAX_BANK_RAD, np.abs(values(road.banks, s))),
+            ("heights", MAX_HEIGHT_M, np.abs(Profile(road.heights)(s))),
+            ("superelevations", MAX_BANK_RAD, np.abs(Profile(road.banks)(s))),
         ):
             for k in np.flatnonzero(~(found <= most))[:1]:
                 got = f"{found[k]:.4g} at s = {s[k]:.4g}"
