@@ -322,6 +322,13 @@ def distances(points: Points, line: Points) -> Distances:
     return feet_of(points, line)[0]
 
 
+def stations(points: Points, line: Points) -> Distances:
+    """Where along a polyline the nearest places to points are, by its length."""
+    _, at, share = feet_of(points, line)
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    return np.asarray(np.concatenate([[0.0], np.cumsum(lengths)])[at] + share * np.append(lengths, 0.0)[at])
+
+
 def is_beside(points: Points, line: Points) -> Flags:
     """Which points are beside a polyline from above, not before its beginning or behind its end."""
     _, at, share = feet_of(points[:, :2], line[:, :2])

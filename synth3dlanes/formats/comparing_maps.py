@@ -1,5 +1,5 @@
 """How far the map of an export is from the lane graph and the labels of a sample: lanes beside centre lines, their
-boundaries, links, crossings and areas. Nothing here is shared with the writers."""
+boundaries, paint, links, crossings and areas. Nothing here is shared with the writers."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -24,7 +24,7 @@ from synth3dlanes.formats.comparing import (
 )
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import feet_of, lengths_along, resampled
-from synth3dlanes.labels.labels import MIRRORED, Marking, PaintColor, Pair
+from synth3dlanes.labels.labels import MIRRORED, Lane, Marking, PaintColor, Pair
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
 from synth3dlanes.world.world import scene_network
@@ -37,8 +37,9 @@ MOST_LONG_M = 1e4
 ENDLESS_M = 300.0
 # A boundary is painted as a delimiter if the share ON_LINE of those of its PLACES that the labels reach is within
 # ON_LINE_M of it, and bare if no more than the others are within BESIDE_M of any: where lanes part, lines are not quite
-# at their edges. It is compared if the labels reach more than COMPARED_SHARE of it.
-ON_LINE_M, BESIDE_M, ON_LINE, PLACES, COMPARED_SHARE = 0.05, 0.5, 0.9, 200, 0.6
+# at their edges. It is compared if the labels reach LEAST_PLACES.
+ON_LINE_M, BESIDE_M, ON_LINE, PLACES = 0.05, 0.5, 0.9, 200
+LEAST_PLACES, MOSTLY, SOME = 30, 0.6, 0.05
 # The labels have all paint between these distances: the first ahead of the camera, the second from it.
 AHEAD_M, SURE_M = 5.0, 80.0
 
@@ -56,6 +57,15 @@ class FoundLane:
     paint: Mapping[str, str] = field(default_factory=dict)
     after: Collection[str] | None = None
     before: Collection[str] | None = None
+
+
+def paint_word(
+    marking: Marking, color: PaintColor | None = None, double: bool | None = None, pair: Pair | None = None
+) -> str:
+    """The stripes of paint from the left and its colour, as Lanelet2 and our maps name them; a double dashed line is
+    dashed."""
+    subtype = pair or ("solid_solid" if double and marking == "solid" else marking)
+    return subtype if marking == "none" else f"{subtype} {color}"
 
 
 @dataclass(frozen=True)
@@ -297,25 +307,34 @@ def _paint_problems(groups: Iterable[Sequence[FoundLane]], truth: SourceSample, 
                 continue
             fine = resampled(line, PLACES)
             fine = fine[np.any([is_beside(fine, path) for path in beside], axis=0)]
-            # Paint changes along a lane, as at the nose of an exit, and the labels may not reach most of it.
-            if len(fine) <= COMPARED_SHARE * PLACES:
+            if len(fine) < LEAST_PLACES:
                 continue
-            close = [(paint, line) for paint, line in ours if len(on_line(fine, line)) >= ON_LINE * len(fine)]
-            expected = set[str]()
-            for paint, line in close:
-                pair = MIRRORED[paint.pair] if paint.pair is not None and goes_back(fine, line) else paint.pair
-                expected.add(word(paint.marking, paint.color, paint.double, pair))
-            if (
-                not close
-                and _is_sure(fine, truth)
-                and sum(len(on_line(fine, line, BESIDE_M)) for _, line in ours) < (1 - ON_LINE) * len(fine)
-            ):
-                expected.add(word("none", None, None, None))
+            alike = _paint_along(fine, ours, len(fine) > MOSTLY * PLACES)
+            expected = {word(lane.marking, lane.color, lane.double, pair) for lane, pair in alike}
+            if not alike and _is_sure(fine, truth):
+                near = sum(len(on_line(fine, line, BESIDE_M)) for _, line in ours)
+                expected |= {word("none", None, None, None)} if near < (1 - ON_LINE) * len(fine) else set()
             told = {lane.paint[side] for lane in group}
             if expected and not told <= expected:
-                like = f", as {close[0][0].id} is painted" if close else ""
+                like = f", as {alike[0][0].id} is painted" if alike else ""
                 texts = [" or ".join(sorted(words)) for words in (expected, told)]
                 yield f"lane {name}: expected {texts[0]} on its {side}{like}, got {texts[1]}"
+
+
+def _paint_along(
+    points: Points, delimiters: Sequence[tuple[Lane, Points]], is_most: bool
+) -> list[tuple[Lane, Pair | None]]:
+    """The delimiters whose paint a boundary may have that one of them runs along, at these points of it, each with its
+    pair as those see it who go along them. Paint changes along a lane, as at the nose of an exit: if the points are not
+    most of it, also the paint of some of them."""
+    shares = [(lane, line, len(on_line(points, line)) / len(points)) for lane, line in delimiters]
+    if not any(share >= ON_LINE for *_, share in shares):
+        return []
+    return [
+        (lane, MIRRORED[lane.pair] if lane.pair is not None and goes_back(points, line) else lane.pair)
+        for lane, line, share in sorted(shares, key=lambda of: -of[2])
+        if share >= (ON_LINE if is_most else SOME)
+    ]
 
 
 def on_line(points: Points, line: Points, limit_m: float = ON_LINE_M) -> Points:

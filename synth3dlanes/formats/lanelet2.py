@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, distances
-from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, middle_of
+from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, middle_of, paint_word
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
 from synth3dlanes.formats.lanelet_map import (
     BOUND_STEP_M,
@@ -39,7 +39,7 @@ from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import lengths_along, resampled, stretches, thinned
-from synth3dlanes.labels.labels import MIRRORED, Marking, PaintColor, Pair
+from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound, read_lanelet
 from synth3dlanes.roads.maps.osm import Osm, read_osm
 from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of
@@ -370,14 +370,6 @@ def _write_board(document: _Document, element: TrafficElement, tags: Tags) -> in
 
 
 # -- read back
-
-
-def paint_word(
-    marking: Marking, color: PaintColor | None = None, double: bool | None = None, pair: Pair | None = None
-) -> str:
-    """The subtype and colour of a painted way."""
-    subtype = pair or ("solid_solid" if double and marking == "solid" else marking)
-    return subtype if marking == "none" else f"{subtype} {color}"
 
 
 # Middles of lanes are within the limit, and heights within the slack.

@@ -23,16 +23,12 @@ from jaxtyping import Bool, Float
 from pydantic import Field, TypeAdapter, create_model
 from shapely.geometry.base import BaseGeometry
 
-from synth3dlanes.formats.comparing import (
-    Comparison,
-    SourceSample,
-    distances,
-)
+from synth3dlanes.formats.comparing import Comparison, SourceSample, distances, is_beside, stations
 from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, area_problems, compare_lanes, symbol_problems
 from synth3dlanes.formats.lane_map import Boundary, LaneSegment, lane_segments
 from synth3dlanes.geometry.frames import invert, transform, turned
-from synth3dlanes.geometry.polylines import resampled, stretches, thinned
-from synth3dlanes.labels.labels import Labels, LaneGraph, Marking, PaintColor, Pair
+from synth3dlanes.geometry.polylines import stretches, thinned
+from synth3dlanes.labels.labels import MIRRORED, Labels, Lane, LaneGraph, Marking, PaintColor, Pair
 from synth3dlanes.scene.roadside import Rail
 from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.arrays import Matrix4, Points2, Points3, Scalars
@@ -101,6 +97,7 @@ LAYERS: dict[str, dict[str, Any]] = {
 
 
 PATHS, LINKS = "arcline_path_3", "connectivity"
+SIDES = {"left": "left_lane_divider_segments", "right": "right_lane_divider_segments"}
 
 
 _Length = Annotated[float, Field(ge=0, le=1e4)]
@@ -302,7 +299,7 @@ class _Layers:
             lane_type="CAR",
             from_edge_line_token=self.line(np.stack([left[0], right[0]])),
             to_edge_line_token=self.line(np.stack([left[-1], right[-1]])),
-            **dict(zip(("left_lane_divider_segments", "right_lane_divider_segments"), segments, strict=True)),
+            **dict(zip(SIDES.values(), segments, strict=True)),
         )
         return area
 
@@ -515,18 +512,15 @@ def _pose(x: float, y: float, z: float, yaw_rad: float) -> dict[str, float]:
 # Lanes are within this of the labels from above: arcs are fitted, and on a slope heights between the labels' points
 # count too, for which other formats have a limit of their own. A map has no heights.
 RULE = MapRule("m", 0.1, slack=np.inf, word=segment_type, gap_m=0.03)
-
-
-ARC_STEP_M = 0.5
-
-
-# A boundary is along another line if the share ON_LINE of its PLACES is within ON_LINE_M of it.
-ON_LINE_M, ON_LINE, PLACES = 0.06, 0.9, 50
-OTHER_SIDE = {"left": "right", "right": "left"}
-# How far from a lane's middle its polygon may end.
-AREA_M = 0.05
-
-
+# A label's line between two lanes is in a map if the share ON_LINE of it is within ON_LINE_M of dividers.
+ON_LINE_M, ON_LINE, LEAST_COMPARED = 0.06, 0.9, 10
+# The largest share of a line with a lane on one side only along which it may be one between lanes, farther on.
+MAX_ONE_SIDED_SHARE = 0.5
+# The most that lanes of the other direction are beyond the line beside a median.
+FACING_M = 25.0
+# How far from a lane's middle its polygon may end; the step between places of an arc.
+AREA_M, ARC_STEP_M = 0.05, 0.5
+Line2 = Float[np.ndarray, "_ 2"]
 TURN = {"L": 1, "S": 0, "R": -1}
 
 
@@ -557,18 +551,19 @@ def compare_place(found: PlaceMap, log: str, where: str, global_from_cam: Matrix
     lanes, problems = list[FoundLane](), list[str]()
     try:
         for name, arcs in found.layers.arcline_path_3.items():
-            if name not in names or not arcs:
+            path = _places(arcs) if name in names else np.zeros((0, 2))
+            if len(path) < 2:
                 continue
-            path, links, sides, paint = _places(arcs), found.layers.connectivity[name], {}, {}
+            links, sides, paint = found.layers.connectivity[name], dict[str, Points3](), dict[str, str]()
             area = found.polygons[own[name].polygon_token] if name in own else shapely.Polygon()
             if not shapely.contains_xy(shapely.buffer(area, AREA_M), *path.T).all():
                 problems.append(f"lane {names[name]}: expected its middle in its polygon, got it outside")
-            for side in ("left", "right") if name in own and own[name] in found.layers.lane else ():
-                nodes = getattr(own[name], f"{side}_lane_divider_segments")
+            for side, key in SIDES.items() if name in own and own[name] in found.layers.lane else ():
+                nodes = getattr(own[name], key)
                 sides[side] = _in_plane(found.places([at.node_token for at in nodes]))
                 paint[side] = ", ".join(sorted({at.segment_type for at in nodes}))
             lanes.append(FoundLane(name, names[name], _in_plane(path), sides, paint, links.outgoing, links.incoming))
-        problems += [*_divider_problems(found, lanes), *_thing_problems(found, above, truth, global_from_cam)]
+        problems += [*_divider_problems(found, above.labels), *_thing_problems(found, above, truth, global_from_cam)]
     except KeyError as error:
         raise FormatError(f"{where}: expected a record with the token {error}, got none") from None
     global_from_world = global_from_cam @ invert(truth.labels.camera.world_from_cam)
@@ -591,40 +586,81 @@ def _places(arcs: list[Arc]) -> Points2:
             chords, headings = steps * np.sinc(k * steps / 2 / np.pi), yaw + k * steps / 2
             found += zip(x + chords * np.cos(headings), y + chords * np.sin(headings), strict=True)
             (x, y), yaw = found[-1], yaw + k * length
-    return np.array(found)
+    return np.array(found).reshape(-1, 2)
 
 
-def _divider_problems(found: PlaceMap, lanes: Sequence[FoundLane]) -> Iterator[str]:
-    """Findings where a boundary that two lanes share, which `compare_lanes` has looked at, is no divider, or one of
-    another paint, or where one is a lane divider that they do not: lanes of one direction have it on the right and on
-    the left, those of both directions on the same side."""
-    layers, every = found.layers, [(lane, at, line[:, :2]) for lane in lanes for at, line in lane.sides.items()]
-    dividers = {
-        "road divider": [found.lines[row.line_token] for row in layers.road_divider],
-        "lane divider": [found.lines[row.line_token] for row in layers.lane_divider],
+def _divider_problems(found: PlaceMap, labels: Labels) -> Iterator[str]:
+    """Findings where a painted line between two lanes is no divider, or one of another kind or paint."""
+    centers = {lane.id: lane for lane in labels.lanes if lane.kind == "centerline" and len(lane.xyz_cam) > 1}
+    kinds: dict[str, list[tuple[Points2, set[str] | None]]] = {
+        "road divider": [(found.lines[row.line_token], None) for row in found.layers.road_divider],
+        "lane divider": [
+            (found.lines[row.line_token], {of.segment_type for of in row.lane_divider_segments})
+            for row in found.layers.lane_divider
+        ],
     }
-    for lane, side, line in every:
-        xy, theirs = resampled(line, PLACES), {"road divider": side, "lane divider": OTHER_SIDE[side]}
-        for kind, lines in dividers.items():
-            shared_m = _from_lines(xy, [of for other, at, of in every if other is not lane and at == theirs[kind]])
-            along_m = _from_lines(xy, lines)
-            if np.mean((shared_m < ON_LINE_M) & (along_m > SAME_LINE_M)) > 1 - ON_LINE:
-                yield f"lane {lane.segment}: expected a {kind} along it on its {side}, got none along part of it"
-            if kind == "lane divider" and np.mean((shared_m > SAME_LINE_M) & (along_m < ON_LINE_M)) > 1 - ON_LINE:
-                yield f"lane {lane.segment}: expected no {kind} along the edge of a road, got one on its {side}"
-        for row in layers.lane_divider if side == "right" else ():
-            told = ", ".join(sorted({at.segment_type for at in row.lane_divider_segments}))
-            if told != lane.paint[side]:
-                is_along = _from_lines(resampled(found.lines[row.line_token], PLACES), [line]) < ON_LINE_M
-                if np.mean(is_along) > ON_LINE:
-                    yield f"lane {lane.segment}: expected a divider painted {lane.paint[side]}, got {told}"
+    kinds = {kind: [divider for divider in of if len(divider[0]) > 1] for kind, of in kinds.items()}
+    every = [divider for dividers in kinds.values() for divider in dividers]
+    for line in labels.lanes:
+        if line.kind != "delimiter" or line.junction is not None:
+            continue
+        sides = [centers[name] for name in (line.left, line.right) if name in centers]
+        if len(sides) < 2:
+            if len(line.xyz_cam) >= LEAST_COMPARED and not (sides and _faces_others(line, sides[0], centers)):
+                xy = line.xyz_cam[:, :2]
+                on = [distances(xy, of) < ON_LINE_M for of, _ in every if _may_touch(of, xy)]
+                share = np.any(on, axis=0).mean() if on else 0.0
+                if share > MAX_ONE_SIDED_SHARE:
+                    yield f"{line.id}: expected no divider along the edge of a road, got one along {share:.0%} of it"
+            continue
+        xy = line.xyz_cam[:, :2]
+        xy = xy[np.all([is_beside(xy, side.xyz_cam[:, :2]) for side in sides], axis=0)]
+        if len(xy) < LEAST_COMPARED:
+            continue
+        kind = "lane divider" if len({_goes_on(side, xy) for side in sides}) == 1 else "road divider"
+        near = [(of, paint, distances(xy, of) < ON_LINE_M) for of, paint in kinds[kind] if _may_touch(of, xy)]
+        covered = np.any([at for _, _, at in near], axis=0).mean() if near else 0.0
+        if not covered >= ON_LINE:
+            yield f"{line.id}: expected a {kind} along it, got one along {covered:.0%} of it"
+            continue
+        for of, paint, at in near:
+            if paint is not None and at.mean() > ON_LINE:
+                expected = _paint_along(line, of, xy)
+                if paint != {expected}:
+                    told = ", ".join(sorted(paint))
+                    yield f"{line.id}: expected the paint {expected}, got {told}"
 
 
-def _from_lines(xy: Float[np.ndarray, "_ 2"], lines: Sequence[Float[np.ndarray, "_ 2"]]) -> Scalars:
-    """How far places are from the nearest of some lines; infinite if all are far away."""
-    low, high = xy.min(axis=0) - 1, xy.max(axis=0) + 1
-    near = [line for line in lines if (line.min(axis=0) < high).all() and (line.max(axis=0) > low).all()]
-    return np.min([np.full(len(xy), np.inf), *(distances(xy, line) for line in near)], axis=0)
+def _faces_others(line: Lane, own: Lane, centers: Mapping[str, Lane]) -> bool:
+    """Whether a line is on that side of its lane where others drive the other way, beyond a median."""
+    xy, middle = line.xyz_cam[:, :2], own.xyz_cam[:, :2]
+    is_onward = _goes_on(own, xy)
+    for other in centers.values():
+        its = other.xyz_cam[:, :2]
+        if is_beside(xy, its).sum() > LEAST_COMPARED and _goes_on(other, xy) != is_onward:
+            apart_m = float(np.median(distances(xy, its)))
+            if apart_m < min(float(np.median(distances(middle, its))), FACING_M):
+                return True
+    return False
+
+
+def _goes_on(lane: Lane, xy: Points2) -> bool:
+    """Whether the traffic of a lane goes from the first to the last of some places beside it."""
+    first_m, last_m = stations(xy[[0, -1]], lane.xyz_cam[:, :2])
+    return bool((last_m > first_m) != (lane.direction == "oncoming"))
+
+
+def _may_touch(of: Line2, xy: Line2) -> bool:
+    """Whether the boxes around two lines touch."""
+    return bool((of.min(axis=0) <= xy.max(axis=0) + 1).all() and (of.max(axis=0) >= xy.min(axis=0) - 1).all())
+
+
+def _paint_along(line: Lane, of: Line2, xy: Line2) -> str:
+    """The paint of a line of the labels as the traffic along a divider sees it."""
+    text = segment_type(line.marking, line.color, line.double, line.pair)
+    if line.pair is not None and (xy[-1] - xy[0]) @ (of[-1] - of[0]) < 0:
+        return text.replace(line.pair.upper(), MIRRORED[line.pair].upper())
+    return text
 
 
 def _thing_problems(

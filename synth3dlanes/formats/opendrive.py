@@ -11,12 +11,13 @@ from xml.etree import ElementTree
 import numpy as np
 
 from synth3dlanes.formats.comparing import Comparison, SourceSample
-from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes
+from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, paint_word
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
 from synth3dlanes.formats.opendrive_roads import PaintedMark, WrittenRoad, lane_ascends, on_planes, part_links, parts
 from synth3dlanes.formats.opendrive_things import Element, add, add_things
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
+from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import Profile
@@ -29,20 +30,23 @@ from synth3dlanes.scene.road_map import (
     MapLaneKind,
     MapMark,
     MapRoad,
+    MapSection,
     PlanPiece,
     Polynomial,
     lane_key,
 )
-from synth3dlanes.system.arrays import Points3
+from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.world.world import World, resolve
 
 USER_DATA = "synth3dlanes.segment"
 """The code of the user data that names a lane's segment in our lane graph."""
 # Shapes are heights square to the banked plane, so where the ground bends they move points aside.
-RULE = MapRule("m", 0.15, slack=0.3, of_pieces=True, gap_m=0.15)
+RULE = MapRule("m", 0.15, slack=0.3, word=paint_word, of_pieces=True, gap_m=0.15)
 # The cubics of lines, heights and widths are within a millimetre of the same functions.
 GAP_M = 0.005
 STATION_STEP_M = 1.0
+PLAIN = {"dots": "dashed", "dashed_dashed": "dashed"}
+"""Kinds of marks that the labels call dashed."""
 
 
 MAJOR, MINOR = "1", "7"
@@ -387,7 +391,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     labelled = {segment.id for segment in truth.labels.graph.segments}
     beyond = {name for name, of in named.items() if of not in labelled and of in truth.scene.roads.driving_lanes}
     lanes = [
-        FoundLane(name, of, _middle(given.lanes[name]), after={*given.following.get(name, ())} & named.keys() - beyond)
+        _found(name, of, given.lanes[name], {*given.following.get(name, ())} & named.keys() - beyond)
         for name, of in named.items()
         if name not in beyond
     ]
@@ -407,13 +411,39 @@ def _segments(root: Element, given: GivenMap) -> dict[str, str]:
     }
 
 
-def _middle(place: LanePlace) -> Points3:
-    """Points of the middle of a lane in the direction of its traffic."""
+def _found(name: str, segment: str, place: LanePlace, after: Collection[str]) -> FoundLane:
+    """A lane as its traffic drives: its middle, its edges, and their paint where that is of one kind."""
     road, section = place.road, CrossSection.of(place.road, place.section)
     s = np.linspace(section.start_m, section.end_m, 2 + int((section.end_m - section.start_m) / STATION_STEP_M))
-    t = section.middle_line(next(i for i, lane in enumerate(section.lanes) if lane is place.lane))(s)
-    z = section.height(s, t) if road.heights else 0 * s
-    return np.column_stack([places(road.plan, s, -t), z])[:: 1 if place.ascends else -1]
+    at, step = next(i for i, lane in enumerate(section.lanes) if lane is place.lane), 1 if place.ascends else -1
+
+    def line(t: Scalars) -> Points3:
+        z = section.height(s, t) if road.heights else 0 * s
+        return np.column_stack([places(road.plan, s, -t), z])[::step]
+
+    edges = dict(zip(("left", "right"), (at, at + 1)[::step], strict=True))
+    paint = {side: _paint(road.sections[place.section], section, edge, place.ascends) for side, edge in edges.items()}
+    return FoundLane(
+        name,
+        segment,
+        line(section.middle_line(at)(s)),
+        {side: line(section.edge(edge, s)) for side, edge in edges.items()},
+        {side: word for side, word in paint.items() if word},
+        after,
+    )
+
+
+def _paint(told: MapSection, section: CrossSection, edge: int, ascends: bool) -> str:
+    """The paint of an edge as traffic sees it that goes with growing s or not; nothing for none or several kinds."""
+    n = section.n_left
+    number = 0 if edge == n else section.lanes[edge if edge < n else edge - 1].number
+    marks = [mark for lane in told.lanes if lane.number == number for mark in lane.marks]
+    if len({(mark.kind, mark.yellow) for mark in marks}) != 1 or marks[0].kind == "none":
+        return ""
+    # From the left along s, but left of lane 0 from its right.
+    kind = PLAIN.get(marks[0].kind, marks[0].kind)
+    kind = MIRRORED.get(kind, kind) if (number > 0) == ascends else kind
+    return f"{kind} {'yellow' if marks[0].yellow else 'white'}"
 
 
 def _gaps(road: MapRoad) -> Iterator[float]:

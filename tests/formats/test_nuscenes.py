@@ -497,7 +497,7 @@ FAULTS = {
     ),
     "no dividers": (layer("lane_divider", list.clear), "expected a lane divider along it"),
     "no middle of the road": (layer("road_divider", list.clear), "expected a road divider along it"),
-    "edges": (other(MAP, edges_as_dividers), "expected no lane divider along the edge of a road"),
+    "edges": (other(MAP, edges_as_dividers), "expected no divider along the edge of a road"),
     "paint": (layer("lane_divider", each(painted)), "got DOUBLE_SOLID_YELLOW"),
     "no crossings": (layer("ped_crossing", list.clear), "pedestrian crossing: expected one on a crosswalk"),
     "no areas": (layer("drivable_area", list.clear), "expected it in the drivable area"),

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from synth3dlanes.formats import argoverse2, cosmos, lanelet2, nuscenes_maps, openlane
+from synth3dlanes.formats import argoverse2, comparing_maps, cosmos, nuscenes_maps, openlane
 from synth3dlanes.labels.labels import Marking, PaintColor, Pair
 from tests.formats import closed_form as cf
 
@@ -46,7 +46,7 @@ WORDS: dict[str, tuple[Callable[..., object], list[object]]] = {
     "nuscenes": (nuscenes_maps.segment_type, [*in_colors(NUSCENES)]),
     "cosmos": (lambda marking, color, double, pair: cosmos.line_style(marking, double, pair), [*in_colors(COSMOS)]),
     "lanelet2": (
-        lanelet2.paint_word,
+        comparing_maps.paint_word,
         ["none", *(f"{word} white" for word in LANELET2), *(f"{word} yellow" for word in LANELET2), "dashed None"],
     ),
     # 1 white-dash, 2 white-solid, 3 double-white-dash, 4 double-white-solid, 5 white-ldash-rsolid,

@@ -159,7 +159,9 @@ def test_an_export_is_as_in_the_labels_or_refused(
     assert sum(result.n for result in results) > 0
 
 
-def test_a_lane_moved_aside_and_a_lost_link_are_found_in_a_town(made: Callable[[str], Path], tmp_path: Path) -> None:
+def test_a_lane_moved_aside_a_lost_link_and_other_paint_are_found_in_a_town(
+    made: Callable[[str], Path], tmp_path: Path
+) -> None:
     job = Export(str(made("town")), tmp_path / "out", "opendrive")
     job.write()
     path = next(job.out.glob("*/*.xodr"))
@@ -167,6 +169,7 @@ def test_a_lane_moved_aside_and_a_lost_link_are_found_in_a_town(made: Callable[[
     for pattern, replacement, expected in (
         (r'(<laneOffset s="0" a=")[^"]*', r"\g<1>0.4", "within 0.15 m of the labels"),
         (r'(<lane id="-1".*?<successor id=")[^"]*', r"\g<1>-9", "to follow it, got none"),
+        (r'type="broken"', 'type="solid"', "is painted, got solid"),
     ):
         path.write_text(re.sub(pattern, replacement, text, flags=re.DOTALL))
         found = [problem for result in verify(job) for problem in result.problems]
