@@ -409,8 +409,8 @@ def swapped_sides(row):
     row[left], row[right] = row[right], row[left]
 
 
-def painted(row):
-    for of in row["lane_divider_segments"]:
+def painted(row, key="lane_divider_segments"):
+    for of in row[key]:
         of["segment_type"] = "DOUBLE_SOLID_YELLOW"
 
 
@@ -499,6 +499,10 @@ FAULTS = {
     "no middle of the road": (layer("road_divider", list.clear), "expected a road divider along it"),
     "edges": (other(MAP, edges_as_dividers), "expected no divider along the edge of a road"),
     "paint": (layer("lane_divider", each(painted)), "got DOUBLE_SOLID_YELLOW"),
+    "paint of a side": (
+        layer("lane", each(lambda row: painted(row, "left_lane_divider_segments"))),
+        "is painted, got DOUBLE_SOLID_YELLOW",
+    ),
     "no crossings": (layer("ped_crossing", list.clear), "pedestrian crossing: expected one on a crosswalk"),
     "no areas": (layer("drivable_area", list.clear), "expected it in the drivable area"),
     "no nodes": (layer("node", lambda rows: rows[:1]), "expected a record with the token"),
