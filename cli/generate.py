@@ -13,7 +13,17 @@ import click
 
 from synth3dlanes.production.events import LEVELS, Event, duration
 
-from .options import LINE_EVERY_S, JobCommand, OutputFile, given, job_options, json_option, refuse_together, warn
+from .options import (
+    LINE_EVERY_S,
+    JobCommand,
+    OutputFile,
+    given,
+    job_options,
+    json_option,
+    refuse_memory,
+    refuse_together,
+    warn,
+)
 
 # The options that are fields of Job, in the order of the help.
 FIELDS = (
@@ -61,6 +71,7 @@ def generate(
     from synth3dlanes.production.tally import total
 
     job = jobs.Job(**given(fields)) if source is None else jobs.load_job(source, given(fields))
+    refuse_memory(str(job.out))
     plans = job.plans(warn)
     drawn_from = job.text(plans[0].recipe, warn)
     if save_job is not None:

@@ -22,6 +22,7 @@ from synth3dlanes.system.errors import (
     Synth3dlanesError,
     WorkerError,
     is_of_environment,
+    told,
 )
 
 from .assets import assets
@@ -36,6 +37,7 @@ from .generate import generate
 from .lift import lift
 from .listing import list_names
 from .look import clip, gallery, inspect, report
+from .options import refuse_memory
 from .params import params
 from .predict import onnx, predict
 from .scenes import render, sample
@@ -100,18 +102,19 @@ class Commands(click.Group):
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             ctx.exit(128 + signal.SIGPIPE)
         except OSError as error:
-            place = f"{error.filename}: " if error.filename else ""
-            raise _failure(error, f"{place}{error.strerror or error}") from error
+            raise _failure(error, told(error) if error.strerror else str(error)) from error
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command; refuse empty arguments, which would stand for the working directory or for no file."""
+        """Find the command; refuse empty arguments, which would stand for the working directory or for no file, and
+        stores that end with the command."""
         ctx.meta[WORDS] = {part for word in args for part in (word, word.partition("=")[2])}
         for before, word in zip(["", *args], args, strict=False):
             if not word or re.fullmatch("--[a-z0-9-]+=", word):
                 after = (word or before).removesuffix("=")
                 raise click.UsageError(f"expected no empty argument, got one after {after}: is a variable not set?")
+            refuse_memory(re.sub("^--[a-z0-9-]+=", "", word))
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -234,6 +234,12 @@ def _verb(given: list[str]) -> str:
     return "have" if len(given) > 1 else "has"
 
 
+def refuse_memory(place: str) -> None:
+    """Raise InputError for a store in memory, which would be lost with the command that writes it."""
+    if re.match(r"(\w+::)*memory://", place):
+        raise InputError(f"{place}: expected a folder or a store that outlives the command, got one in its memory")
+
+
 def warn(line: str) -> None:
     """Tell on stderr what is usable but does not fit together."""
     click.echo(line, err=True)

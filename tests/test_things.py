@@ -107,6 +107,20 @@ def test_velocities_are_how_places_change(thing):
     np.testing.assert_allclose(now.view.world_from_cam[:3, :3] @ item.velocity_cam, velocity, atol=1e-9)
 
 
+def test_who_walks_round_a_corner_keeps_walking_and_who_stands_stands():
+    """Straight on at an even pace, then to the left at a right angle, then at rest; instants of half a second."""
+    xy = [(0.0, 0.0), (0.0, 0.6), (0.0, 1.2), (-0.6, 1.2), (-1.2, 1.2), (-1.2, 1.2), (-1.2, 1.2)]
+    places = ({"time_s": i / 2, "x_m": x, "y_m": y, "yaw_rad": 0.0} for i, (x, y) in enumerate(xy))
+    thing = walker(track=tuple(PlanInstant.model_validate(place) for place in places))
+    straight, corner, still = (thing_at(thing, time_s) for time_s in (0.2, 1.0, 2.6))
+    assert (straight.thing.x_m, straight.thing.y_m, straight.thing.speed_m_s) == pytest.approx((0.0, 0.24, 1.2))
+    np.testing.assert_allclose(corner.velocity_world, [-0.6, 0.6], atol=1e-9)
+    assert (still.thing.x_m, still.thing.speed_m_s) == (-1.2, 0.0)
+    way = [thing_at(thing, time_s).thing for time_s in np.linspace(0.5, 1.5, 41)]
+    assert max(min(abs(at.x_m), abs(at.y_m - 1.2)) for at in way) < 0.06, "near its straight lines"
+    assert min(at.speed_m_s for at in way) > 0.7
+
+
 def test_a_thing_is_where_its_track_says_and_stands_before_and_after_it():
     thing = walker(track=TRACK)
     for instant in TRACK:

@@ -21,7 +21,7 @@ from synth3dlanes.scene.scene import Car, PlanInstant, Scene, Thing
 from synth3dlanes.system.arrays import Points2, Scalars
 from synth3dlanes.world import placement
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.motion import stations_after
+from synth3dlanes.world.motion import stations_after, walked_way
 from synth3dlanes.world.posts import post_frames
 
 # Between two instants that are checked nobody moves by more than the room between bodies.
@@ -66,7 +66,7 @@ class Motion(NamedTuple):
         values = np.column_stack([self.xy_world, np.unwrap(self.yaw_rad)])
         if len(self.times_s) > 1:
             within_s = np.clip(times_s, self.times_s[0], self.times_s[-1])
-            values = scipy.interpolate.PchipInterpolator(self.times_s, values)(within_s)
+            values = walked_way(self.times_s, values)(within_s)
         else:
             values = np.repeat(values, len(times_s), axis=0)
         return values[:, :2], np.stack([-np.sin(values[:, 2]), np.cos(values[:, 2])], -1)

@@ -29,7 +29,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
 from synth3dlanes.production.tally import RunTally
 from synth3dlanes.production.workers import Limits, Outcome, Pool
-from synth3dlanes.system.errors import FormatError, LinkError, OutageError
+from synth3dlanes.system.errors import FormatError, LinkError, OutageError, told
 from synth3dlanes.system.files import Folder
 
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
@@ -112,7 +112,7 @@ class _Run:
         try:
             self._loop()
         except OSError as error:
-            self.tally.problem = f"{self.root}: {type(error).__name__}: {error}"
+            self.tally.problem = f"{self.root}: {told(error)}"
         except FormatError:
             # A join during which the data set's folder is moved away finds half a shard.
             if not self._has_moved():
@@ -178,7 +178,7 @@ class _Run:
                 if not is_full(error):
                     raise
                 self.todo.appendleft((kind, index))
-                self._full(str(error), self._sample_bytes())
+                self._full(told(error), self._sample_bytes())
                 return
             self.opened.add(shard)
             pool.start((kind, index), _make_part, self.plan.maker, recipe, shard, index, slot=slot)
@@ -241,7 +241,7 @@ class _Run:
         error = join.exception()
         if is_full(error):
             self.unjoined.append(number)
-            self._ended_full(("join", number), str(error), self._shard_bytes(self.shards[number]))
+            self._ended_full(("join", number), told(error), self._shard_bytes(self.shards[number]))
             return
         lost = {index: reason for index, reason in join.result().items() if index not in self.given_up}
         self.left[number] = len(lost)

@@ -306,9 +306,10 @@ def _work(pipe: Connection) -> None:
         except (OSError, ImportError) as error:
             full = isinstance(error, OSError) and error.errno in DISK_FULL
             # Not at the top: the worker's program imports nothing of ours before it is pinned.
+            from synth3dlanes.system.errors import told
             from synth3dlanes.system.system_libraries import install_hint
 
-            reason = f"{type(error).__name__}: {error}{install_hint(str(error))}"
+            reason = f"{told(error)}{install_hint(str(error))}"
             reply = ("full" if full else "broken", None, reason)
         pipe.send(reply)
 

@@ -77,3 +77,10 @@ def is_of_environment(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
+
+
+def told(error: BaseException) -> str:
+    """What went wrong, for people: of an error of the system the file and the reason, of others their type too."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return f"{type(error).__name__}: {error}"

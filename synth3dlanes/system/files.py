@@ -411,8 +411,8 @@ def _named(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        error.filename, error.filename2 = str(path), None
-        raise
+        # One made anew: two names that once were there are told even if the second one is None.
+        raise (OSError(error.errno, error.strerror, str(path)) if error.errno else error) from None
 
 
 def _sync_names(folder: int) -> None:

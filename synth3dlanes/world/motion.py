@@ -103,12 +103,31 @@ def thing_at(thing: Thing, time_s: float) -> MovedThing:
     velocity = np.zeros(2)
     lengths_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places[:, :2], axis=0).T))])
     if len(times_s) > 1 and times_s[0] <= time_s <= times_s[-1]:
-        way = scipy.interpolate.PchipInterpolator(times_s, places)
+        way = walked_way(times_s, places)
         (x_m, y_m, yaw_rad), velocity = way(time_s).tolist(), way(time_s, 1)[:2]
     else:
         x_m, y_m, yaw_rad = places[0 if time_s < times_s[0] else -1].tolist()
     update = {"x_m": x_m, "y_m": y_m, "yaw_rad": yaw_rad, "speed_m_s": float(np.hypot(*velocity))}
     return MovedThing(thing.model_copy(update=update), velocity, float(np.interp(time_s, times_s, lengths_m)))
+
+
+def walked_way(
+    times_s: Float[np.ndarray, " k"], places: Float[np.ndarray, "k 3"]
+) -> scipy.interpolate.CubicHermiteSpline:
+    """x, y and heading of a thing as smooth functions of time through the instants of its track, of which there are two
+    or more. Who walks straight, or stands, goes as by PCHIP. At a corner of right angles it keeps seven tenths of its
+    speed, where PCHIP of x and y would stop it."""
+    slopes = scipy.interpolate.PchipInterpolator(times_s, places)(times_s, 1)
+    steps_s = np.diff(times_s)
+    velocities = np.diff(places[:, :2], axis=0) / steps_s[:, None]
+    speeds = np.linalg.norm(velocities, axis=1)
+    moves = (speeds[:-1] > 0) & (speeds[1:] > 0)
+    safe = np.where(speeds > 0, speeds, 1.0)
+    weights = 2 * steps_s[1:] + steps_s[:-1], steps_s[1:] + 2 * steps_s[:-1]
+    mean = sum(weights) / (weights[0] / safe[:-1] + weights[1] / safe[1:])
+    ahead = velocities / safe[:, None]
+    slopes[1:-1, :2] = (np.where(moves, mean, 0.0) / 2)[:, None] * (ahead[:-1] + ahead[1:])
+    return scipy.interpolate.CubicHermiteSpline(times_s, places, slopes)
 
 
 def host_driven(shot: Shot, time_s: float) -> float:

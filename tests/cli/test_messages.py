@@ -175,10 +175,13 @@ REFUSED = [
     ("evaluate d --predictions s.json --checkpoint nano", "--checkpoint and --predictions exclude each other."),
     ("evaluate d --predictions s.json --device cpu", "--device has no effect without --checkpoint."),
     ("evaluate d --threshold 0.5", "--threshold has no effect without --checkpoint or --predictions."),
-    ("export FOLDER --format apollo --out memory://e", "--out memory:/e: expected a folder of this machine, got an"),
+    ("export FOLDER --format apollo --out s3://e", "--out s3:/e: expected a folder of this machine, got an"),
     ("export FOLDER/x --format apollo --out e", "; there is FOLDER/train"),
     ("gallery d --show height --lanes", "--lanes has no effect with --show height"),
     ("gallery FOLDER --show depth", "--show depth: FOLDER/train was made without this pass"),
+    ("generate --n 1 --out memory://e", "memory://e: expected a folder or a store that outlives the command, got one"),
+    ("generate memory.yaml", "memory://e: expected a folder or a store that outlives the command, got one in its"),
+    ("split FOLDER --out=simplecache::memory://e", "simplecache::memory://e: expected a folder or a store that"),
     ("gallery FOLDER --where n_lane_SP_=_SP_4", "--where n_lane = 4: unknown column n_lane; did you mean n_lanes?"),
     ("gallery FOLDER --where n_lanes_SP_>_SP_90", "--where n_lanes > 90: expected a sample of"),
     ("gallery FOLDER/train:3", "; there is FOLDER/train"),
@@ -308,7 +311,13 @@ has_torch = importlib.util.find_spec("torch") is not None
 
 @pytest.mark.parametrize(("command", "why"), [*REFUSED, *OF_NETWORKS * has_torch])
 def test_one_line_and_exit_code_2(command: str, why: str, run: Run, folder: Path, in_tmp_path: Path) -> None:
-    texts = {"file": "", "broken.json": '{"format": "synth3dlanes.sc', "other.json": '{"a": 1}', "partial.yaml": "{}"}
+    texts = {
+        "file": "",
+        "memory.yaml": "n: 1\nout: memory://e\n",
+        "broken.json": '{"format": "synth3dlanes.sc',
+        "other.json": '{"a": 1}',
+        "partial.yaml": "{}",
+    }
     texts["s.json"] = to_json(FLAT)
     for name, text in texts.items():
         (in_tmp_path / name).write_text(text)
