@@ -74,13 +74,6 @@ def test_targets_of_a_rolled_image_are_those_of_the_same_scene_without_roll(spli
         np.testing.assert_array_equal(rolled.image(index), rolled[index].image)
 
 
-def test_the_index_gives_keys_and_labels_without_pictures(split_of):
-    samples = split_of("camera.roll_deg=2")
-    assert len(samples) == N
-    assert samples.key(1) == samples[1].key == "00000001"
-    assert samples.labels(1).camera.roll_rad == samples[1].labels.camera.roll_rad == 0
-
-
 def test_without_a_validation_split_every_tenth_sample_is_held_out(tmp_path, monkeypatch):
     monkeypatch.setattr(sources, "open_split", lambda place: list(range(25)) if place.endswith("train") else ["val"])
     train, val = sources.training_and_validation([str(tmp_path)], "train", "val", None)

@@ -255,6 +255,7 @@ REFUSED = [
     ("render s.json --set light.sun_zenith_deg=120", "--set light.sun_zenith_deg: expected at most 114.592, got 120"),
     ("report none --html none/x.html", "none/x.html: expected a file in a folder that exists"),
     ("sampel", "synth3dlanes: No such command 'sampel'."),
+    ("sample --assets none", "--assets none: expected a folder, found none"),
     ("sample --camera argoverse2", "or the path of a .yaml file; argoverse2 is for --rig"),
     ("sample --camera kitti --set camera.pitch_deg=5", "camera.pitch_deg=5: no effect with --camera"),
     ("sample --fps 5", "--fps: expected none without --frames of 2 or more"),

@@ -177,18 +177,6 @@ def test_an_animation_has_all_frames_in_order_and_lasts_as_long_as_the_clip(fps,
     assert grays == pytest.approx(range(0, 180, 20), abs=3)
 
 
-def test_a_page_of_a_clip_has_each_frame_and_begins_with_its_own(flat_scene, gray_image):
-    clip = [(labelled(shown_in(flat_scene, frame)), gray_image) for frame in range(3)]
-    scene = shown_in(flat_scene, 1)
-    page = scene_page(ShownScene(scene, clip[1][0], gray_image, clip=clip))
-    words = re.findall(r'data-words="([^"]*)"', page)
-    assert words == ["frame 0, 0.00 s", "frame 1, 0.25 s", "frame 2, 0.50 s"]
-    assert re.search(r'max="2" value="1"', page)
-    assert 'data-pause-ms="250"' in page
-    assert "show frame 1, 0.25 s." in page
-    assert 'id="frames"' not in scene_page(ShownScene(flat_scene, clip[0][0], gray_image))
-
-
 @pytest.mark.parametrize("with_image", [False, True])
 def test_four_views_with_their_units(with_image, gray_image, exit_scene):
     scene = exit_scene

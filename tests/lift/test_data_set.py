@@ -59,15 +59,6 @@ def test_it_has_every_frame_with_its_lanes(made: tuple[Path, LiftReport]) -> Non
         assert "synthetic" not in text.lower()
 
 
-def test_lifting_again_adds_nothing(made: tuple[Path, LiftReport]) -> None:
-    out, _ = made
-    before = (out / "train/00000.tar").read_bytes()
-    lift_to(hill.drive(8), out, precision=NO_ERROR)
-    assert (out / "train/00000.tar").read_bytes() == before
-    with pytest.raises(InputError, match="precision"):
-        lift_to(hill.drive(8), out, precision=replace(NO_ERROR, lanes_px=3.0))
-
-
 def test_validate_says_what_it_could_not_ask_of_a_drive(made: tuple[Path, LiftReport]) -> None:
     report = validate(made[0], 1, None, lambda done, total: None)
     assert not report.problems
@@ -285,6 +276,8 @@ def test_rejected_frames_and_lanes_are_left_out_and_the_rest_keeps_its_ids(tmp_p
     tar = (tmp_path / "out/train/00000.tar").read_bytes()
     lift_to(reviewed, tmp_path / "out", precision=NO_ERROR)
     assert (tmp_path / "out/train/00000.tar").read_bytes() == tar
+    with pytest.raises(InputError, match="precision"):
+        lift_to(reviewed, tmp_path / "out", precision=replace(NO_ERROR, lanes_px=3.0))
     with pytest.raises(InputError, match="inputs: expected"):
         lift_to(replace(reviewed, rejected=()), tmp_path / "out", precision=NO_ERROR)
 

@@ -159,25 +159,6 @@ def test_a_mirrored_world_is_told_from_the_lanes(drive: Drive) -> None:
         list(lifted_frames(flipped, NO_ERROR))
 
 
-def test_points_in_millimetres_are_told() -> None:
-    drive = hill.drive(6)
-
-    def wrong(frame):
-        def load():
-            scan = frame.scan()
-            return replace(scan, xyz_lidar=1000 * scan.xyz_lidar)
-
-        return replace(frame, load_scan=load)
-
-    with pytest.raises(InputError, match="frames 000 to 005: hill: expected scans with points near the host's path"):
-        list(lifted_frames(replace(drive, frames=[wrong(frame) for frame in drive.frames])))
-
-
-def test_a_host_that_stands_is_told() -> None:
-    with pytest.raises(InputError, match="expected a host that moves"):
-        list(lifted_frames(hill.drive(1)))
-
-
 def test_noisy_poses_make_lanes_less_certain(lifted: list) -> None:
     rng = np.random.default_rng(1)
 

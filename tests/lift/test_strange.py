@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fsspec.implementations.memory import MemoryFileSystem
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.recorded.drives.drive import Drive, DriveFrame, MarkedLane
@@ -88,36 +87,10 @@ def test_a_drive_that_cannot_be_lifted_is_refused_in_one_line_and_leaves_no_samp
     assert not [path for path in tmp_path.glob("out/train/*") if path.suffix in (".tar", ".parquet")]
 
 
-def test_a_lift_that_is_killed_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
-    drive = hill.drive(4)
-
-    def killed(done: int, total: int) -> None:
-        if done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        lift_to(drive, tmp_path / "killed", precision=NO_ERROR, progress=killed)
-    assert not list((tmp_path / "killed/train").glob("*.tar"))
-    for out in ("killed", "whole"):
-        lift_to(drive, tmp_path / out, precision=NO_ERROR)
-    tars = [(tmp_path / out / "train/00000.tar").read_bytes() for out in ("killed", "whole")]
-    assert tars[0] == tars[1]
-
-
 @pytest.mark.parametrize("n_cuts", first(1, [3, 20]))
 def test_a_lift_comes_to_the_same_bytes_after_a_power_cut(tmp_path: Path, n_cuts: int) -> None:
     drive = hill.drive(3)
     survive(lambda out: lift_to(drive, out, precision=NO_ERROR), tmp_path, n_cuts)
-
-
-def test_a_store_gets_the_bytes_of_a_folder(tmp_path: Path) -> None:
-    drive, url = hill.drive(4), "memory://lifted"
-    lift_to(drive, tmp_path, precision=NO_ERROR)
-    lift_to(drive, url, precision=NO_ERROR)
-    store = MemoryFileSystem()
-    for name in ("dataset.json", "train/00000.tar", "train/00000.parquet"):
-        assert store.cat_file(f"/lifted/{name}") == (tmp_path / name).read_bytes()
-    store.rm("/lifted", recursive=True)
 
 
 def test_the_points_of_all_scans_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,15 +77,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.thorough
-def test_parts_that_start_together_in_a_new_store(store: s3fs.S3FileSystem, whole: Path) -> None:
-    at_once("s3://lanes/parts", [(part, 3) for part in (1, 2, 3)])
-    check(store, "lanes/parts", whole)
-
-
-@pytest.mark.thorough
-def test_two_equal_runs_at_once(store: s3fs.S3FileSystem, whole: Path) -> None:
-    at_once("s3://lanes/equal", [(1, 1), (1, 1)])
-    check(store, "lanes/equal", whole)
+@pytest.mark.parametrize("parts", [[(1, 3), (2, 3), (3, 3)], [(1, 1), (1, 1)]], ids=["parts", "equal"])
+def test_runs_that_start_together_in_a_new_store(
+    store: s3fs.S3FileSystem, whole: Path, parts: list[tuple[int, int]], request: pytest.FixtureRequest
+) -> None:
+    name = f"lanes/{request.node.callspec.id}"
+    at_once(f"s3://{name}", parts)
+    check(store, name, whole)
 
 
 @pytest.mark.parametrize("kind", ["object store", "files"])

@@ -140,18 +140,6 @@ def test_a_signal_stops_in_order_within_seconds(tmp_path, whole, number):
     assert contents(tmp_path) == whole
 
 
-def test_a_second_run_in_the_folder_is_refused(tmp_path):
-    command = [sys.executable, "-m", "tests.fake_samples", str(tmp_path), str(N), "1"]
-    first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert next(line for line in first.stdout if "kind='start'" in line)
-    first.send_signal(signal.SIGSTOP)
-    with pytest.raises(ClaimedError, match=r"shard \d is locked by another run"):
-        go(plan(tmp_path))
-    first.kill()
-    first.communicate()
-    assert go(plan(tmp_path))[0].exit_code == 0
-
-
 @pytest.mark.fresh
 @pytest.mark.parametrize(
     ("maker", "limits", "reasons"),
@@ -340,18 +328,6 @@ def test_a_vanished_folder_is_named(tmp_path):
     assert report.exit_code == 1
     assert str(out) in report.problem
     assert "No such file" in report.problem
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [({"n": -3}, "^n: expected"), ({"workers": -1}, "^workers"), ({"part": (3, 2)}, "^part: expected i/n")],
-)
-def test_impossible_plans_are_refused(tmp_path, changes, message):
-    with pytest.raises(InputError, match=message):
-        plan(tmp_path, **changes)
-    with pytest.raises(InputError, match="split: "):
-        replace(plan(tmp_path), recipe=fake_samples.recipe(split="../x"))
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_python_without_blender_is_told_which_one(tmp_path, monkeypatch):
