@@ -224,7 +224,7 @@ def bounded(path: LaneCurve, beside: dict[str, list[Neighbour]]) -> LaneCurve:
     """A path with the lines beside its lanes."""
     found = []
     for lane, piece in zip(path.lanes, path.pieces, strict=True):
-        for at in beside.get(lane.id, ()):
-            ends = np.sort(piece.stations([at.start_m, at.end_m])).tolist()
-            found.append(Neighbour(at.id, at.is_right == (piece.along > 0), *ends))
+        own = beside.get(lane.id, [])
+        ends = np.sort(piece.stations([(at.start_m, at.end_m) for at in own])).tolist()
+        found += [Neighbour(at.id, at.is_right == (piece.along > 0), *pair) for at, pair in zip(own, ends, strict=True)]
     return replace(path, neighbours=tuple(found))

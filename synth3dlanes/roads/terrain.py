@@ -16,8 +16,8 @@ def height_at(terrain: Terrain, xy_world: AnyPoints2) -> AnyScalars:
         (a, b, c), magnitude_m, dx, dy = _local(gaussian, xy_world)
         z += magnitude_m * np.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
     if terrain.base is not None:
-        at, _ = _places(terrain.base, xy_world)
-        z += scipy.ndimage.map_coordinates(terrain.base.coefficients, [at[..., 1] + 1, at[..., 0] + 1], prefilter=False)
+        places = [_place(terrain.base, xy_world, axis)[0] + 1 for axis in (1, 0)]
+        z += scipy.ndimage.map_coordinates(terrain.base.coefficients, places, prefilter=False)
     return z
 
 
@@ -38,15 +38,16 @@ def gradient_at(terrain: Terrain, xy_world: AnyPoints2) -> AnyPoints2:
 def grid_weights(grid: HeightGrid, xy_world: AnyPoints2) -> tuple[Float[np.ndarray, "*n 2 4"], np.ndarray]:
     """The weights of a grid's coefficients along x and y at points, and the numbers of the first of these: a point's
     height is the sum over four columns and four rows. Beyond the grid, those of its edge."""
-    at, _ = _places(grid, xy_world)
+    at = np.stack([_place(grid, xy_world, axis)[0] for axis in (0, 1)], axis=-1)
     first = at.astype(int)
     return _b_spline(at - first, slope=False), first
 
 
-def _places(grid: HeightGrid, xy_world: AnyPoints2) -> tuple[AnyPoints2, Bool[np.ndarray, "*n 2"]]:
-    """Places in steps from the second coefficient on, kept within the grid, and whether they were within it."""
-    most = np.array([len(grid.rows[0]), len(grid.rows)]) - 3 - 1e-9
-    at = (xy_world - np.array(grid.corner_m)) / grid.step_m - 1
+def _place(grid: HeightGrid, xy_world: AnyPoints2, axis: int) -> tuple[AnyScalars, Bool[np.ndarray, "*n"]]:
+    """Places along x (0) or y (1) in steps from the second coefficient on, kept within the grid, and whether they were
+    within it."""
+    most = (len(grid.rows[0]), len(grid.rows))[axis] - 3 - 1e-9
+    at = (xy_world[..., axis] - grid.corner_m[axis]) / grid.step_m - 1
     return np.clip(at, 0, most), (at >= 0) & (at <= most)
 
 
@@ -62,15 +63,13 @@ def _b_spline(u: AnyScalars, slope: bool) -> Float[np.ndarray, "*n 4"]:
 
 def _slope(grid: HeightGrid, xy_world: AnyPoints2, axis: int) -> AnyScalars:
     """The grid's rise along x (0) or y (1) at points; none beyond it."""
-    at, inside = _places(grid, xy_world)
-    first = at.astype(int)
-    u, table = at - first, grid.coefficients
-    x, y = (_b_spline(u[..., k], k == axis) for k in (0, 1))
-    z = np.zeros(u.shape[:-1])
+    (x_at, _), (y_at, _) = places = [_place(grid, xy_world, k) for k in (0, 1)]
+    column, row, table = x_at.astype(int), y_at.astype(int), grid.coefficients
+    x, y = _b_spline(x_at - column, axis == 0), _b_spline(y_at - row, axis == 1)
+    z = np.zeros(x_at.shape)
     for i in range(4):
-        row = first[..., 1] + i
-        z += y[..., i] * sum((x[..., k] * table[row, first[..., 0] + k] for k in range(4)), np.zeros(z.shape))
-    return np.where(inside[..., axis], z / grid.step_m, 0.0)
+        z += y[..., i] * sum((x[..., k] * table[row + i, column + k] for k in range(4)), np.zeros(z.shape))
+    return np.where(places[axis][1], z / grid.step_m, 0.0)
 
 
 def _local(

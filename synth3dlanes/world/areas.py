@@ -51,6 +51,14 @@ def intersection(area: BaseGeometry, other: BaseGeometry) -> BaseGeometry:
     return _overlay(shapely.intersection, [area, other], NOTHING)
 
 
+def intersections(areas: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """What areas share with as many others, each with its own."""
+    try:
+        return np.array([*map(_polygons_alone, shapely.intersection(areas, others))], dtype=object)
+    except shapely.errors.GEOSException:
+        return np.array([*map(intersection, areas, others)], dtype=object)
+
+
 def outset(area: BaseGeometry, by_m: float) -> BaseGeometry:
     """An area extended by a distance, or shrunk by a negative one."""
     return valid(shapely.buffer(area, by_m, join_style="mitre"))

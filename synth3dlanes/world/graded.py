@@ -296,20 +296,27 @@ class GradedGround:
         cells of a grid and what their slopes reach."""
         if not (self._has_heights.any() and len(xy_world)):
             return np.zeros(len(xy_world)), np.zeros(len(xy_world))
-        rows, at = self._rows, np.floor(xy_world / CELL_M).astype(int)
-        least = -self._highest(rows.xy_world, -rows.low_m, at)
-        ground = ~rows.is_deck
-        return least, self._highest(rows.xy_world[ground], rows.high_m[ground], at)
+        rows, (column, row) = self._rows, np.floor(xy_world.T / CELL_M).astype(int)
+        first, last = np.array([[column.min(), row.min()], [column.max(), row.max()]])
+        at, ground = (column - first[0]) * (last[1] - first[1] + 1) + row - first[1], ~rows.is_deck
+        least = -self._highest(rows.xy_world, -rows.low_m, first, last)
+        most = self._highest(rows.xy_world[ground], rows.high_m[ground], first, last)
+        return least.take(at), most.take(at)
 
     def _highest(
-        self, xy_world: Float[np.ndarray, "*k 2"], raised_m: Float[np.ndarray, "*k"], at: Int[np.ndarray, "n 2"]
-    ) -> Scalars:
-        """The greatest height of slopes down from places with others between them, or 0, in cells `at` of a grid."""
+        self,
+        xy_world: Float[np.ndarray, "*k 2"],
+        raised_m: Float[np.ndarray, "*k"],
+        first: Int[np.ndarray, "2"],
+        last: Int[np.ndarray, "2"],
+    ) -> Float[np.ndarray, "columns rows"]:
+        """The greatest height of slopes down from places with others between them, or 0, in the cells of a grid from
+        one to another."""
         # From anywhere in a cell to a place between the rows of another.
         near_m = BERM_M + CELL_M * np.sqrt(2) + np.hypot(GUESS_STEP_M, self._rows.apart_m) / 2
         slope_m = near_m + EMBANKMENT_SLOPE * max(float(raised_m.max(initial=0.0)) + ROUGH_M, 0.0)
         reach = int(np.ceil(min(EMBANKMENT_M, slope_m) / CELL_M)) + 1
-        corner, end = at.min(axis=0) - reach, at.max(axis=0) + reach + 1
+        corner, end = first - reach, last + reach + 1
         cells = np.floor(xy_world / CELL_M).astype(int)
         inside = ((cells >= corner) & (cells < end)).all(axis=-1)
         highest = np.full(end - corner, -NOWHERE_M)
@@ -317,7 +324,7 @@ class GradedGround:
         away_m = CELL_M * np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
         falls_m = np.maximum(away_m - near_m, 0.0) / EMBANKMENT_SLOPE
         highest = scipy.ndimage.grey_dilation(highest, structure=-falls_m, mode="constant", cval=-NOWHERE_M)
-        return np.asarray(np.maximum(highest[tuple((at - corner).T)] + ROUGH_M, 0.0))
+        return np.asarray(np.maximum(highest[reach:-reach, reach:-reach] + ROUGH_M, 0.0))
 
     def _over_tunnel(self, span: Span, s: Scalars, t: Scalars) -> tuple[Scalars, Scalars]:
         """How far places are from a tunnel, and how high the ground over it is there."""

@@ -16,7 +16,7 @@ from synth3dlanes.geometry.polylines import parted, spaced
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import Points2, Scalars
-from synth3dlanes.world.areas import intersection, polygon_between
+from synth3dlanes.world.areas import intersections, polygon_between
 
 # Horizontal over vertical extent of embankments and cuts.
 EMBANKMENT_SLOPE = 1.5
@@ -125,25 +125,23 @@ def _passages(
     table: RoadTable, numbers: Int[np.ndarray, " k"], strips: Mapping[str, BaseGeometry]
 ) -> Iterator[_Passage]:
     roads, ways = [table.roads[i] for i in numbers], [rows for _, rows in _ways(table, numbers, COARSE_STEP_M).values()]
-    low, high = ([lead(rows[1, :, 2]) for rows in ways] for lead in (np.min, np.max))
     if not ways:
         return
+    low, high = (np.array([lead(rows[1, :, 2]) for rows in ways]) for lead in (np.min, np.max))
     numbers = np.repeat(np.arange(len(ways)), [2 * rows.shape[1] for rows in ways])
     sides = np.concatenate([rows[[0, 2], :, :2].reshape(-1, 2) for rows in ways])
     outlines = shapely.convex_hull(shapely.multipoints(sides, indices=numbers))
-    pairs = shapely.STRtree(outlines).query(outlines, predicate="intersects").T.tolist()
-    for i, j in pairs:
-        if i == j or high[j] - low[i] < PASSAGE_M:
-            continue
-        shared = intersection(strips[roads[i].id], strips[roads[j].id])
-        for area in shapely.get_parts(shared):
-            if area.area < LEAST_M2:
-                continue
-            middle = shapely.get_coordinates(shapely.point_on_surface(area))
-            below, above = (road.base_points(*road.line.project(middle))[0, 2] for road in (roads[i], roads[j]))
-            if above - below > PASSAGE_M:
-                shapely.prepare(area)
-                yield _Passage(area, roads[i], float(below))
+    pairs = shapely.STRtree(outlines).query(outlines, predicate="intersects")
+    i, j = pairs[:, (pairs[0] != pairs[1]) & (high[pairs[1]] - low[pairs[0]] >= PASSAGE_M)]
+    pavements = np.array([strips[road.id] for road in roads])
+    areas, of = shapely.get_parts(intersections(pavements[i], pavements[j]), return_index=True)
+    for k in np.flatnonzero(shapely.area(areas) >= LEAST_M2).tolist():
+        area, lower, upper = areas[k], roads[i[of[k]]], roads[j[of[k]]]
+        middle = shapely.get_coordinates(shapely.point_on_surface(area))
+        below, above = (road.base_points(*road.line.project(middle))[0, 2] for road in (lower, upper))
+        if above - below > PASSAGE_M:
+            shapely.prepare(area)
+            yield _Passage(area, lower, float(below))
 
 
 def _over(s: Scalars, rows: Float[np.ndarray, "3 n 3"], at: _Passage) -> Iterator[tuple[float, float]]:
