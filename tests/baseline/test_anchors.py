@@ -135,13 +135,13 @@ def test_mirrored_scene_gives_mirrored_targets(roads):
 def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knots, near_cm):
     rng = np.random.default_rng(13)
     model = NANO.model_copy(update={"knots_y_m": PAPER_KNOTS_M if knots == "paper" else TEN_KNOTS_M})
-    statistics = statistics_of([roads.random(rng) for _ in range(100)], model)
+    statistics = statistics_of([roads.random(rng) for _ in range(60)], model)
     for report in statistics.ceiling.kinds.values():
         assert report.ap > 0.99
         assert report.at_threshold.near_1sigma_cm < near_cm
     assert statistics.ceiling.pitch_median_deg == 0.0
     assert statistics.counts["centerline"]["dropped"] == 0
-    assert sum(statistics.counts["centerline"].values()) > 200
+    assert sum(statistics.counts["centerline"].values()) > 120
 
 
 def test_horizon_targets_are_the_labels_own_and_put_the_host_lanes_farthest_point_on_the_plane():

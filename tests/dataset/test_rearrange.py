@@ -324,11 +324,11 @@ def test_the_pictures_of_a_scene_are_made_by_one_worker(tmp_path, monkeypatch):
     marks.mkdir()
     monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(marks))
     assert not generate(
-        replace(plan(tmp_path / "data", 36, workers=2), maker=fake_samples.sign), lambda event: None
+        replace(plan(tmp_path / "data", 24, workers=2), maker=fake_samples.sign), lambda event: None
     ).problem
     makers = dict(map(int, path.name.split("-")) for path in marks.iterdir())
-    assert len(makers) == 36
+    assert len(makers) == 24
     assert len(set(makers.values())) == 2
-    shared = [scene for scene in range(6) if len({makers[FRAMES * scene + frame] for frame in range(FRAMES)}) > 1]
+    shared = [scene for scene in range(4) if len({makers[FRAMES * scene + frame] for frame in range(FRAMES)}) > 1]
     # At the end a worker without a scene of its own helps the other.
-    assert shared in ([], [4], [5])
+    assert shared in ([], [2], [3])
