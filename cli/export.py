@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from synth3dlanes.system.errors import InputError
+
 from .options import READERS, json_option, progress_bar, workers_option
 
 if TYPE_CHECKING:
@@ -89,7 +91,7 @@ def export(
     if not any(summary.n_frames.values()):
         reasons = "; ".join(f"{count} {reason}" for reason, count in summary.left_out.items()) or "there are none"
         hint = "; generate with a wider camera (--camera, docs/camera.md)" if NARROW in summary.left_out else ""
-        raise click.ClickException(f"{out}: expected a frame to export, got none: {reasons}{hint} (docs/exports.md)")
+        raise InputError(f"{out}: expected a frame to export, got none: {reasons}{hint} (docs/exports.md)")
     verified = verify_export(job) if is_verified else ()
     warnings = job.warnings(summary)
     for warning in warnings:

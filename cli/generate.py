@@ -20,7 +20,7 @@ from .options import (
     given,
     job_options,
     json_option,
-    refuse_memory,
+    refuse_place,
     refuse_together,
     warn,
 )
@@ -71,7 +71,7 @@ def generate(
     from synth3dlanes.production.tally import total
 
     job = jobs.Job(**given(fields)) if source is None else jobs.load_job(source, given(fields))
-    refuse_memory(str(job.out))
+    refuse_place(str(job.out))
     plans = job.plans(warn)
     drawn_from = job.text(plans[0].recipe, warn)
     if save_job is not None:

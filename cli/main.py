@@ -37,7 +37,7 @@ from .generate import generate
 from .lift import lift
 from .listing import list_names
 from .look import clip, gallery, inspect, report
-from .options import refuse_memory
+from .options import refuse_place
 from .params import params
 from .predict import onnx, predict
 from .scenes import render, sample
@@ -108,13 +108,13 @@ class Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command; refuse empty arguments, which would stand for the working directory or for no file, and
-        stores that end with the command."""
+        places that end with the command, or are not the home folder."""
         ctx.meta[WORDS] = {part for word in args for part in (word, word.partition("=")[2])}
         for before, word in zip(["", *args], args, strict=False):
             if not word or re.fullmatch("--[a-z0-9-]+=", word):
                 after = (word or before).removesuffix("=")
                 raise click.UsageError(f"expected no empty argument, got one after {after}: is a variable not set?")
-            refuse_memory(re.sub("^--[a-z0-9-]+=", "", word))
+            refuse_place(re.sub("^--[a-z0-9-]+=", "", word))
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

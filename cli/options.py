@@ -234,10 +234,13 @@ def _verb(given: list[str]) -> str:
     return "have" if len(given) > 1 else "has"
 
 
-def refuse_memory(place: str) -> None:
-    """Raise InputError for a store in memory, which would be lost with the command that writes it."""
+def refuse_place(place: str) -> None:
+    """Raise InputError for a place where nobody finds what is written there: a store in memory, which ends with the
+    command, and a folder called ~, which a shell has not made the home folder."""
     if re.match(r"(\w+::)*memory://", place):
         raise InputError(f"{place}: expected a folder or a store that outlives the command, got one in its memory")
+    if re.search(r"(^|/)~(/|$)", place):
+        raise InputError(f"{place}: expected a path, got ~, which stands for the home folder in a shell alone")
 
 
 def warn(line: str) -> None:

@@ -180,6 +180,8 @@ REFUSED = [
     ("gallery d --show height --lanes", "--lanes has no effect with --show height"),
     ("gallery FOLDER --show depth", "--show depth: FOLDER/train was made without this pass"),
     ("generate --n 1 --out memory://e", "memory://e: expected a folder or a store that outlives the command, got one"),
+    ("merge FOLDER --out=~/e", "~/e: expected a path, got ~, which stands for the home folder in a shell alone"),
+    ("generate home.yaml", "~/e: expected a path, got ~, which stands for the home folder in a shell alone"),
     ("generate memory.yaml", "memory://e: expected a folder or a store that outlives the command, got one in its"),
     ("split FOLDER --out=simplecache::memory://e", "simplecache::memory://e: expected a folder or a store that"),
     ("gallery FOLDER --where n_lane_SP_=_SP_4", "--where n_lane = 4: unknown column n_lane; did you mean n_lanes?"),
@@ -315,6 +317,7 @@ def test_one_line_and_exit_code_2(command: str, why: str, run: Run, folder: Path
     texts = {
         "file": "",
         "memory.yaml": "n: 1\nout: memory://e\n",
+        "home.yaml": "n: 1\nout: ~/e\n",
         "broken.json": '{"format": "synth3dlanes.sc',
         "other.json": '{"a": 1}',
         "partial.yaml": "{}",
