@@ -37,9 +37,8 @@ MOST_LONG_M = 1e4
 ENDLESS_M = 300.0
 # A boundary is painted as a delimiter if the share ON_LINE of those of its PLACES that the labels reach is within
 # ON_LINE_M of it, and bare if no more than the others are within BESIDE_M of any: where lanes part, lines are not quite
-# at their edges. It is compared if the labels reach LEAST_PLACES.
+# at their edges.
 ON_LINE_M, BESIDE_M, ON_LINE, PLACES = 0.05, 0.5, 0.9, 200
-LEAST_PLACES, MOSTLY, SOME = 30, 0.6, 0.05
 # The labels have all paint between these distances: the first ahead of the camera, the second from it.
 AHEAD_M, SURE_M = 5.0, 80.0
 
@@ -71,12 +70,15 @@ def paint_word(
 @dataclass(frozen=True)
 class MapRule(Rule):
     """How lanes of a map are compared. `word` is what the map calls paint (its marking, colour, whether it is double,
-    its pair); pieces of a segment have paint of their own if it is `of_pieces`. Lanes that follow each other meet
-    within `gap_m`, but for what our own do not; those whose gap is more than `joined_m` in our map need no link."""
+    its pair); pieces of a segment have paint of their own if it is `of_pieces`. The labels must reach more than the
+    `painted_share` of a boundary: paint may change along a lane, as at the nose of an exit. Lanes that follow each
+    other meet within `gap_m`, but for what our own do not; those whose gap is more than `joined_m` in our map need no
+    link."""
 
     name: str = "lane"
     word: Callable[[Marking, PaintColor | None, bool | None, Pair | None], str] | None = None
     of_pieces: bool = False
+    painted_share: float = 0.6
     gap_m: float = 0.005
     joined_m: float = np.inf
 
@@ -307,9 +309,9 @@ def _paint_problems(groups: Iterable[Sequence[FoundLane]], truth: SourceSample, 
                 continue
             fine = resampled(line, PLACES)
             fine = fine[np.any([is_beside(fine, path) for path in beside], axis=0)]
-            if len(fine) < LEAST_PLACES:
+            if len(fine) <= rule.painted_share * PLACES:
                 continue
-            alike = _paint_along(fine, ours, len(fine) > MOSTLY * PLACES)
+            alike = _paint_along(fine, ours)
             expected = {word(lane.marking, lane.color, lane.double, pair) for lane, pair in alike}
             if not alike and _is_sure(fine, truth):
                 near = sum(len(on_line(fine, line, BESIDE_M)) for _, line in ours)
@@ -321,19 +323,12 @@ def _paint_problems(groups: Iterable[Sequence[FoundLane]], truth: SourceSample, 
                 yield f"lane {name}: expected {texts[0]} on its {side}{like}, got {texts[1]}"
 
 
-def _paint_along(
-    points: Points, delimiters: Sequence[tuple[Lane, Points]], is_most: bool
-) -> list[tuple[Lane, Pair | None]]:
-    """The delimiters whose paint a boundary may have that one of them runs along, at these points of it, each with its
-    pair as those see it who go along them. Paint changes along a lane, as at the nose of an exit: if the points are not
-    most of it, also the paint of some of them."""
-    shares = [(lane, line, len(on_line(points, line)) / len(points)) for lane, line in delimiters]
-    if not any(share >= ON_LINE for *_, share in shares):
-        return []
+def _paint_along(points: Points, delimiters: Sequence[tuple[Lane, Points]]) -> list[tuple[Lane, Pair | None]]:
+    """The delimiters along which a boundary runs, each with its pair as those see it who go along the boundary."""
+    close = [(lane, line) for lane, line in delimiters if len(on_line(points, line)) >= ON_LINE * len(points)]
     return [
         (lane, MIRRORED[lane.pair] if lane.pair is not None and goes_back(points, line) else lane.pair)
-        for lane, line, share in sorted(shares, key=lambda of: -of[2])
-        if share >= (ON_LINE if is_most else SOME)
+        for lane, line in close
     ]
 
 

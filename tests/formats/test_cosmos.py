@@ -218,11 +218,6 @@ FAULTS: dict[str, tuple[str, Callable[[list[dict[str, Any]]], object], str]] = {
     "swapped": ("lane_line", swapped("line_rail"), r"main_line_\d: expected .* m off"),
     "reordered": ("lane_line", lambda f: f[0]["line_rail"].reverse(), r"line \w+: .* got them \d+(\.\d+)? m back"),
     "paint": ("lane_line", lambda f: f[0].update(colors=["BLUE"] * len(f[0]["colors"])), r"line \w+: .*BLUE"),
-    "paint of lanes": (
-        "lane",
-        lambda f: [row.update(left_edge_colors=["BLUE"]) for row in f],
-        r"on its left, as \w+ is painted, got .*BLUE",
-    ),
     "lanes": ("lane", swapped("left_rail"), r"lane main_\d: .* m away|rails of as many points"),
     "turned car": ("obstacle", turned, r"object \d+: expected it as in the labels, got it 0\.\d+ m off"),
     "moved car": ("obstacle", lambda f: f[0]["center"].update(x=f[0]["center"]["x"] + 0.1), r"object \d+: .* 0.1 m"),
