@@ -225,14 +225,16 @@ def painted_rows(ground: Ground, stripes: Sequence[tuple[LaneCurve, Marking]], s
     line from station 0, so that dashes and gaps do not move with the camera."""
     curves = [curve for curve, _ in stripes]
     given = [_within(curve, rows) for curve, rows in zip(curves, ground.paved.curve_rows(curves), strict=True)]
-    near = [_near(*at) for at in zip(given, ground.way.away_on(curves, given), strict=True)]
+    away = ground.way.away_on(curves, given)
+    near = [_near(*at) for at in zip(given, away, strict=True)]
     rows = {curve: at.rows for curve, at in zip(curves, near, strict=True)}
     points = dict(zip(rows, ground.network.lines.points_along(rows), strict=True))
     drawn = [
         _painted(ground.markings, *stripe, at, points[stripe[0]], streams)
         for stripe, at in zip(stripes, near, strict=True)
     ]
-    away = ground.way.away_on(curves, [at.s for at in drawn])
+    # Between rows distances are nearly even.
+    away = [np.interp(own.s, *at) for own, *at in zip(drawn, given, away, strict=True)]
     return [_narrowed(ground.markings, *at) for at in zip(stripes, drawn, away, strict=True)]
 
 

@@ -70,26 +70,26 @@ class Surfaces:
         bed = intersection(outset(valid(shapely.simplify(paved.graded_pavement, UNDER_M / 5)), -UNDER_M), reach)
         bed = shapely.segmentize(bed, BED_STEP_M)
         over = difference(intersection(union(span.area for span in paved.tunnels), reach), bed)
-        for area in (bed, over):
-            shapely.prepare(area)
-        corners = np.concatenate([shapely.get_coordinates(area) for area in (bed, over)])
-        xs, ys = (beside(axis, at) for axis, at in zip((xs, ys), corners.T, strict=True))
-        xy, cells = np.stack(np.meshgrid(xs, ys), -1), [cut_cells(xs, ys, [area]) for area in (bed, over)]
-        (inside, near), (above, _) = (corners_in(xs, ys, *at) for at in zip((bed, over), cells, strict=True))
+        areas = [bed] if over.is_empty else [bed, over]
+        shapely.prepare(areas)
+        xs, ys = (beside(axis, at) for axis, at in zip((xs, ys), shapely.get_coordinates(areas).T, strict=True))
+        xy, cells = np.stack(np.meshgrid(xs, ys), -1), [cut_cells(xs, ys, [area]) for area in areas]
+        (inside, near), *tunnels = (corners_in(xs, ys, *at) for at in zip(areas, cells, strict=True))
         z, near = ground.hills.height(xy), near & ~inside
         z[inside] += paved.inner_bed_height(xy[inside])
         z[near] += paved.bed_height(xy[near])
         # Away from the border of the bed there is no pavement.
         away = ~inside & ~near
         z[away] += paved.graded(xy[away], are_paved=False)
-        z[above] = ground.hills.height(xy[above]) + paved.beside_tunnels(xy[above], is_over=True)
+        for above, _ in tunnels:
+            z[above] = ground.hills.height(xy[above]) + paved.beside_tunnels(xy[above], is_over=True)
         whole = grid(np.concatenate([xy, z[..., None]], -1), xy, np.zeros(len(xs) - 1, dtype=int))
         free = cells[0] if over.is_empty else cut_cells(xs, ys, [union([bed, over])])
         _, column, row = np.concatenate([own.cut for own in cells], axis=1)
         vertices = [whole.vertices_world]
         faces = [np.delete(whole.faces, np.unique(row * (len(xs) - 1) + column), axis=0)]
         below = np.concatenate([free.outside.quads, cells[0].inside.quads])
-        for own, is_over in ((below, False), (cells[1].inside.quads, True)):
+        for own, is_over in ((below, False), *((over.inside.quads, True) for over in cells[1:])):
             places, quads = merged(own)
             # The corners of cells are those of the grid.
             at = [
