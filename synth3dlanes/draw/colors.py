@@ -1,5 +1,6 @@
 """Colours of vehicles as sold, and of clothes, skin, hair, umbrellas, helmets, bicycles. Display values from 0 to 1."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,9 +53,7 @@ COMMERCIAL = (
 
 def sold_color(model: CarModel, u_paint: float, u_shade: float) -> DisplayColor:
     """The colour of a vehicle as sold, from two numbers in [0, 1): a passenger car's paint, or a livery."""
-    paints = COMMERCIAL if model.height_m > TALL_M else PASSENGER
-    number = Choice(tuple(range(len(paints))), tuple(paint.share for paint in paints)).draw(u_paint)
-    return paints[number].shade(u_shade)
+    return _drawn(COMMERCIAL if model.height_m > TALL_M else PASSENGER, u_paint, u_shade)
 
 
 # Shares are ours: what people wear in the streets of towns is mostly dark, gray and blue (docs/decisions.md).
@@ -108,9 +107,10 @@ PAINTS = {
 
 def dressed(model: ThingModel, rng: np.random.Generator) -> tuple[tuple[float, float, float], ...]:
     """The colours of a model's paints, two random numbers each."""
-    found = []
-    for name, (u_color, u_shade) in zip(model.paints, rng.random((len(model.paints), 2)).tolist(), strict=True):
-        among = PAINTS[name]
-        number = Choice(tuple(range(len(among))), tuple(color.share for color in among)).draw(u_color)
-        found.append(among[number].shade(u_shade))
-    return tuple(found)
+    numbers = rng.random((len(model.paints), 2)).tolist()
+    return tuple(_drawn(PAINTS[name], *own) for name, own in zip(model.paints, numbers, strict=True))
+
+
+def _drawn(among: Sequence[CarColor], u_color: float, u_shade: float) -> DisplayColor:
+    """A shade of one of some colours."""
+    return Choice(tuple(among), tuple(color.share for color in among)).draw(u_color).shade(u_shade)

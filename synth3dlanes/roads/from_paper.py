@@ -88,21 +88,17 @@ class _Plan:
     def shoulder_m(self) -> float:
         return self.road.shoulder_factor * self.road.lane_width_m
 
-    def boundary_m(self, j: int) -> float:
-        """Offset of lane boundary j = 0..n of the main road before the split."""
-        return (j - self.road.n_lanes / 2) * self.road.lane_width_m
-
     def middle_m(self, lane: int) -> float:
         """Offset of the middle of lane 1..n of the main road before the split."""
-        return self.boundary_m(lane) - self.road.lane_width_m / 2
+        return self.road.boundary_m(lane) - self.road.lane_width_m / 2
 
     @property
     def left_m(self) -> float:
         """Offset of the leftmost lane boundary."""
         road = self.road
         if not road.n_oncoming:
-            return self.boundary_m(0)
-        return self.boundary_m(0) - road.median_m - road.n_oncoming * road.lane_width_m
+            return self.road.boundary_m(0)
+        return self.road.boundary_m(0) - road.median_m - road.n_oncoming * road.lane_width_m
 
     @property
     def exit_half_m(self) -> float:
@@ -112,7 +108,7 @@ class _Plan:
     @property
     def exit_base_m(self) -> float:
         """Main-road offset of the exit's line at the split: the middle of the exit's lanes there."""
-        return self.boundary_m(self.road.n_lanes) - self.exit_half_m
+        return self.road.boundary_m(self.road.n_lanes) - self.exit_half_m
 
     @cached_property
     def opening(self) -> Opening:
@@ -368,7 +364,7 @@ class _Plan:
         road, marking = self.road, self._marking(j, self.road.n_lanes)
         if j == 0 and road.is_divided_by_line:
             marking = "dashed" if road.divider_dashed else "solid"
-        return self._line(section, j, marking, self._on_main(self.boundary_m(j)))
+        return self._line(section, j, marking, self._on_main(self.road.boundary_m(j)))
 
     @staticmethod
     def _marking(j: int, n: int) -> Marking:
@@ -426,18 +422,18 @@ class _Plan:
         if topology == 3:
             # The dashed line between the last two lanes continues along the exit's left side to the nose.
             parted = self._seen_sides((self.lane_id("main", n), self.lane_id("exit", 1)))
-            stem = self._line("main", n - 1, "dashed", leaving(self.boundary_m(n - 1), -half_m), -np.inf, nose_m)
+            stem = self._line("main", n - 1, "dashed", leaving(self.road.boundary_m(n - 1), -half_m), -np.inf, nose_m)
             lines += [
                 replace(stem, id="stem_line", neighbours=parted),
-                self._line("main", n - 1, "dashed", beyond(main, self.boundary_m(n - 1)), nose_m),
+                self._line("main", n - 1, "dashed", beyond(main, self.road.boundary_m(n - 1)), nose_m),
             ]
         lines += [
-            self._line("main", n_after, "solid", beyond(main, self.boundary_m(n_after)), nose_m),
+            self._line("main", n_after, "solid", beyond(main, self.road.boundary_m(n_after)), nose_m),
             self._line("exit", 0, "solid", beyond(self.exit_road, -half_m), nose_m),
         ]
         if topology == 4:
-            lines.append(self._line("exit", 1, "dashed", leaving(self.boundary_m(n - 1), 0.0)))
-        return [*lines, self._line("exit", self.road.n_exit_lanes, "solid", leaving(self.boundary_m(n), half_m))]
+            lines.append(self._line("exit", 1, "dashed", leaving(self.road.boundary_m(n - 1), 0.0)))
+        return [*lines, self._line("exit", self.road.n_exit_lanes, "solid", leaving(self.road.boundary_m(n), half_m))]
 
     def _oncoming_delimiters(self) -> list[LaneCurve]:
         """The lines of the oncoming lanes; without a median the innermost is the main road's own."""

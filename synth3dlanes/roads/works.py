@@ -52,22 +52,18 @@ class WorksLanes:
         """The number of lanes of the road left of the first open one."""
         return int(self.works.closes_lane and self.works.inner)
 
-    def boundary_m(self, j: int) -> float:
-        """Offset of lane boundary j of the road without works."""
-        return (j - self.road.n_lanes / 2) * self.road.lane_width_m
-
     @cached_property
     def edges_m(self) -> tuple[float, float]:
         """Offsets of the outermost lines between the tapers."""
         works, n = self.works, self.road.n_lanes
         if works.inner:
-            return self.boundary_m(0) + works.taken_m, self.boundary_m(n) + works.shift_m
-        return self.boundary_m(0) - works.shift_m, self.boundary_m(n) - works.taken_m
+            return self.road.boundary_m(0) + works.taken_m, self.road.boundary_m(n) + works.shift_m
+        return self.road.boundary_m(0) - works.shift_m, self.road.boundary_m(n) - works.taken_m
 
     def _target_m(self, i: int) -> float:
         """Offset of boundary i between the tapers."""
         if self.works.lines == "as_before":
-            return self.boundary_m(i + self.before_first)
+            return self.road.boundary_m(i + self.before_first)
         low_m, high_m = self.edges_m
         return low_m + (high_m - low_m) * i / self.n
 
@@ -83,11 +79,11 @@ class WorksLanes:
 
     def boundary(self, i: int) -> Offset:
         """Boundary i of the open lanes."""
-        return self._moving(self.boundary_m(i + self.before_first), self._target_m(i))
+        return self._moving(self.road.boundary_m(i + self.before_first), self._target_m(i))
 
     def middle(self, lane: int) -> Offset:
         """The middle of an open lane."""
-        ends_m = ((self.boundary_m(at + self.before_first), self._target_m(at)) for at in (lane - 1, lane))
+        ends_m = ((self.road.boundary_m(at + self.before_first), self._target_m(at)) for at in (lane - 1, lane))
         from_m, to_m = np.mean(list(ends_m), axis=0).tolist()
         return self._moving(from_m, to_m)
 
@@ -95,11 +91,11 @@ class WorksLanes:
         """The boundary of the open lanes that line j of the road goes on as, and where it runs; None for a line that
         ends where works begin."""
         if self.works.lines == "as_before":
-            return j - self.before_first, Offset(self.boundary_m(j))
+            return j - self.before_first, Offset(self.road.boundary_m(j))
         i = 0 if j == 0 else self.n if j == self.road.n_lanes else j - self.before_first
         if i in (0, self.n) and j not in (0, self.road.n_lanes):
             return None
-        return i, self._moving(self.boundary_m(j), self._target_m(i))
+        return i, self._moving(self.road.boundary_m(j), self._target_m(i))
 
     def is_moved(self, j: int) -> bool:
         """Whether line j of the road is elsewhere along the works, or is not there."""
@@ -128,7 +124,7 @@ class WorksLanes:
     @property
     def pavement_m(self) -> float:
         """Offset of the outer edge of the closed area, which is that of the shoulder."""
-        return self.boundary_m(self._outermost) + self.outward * self.shoulder_m
+        return self.road.boundary_m(self._outermost) + self.outward * self.shoulder_m
 
     @property
     def _outermost(self) -> int:
@@ -138,13 +134,13 @@ class WorksLanes:
     @cached_property
     def closed_from(self) -> Offset:
         """The inner edge of the closed area: the line that moves in, or what holds in its place."""
-        works, edge_m = self.works, self.boundary_m(self._outermost)
+        works, edge_m = self.works, self.road.boundary_m(self._outermost)
         if works.taken_m:
             line = self.line_of(self._outermost)
             assert line is not None, "the outermost lines go on"
             return line[1]
         if works.closes_lane:
-            return self._moving(edge_m, self.boundary_m(self._outermost - self.outward))
+            return self._moving(edge_m, self.road.boundary_m(self._outermost - self.outward))
         return self._moving(self.pavement_m - self.outward * EDGE_M, edge_m)
 
     def closed(self, road: Road) -> Float[np.ndarray, "k 4 2"]:

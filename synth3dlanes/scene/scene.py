@@ -218,6 +218,10 @@ class PaperRoad(DocumentPart):
             facts["ramp"] = f"{self.ramp_height_m:.1f} m high over {self.ramp_height_m * self.ramp_slope:.1f} m"
         return facts
 
+    def boundary_m(self, j: int) -> float:
+        """Offset in the plan of lane boundary j = 0..n of the host's lanes before the split, without road works."""
+        return (j - self.n_lanes / 2) * self.lane_width_m
+
     @property
     def is_divided_by_line(self) -> bool:
         """Whether one line divides the host's lanes from oncoming ones."""

@@ -234,7 +234,7 @@ def painted_rows(ground: Ground, stripes: Sequence[tuple[LaneCurve, Marking]], s
         for stripe, at in zip(stripes, near, strict=True)
     ]
     # Between rows distances are nearly even.
-    away = [np.interp(own.s, *at) for own, *at in zip(drawn, given, away, strict=True)]
+    away = [np.interp(own.s, s, own_m) for own, s, own_m in zip(drawn, given, away, strict=True)]
     return [_narrowed(ground.markings, *at) for at in zip(stripes, drawn, away, strict=True)]
 
 

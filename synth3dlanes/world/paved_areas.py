@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import shapely
@@ -67,10 +67,8 @@ PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # The runs of lanes of a section that are raised, level, or medians.
 LaneRuns = Callable[[CrossSection], list[tuple[int, int]]]
 RAISED_RUNS, LEVEL_RUNS, MEDIAN_RUNS = attrgetter("raised"), attrgetter("level"), attrgetter("medians")
-# Distance beside a junction's decks at which the ground ends; pavement farther than this from the host is left out.
-OFF_M, REACH_M = 0.3, 480.0
-# Greatest width of faces of lanes.
-COLUMN_M = 0.9
+# Distance beside a junction's decks at which the ground ends.
+OFF_M = 0.3
 
 
 class GroundArea(NamedTuple):
@@ -90,21 +88,14 @@ class PavedAreas:
     way: HostWay
     markings: Markings
     hills: FarHills
+    # How far from the host's way pavement is built, and the greatest width of faces of lanes.
+    reach_m: ClassVar[float] = 480.0
+    column_m: ClassVar[float] = 0.9
 
     @property
     def network(self) -> Network:
         """The roads."""
         return self.way.network
-
-    @property
-    def reach_m(self) -> float:
-        """How far from the host's way pavement is built."""
-        return REACH_M
-
-    @property
-    def column_m(self) -> float:
-        """Faces of lanes are no wider than this."""
-        return COLUMN_M
 
     def is_built(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
         """At which places pavement is built at all."""

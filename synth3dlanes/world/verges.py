@@ -43,8 +43,6 @@ ROAD_SEARCH_M = 3.0
 PAINT_BEHIND_M, ROAD_BEHIND_M = 30.0, np.append(np.arange(30.0, 165.0, 5.0), 260.0)
 # A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
 STEEP_M = 1.0
-# Greatest width of faces of lanes.
-COLUMN_M = 0.8
 # Least width of a median, and of one that is grass between inner shoulders; a narrower one is all shoulder.
 LEAST_MEDIAN_M, GRASS_FROM_M, INNER_SHOULDER_M = 0.01, 3.0, 0.5
 
@@ -63,15 +61,8 @@ class Verges(PavedAreas):
     """Roads without sections of their own around the way of the host, which share its stations. The pavement extends
     under all `markings`."""
 
-    @property
-    def reach_m(self) -> float:
-        """To the horizon."""
-        return HORIZON_M
-
-    @property
-    def column_m(self) -> float:
-        """Faces of lanes are no wider than this: their terrain is bent more than that of maps."""
-        return COLUMN_M
+    # To the horizon, on terrain that is bent more than that of maps.
+    reach_m, column_m = HORIZON_M, 0.8
 
     def is_built(self, xy_world: Points2) -> Bool[np.ndarray, " n"]:
         """At which places pavement is built at all: where the terrain is."""
