@@ -113,4 +113,5 @@ def dressed(model: ThingModel, rng: np.random.Generator) -> tuple[tuple[float, f
 
 def _drawn(among: Sequence[CarColor], u_color: float, u_shade: float) -> DisplayColor:
     """A shade of one of some colours."""
-    return Choice(tuple(among), tuple(color.share for color in among)).draw(u_color).shade(u_shade)
+    number = Choice(tuple(range(len(among))), tuple(color.share for color in among)).draw(u_color)
+    return among[number].shade(u_shade)
