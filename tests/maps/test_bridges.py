@@ -103,6 +103,24 @@ def test_the_ground_goes_on_below_a_deck(level: World) -> None:
         assert slope[inner[1:]].max() < 1.1, "slopes of about 1 in 1.5, and no walls"
 
 
+def test_a_deck_has_parapets_piers_and_abutments(level: World) -> None:
+    (deck,) = level.ground.paved.spans
+    (body,) = level.site.surfaces.bodies
+    assert any(at is body for at in level.site.structures)
+    upper, lower = deck.road, level.network.road("1")
+    corners = body.corners_world.reshape(-1, 3)
+    s, t = upper.line.project(corners[:, :2])
+    over_m = corners[:, 2] - upper.base_points(np.clip(s, 0, upper.end_m), np.clip(t, -3.5, 3.5))[:, 2]
+    assert over_m.max() == pytest.approx(0.95, abs=0.01)
+    assert (np.abs(t[over_m > 0.5]) > 3.5).all(), "parapets stand beside the pavement"
+    low = over_m < -4
+    _, across = lower.line.project(corners[low, :2])
+    assert low.any()
+    assert (np.abs(across) > 3.5 + 1.0 - 0.64).all(), "piers stand beside the lower road"
+    for end_m in (deck.from_m, deck.to_m):
+        assert ((np.abs(s - end_m) < 0.2) & (over_m < -0.9)).any(), "an abutment"
+
+
 def test_slopes_that_would_cross_lead_from_one_road_to_the_other() -> None:
     beside = plan(("<line/>", 400.0), start=(0.0, 12.0, 0.0))
     world = world_at("1:165:-1", road(EAST, TWO, "1"), road(beside, TWO, "2", profile=LEVEL))
