@@ -68,13 +68,6 @@ def test_the_first_frame_is_the_single_picture():
     assert same >= 7
 
 
-def test_frames_of_a_clip_differ_in_their_number_alone():
-    worlds = frames(1, clips(5, 10), params())
-    assert [world.scene.shot.frame for world in worlds] == list(range(5))
-    assert len({world.scene.model_dump_json(exclude={"shot"}) for world in worlds}) == 1
-    assert {world.scene.index for world in worlds} == {1}
-
-
 def test_a_frame_is_the_same_whether_drawn_alone_or_in_a_clip_or_read_back():
     shots, drawn_from = clips(4, 10), params()
     texts = list(scene_texts(Scenes(drawn_from, shots=shots), range(8)))

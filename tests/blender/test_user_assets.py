@@ -25,7 +25,6 @@ from synth3dlanes.geometry.frames import transform  # noqa: E402
 from synth3dlanes.imaging.daylight import daylight  # noqa: E402
 from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance  # noqa: E402
 from synth3dlanes.imaging.user_sky import hang, prepare_sky  # noqa: E402
-from synth3dlanes.params.distributions import Integers  # noqa: E402
 from synth3dlanes.params.params import load_params  # noqa: E402
 from synth3dlanes.production.recipe import Recipe, take_picture  # noqa: E402
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
@@ -163,15 +162,6 @@ def test_our_own_models_measure_as_our_catalogue_says(model: CarModel | TreeMode
     sizes = set(dataclasses.asdict(model)) - {"name", "sha256", "wheel_radius_m"}
     for size in sizes:
         assert getattr(found, size) == pytest.approx(getattr(model, size), abs=0.07), size
-
-
-def test_numbers_run_over_the_folder_and_narrower_ones_must_be_in_it(library: Library) -> None:
-    three = dataclasses.replace(library.assets, cars=library.assets.cars * 3)
-    assert load_params("tiny", (), three).cars.model == Integers(1, 3)
-    assert load_params("tiny", ["cars.model=[2, 3]"], three).cars.model == Integers(2, 3)
-    assert load_params("tiny").cars.model == Integers(1, 6)
-    with pytest.raises(InputError, match=r"overrides cars.model: expected integers from 1 to 3 .*, got 4"):
-        load_params("tiny", ["cars.model=4"], three)
 
 
 def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library) -> None:

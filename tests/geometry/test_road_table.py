@@ -11,7 +11,7 @@ from synth3dlanes.scene.road_map import MapShape, MapSpan, Polynomial, RoadMap
 from synth3dlanes.world.graded import EMBANKMENT_M, GradedGround
 from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.world import World, resolve
-from tests.map_scenes import FOUR_WAY, HILLS, arm, map_scene, sections_road
+from tests.map_scenes import FOUR_WAY, HILLS, map_scene, sections_road
 
 
 def _hilly(roads: RoadMap) -> RoadMap:
@@ -140,13 +140,3 @@ def test_the_ground_is_nowhere_beyond_its_limits_and_points_are_in_it_below_its_
     clear = ~ground.is_stacked(xy)
     points = np.column_stack([xy, z])
     np.testing.assert_array_equal(ground.is_in(points)[clear], (ground.height(xy) > z)[clear])
-
-
-def test_a_road_alone_on_a_dam_has_slopes_down_to_the_terrain() -> None:
-    road = arm("south", heights=(Polynomial(s_m=0.0, a=6.0),))
-    roads = RoadMap(roads=(road,), route=("south.0.1",))
-    ground = resolve(map_scene(roads, 60.0)).ground
-    on = ground.network.road("south")
-    s = np.full(4, 60.0)
-    beside = on.xy(s, on.right(s) + np.array([0.5, 5.5, 9.5, 30.0]))
-    assert ground.height(beside) == pytest.approx([6.0, 6.0 - 4.0 / 1.5, 6.0 - 8.0 / 1.5, 0.0], abs=1e-6)
