@@ -107,7 +107,9 @@ def test_sweeps_agree_with_the_passes_and_mirrored_or_turned_ones_do_not():
     is_paint = sweep.semantic == SEMANTIC_IDS["marking"]
     next_line = replace(sweep, instance=sweep.instance + (is_paint & (sweep.instance > 0)).astype(np.uint16))
     assert "lidar: expected paint where the line" in reasons(replace(sample, sweep=next_line), "lidar")
-    unseen = scene.cars[0].model_copy(update={"s_m": scene.camera.y_m + 9})
+    ahead_m = scene.camera.y_m + 9
+    lane = scene.paper_road.segments_at(ahead_m)[0]
+    unseen = scene.cars[0].model_copy(update={"s_m": ahead_m, "lane": lane})
     other = replace(sample, known_world=resolve(scene.model_copy(update={"cars": (*scene.cars, unseen)})))
     assert "lidar: expected beams to end at cars" in reasons(other, "lidar")
 
