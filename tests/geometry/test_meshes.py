@@ -157,7 +157,7 @@ def test_roads_and_their_paint_end_where_the_terrain_does(topology, flip):
         assert np.nanmin(far[:, 2] - heights_at(terrain, far[:, :2])) > 0, "and no ground comes up through them"
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(2))
 def test_far_roads_lie_on_the_ground_and_not_above_it(index):
     """A road on a high dam would stand out of a ridge like a ramp; one in the ground would show in pieces."""
     world = sample_world(
