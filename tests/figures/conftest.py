@@ -32,7 +32,9 @@ def exit_scene() -> Scene:
     road = {"topology": 4, "flip_lateral": True, "flip_longitudinal": True, "offset_p50_m": 4.0, "offset_p100_m": 7.0}
     hills = (hill(20, 30, 9, 40), hill(-60, -40, -12, 60))
     scene = changed(FLAT, road=road, terrain={"gaussians": hills})
-    return scene.model_copy(update={"cars": CARS, "trees": TREES})
+    # Its second lane ends where the ramp is.
+    cars = (CARS[0], CARS[1].model_copy(update={"s_m": -10.0}))
+    return scene.model_copy(update={"cars": cars, "trees": TREES})
 
 
 @pytest.fixture
