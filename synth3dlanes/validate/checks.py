@@ -7,9 +7,9 @@ from typing import NamedTuple
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import Finding, Result
 from synth3dlanes.validate.integrity import check_row
-from synth3dlanes.validate.labels import check_form, check_labels, check_weather
+from synth3dlanes.validate.labels import check_form, check_labels
 from synth3dlanes.validate.moving import instant
-from synth3dlanes.validate.passes import check_bonnet, check_kinds, check_normals, check_sky
+from synth3dlanes.validate.passes import check_bonnet, check_normals, check_sky, disagreement
 from synth3dlanes.validate.picture import check_alignment, check_appearance, check_colours, check_frame, check_sharpness
 from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
@@ -19,7 +19,7 @@ from synth3dlanes.validate.things import check_cars, check_counts, check_element
 
 class Check(NamedTuple):
     """A check: its name, what it does with evidence, what it finds, and which parts of the evidence it cannot do
-    without: passes by their names, `scene`, `image`, `lidar`, `row` of the index, `origin` in dataset.json, and `aim`:
+    without: passes by their names, `scene`, `image`, `lidar`, `row` of the index, and `aim`:
     points that are in the image where their masks say so."""
 
     name: str
@@ -39,7 +39,7 @@ def _needs(words: str) -> frozenset[str]:
 
 
 # Parts that the evidence of every whole sample of a data set of scenes has.
-ALWAYS = _needs("row image aim origin")
+ALWAYS = _needs("row image aim")
 
 CHECKS = (
     Check("index", _row, "index columns that do not match their sample", frozenset({"row"})),
@@ -47,8 +47,6 @@ CHECKS = (
     Check("labels", check_labels, "labels that are not those of the scene"),
     Check("bonnet", check_bonnet, "a bonnet of the host that is not in the picture", _needs("semantic")),
     Check("roadside", partial(check_seen, "roadside"), "rails, posts and buildings on a pavement"),
-    Check("weather", check_weather, "rain, fog, a sun or headlights that do not fit the weather and the time of day of "
-          "the scene, and are not the user's own values", _needs("origin")),
     Check("frame", check_frame, "black, white or pink images", frozenset({"image"})),
     Check("standing", partial(check_seen, "standing"), "wheels, trunks and structures that do not touch the ground"),
     Check("lidar", check_lidar, "points that are not on the ground, in the body or in the paint that their ids say, "
@@ -74,7 +72,8 @@ CHECKS = (
     Check("sky", check_sky, "holes in the ground, through which the sky shows; with `depth`, depth that is finite in "
           "the sky, or infinite elsewhere", _needs("aim semantic")),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
-    Check("kinds", check_kinds, "ids of another kind of thing", _needs("aim semantic instance")),
+    Check("kinds", lambda of: disagreement("instance", of.passes["semantic"], of.passes["instance"]),
+          "ids of another kind of thing", _needs("aim semantic instance")),
     Check("ids", partial(check_seen, "ids"), "cars, people, trees, structures and lines elsewhere than their ids say, "
           "and lines without paint", _needs("aim depth")),
     Check("cars", check_cars, "a `visible_fraction` that does not match the object's pixels", _needs("aim instance")),

@@ -19,8 +19,7 @@ from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Passes, RgbImage
 from synth3dlanes.system.errors import FormatError
-from synth3dlanes.validate.documents import differences, some
-from synth3dlanes.validate.findings import Finding
+from synth3dlanes.validate.findings import Finding, differences, some
 
 # First bytes of files of these formats.
 MAGIC = {"jpg": b"\xff\xd8\xff", "png": b"\x89PNG\r\n\x1a\n"}

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int, Shaped
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import LidarPoints, Sweep
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane
-from synth3dlanes.params.distributions import Distribution
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Ids, Passes, Points2, Points3, RgbImage, Scalars
@@ -116,9 +115,8 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The world of a sample's scene, its labels, image, passes and sweep, its place in the index, and what follows from
-    its weather and time of day (`Origin.follows`); what may be missing is None or empty. A sample of a real drive has
-    no scene, and `numbers` of its own (`numbers_of_lifted`)."""
+    """The world of a sample's scene, its labels, image, passes and sweep, and its place in the index; what may be
+    missing is None or empty. A sample of a real drive has no scene, and `numbers` of its own (`numbers_of_lifted`)."""
 
     known_world: World | None
     labels: Labels
@@ -126,7 +124,6 @@ class Evidence:
     passes: Passes = field(default_factory=dict)
     sweep: Sweep | None = None
     entry: Entry | None = None
-    follows: Mapping[str, Distribution] | None = None
     numbers: tuple[int, int, int] | None = None
 
     @property
@@ -153,7 +150,6 @@ class Evidence:
             "image": self.image is not None,
             "row": self.entry is not None,
             "lidar": self.sweep is not None,
-            "origin": self.follows is not None,
             "aim": all((inside_px(self.camera, lane)[lane.in_image] > -BORDER_PX).all() for lane in self.labels.lanes),
         }
         return frozenset(self.passes) | {name for name, is_there in parts.items() if is_there}

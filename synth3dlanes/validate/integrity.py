@@ -21,8 +21,7 @@ from synth3dlanes.dataset.index import ADDED_SCHEMA, place_columns, read_index, 
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.errors import FormatError
-from synth3dlanes.validate.documents import differences, some
-from synth3dlanes.validate.findings import Finding, Problem
+from synth3dlanes.validate.findings import Finding, Problem, differences, some
 
 NAMED_AT_MOST = 5
 CANNOT_BE_READ = "cannot be read"
@@ -78,7 +77,7 @@ def check_shard(parquet: str, names: Sequence[str], shard_size: int) -> ShardChe
         entries, problems = _entries(table, parquet, names)
     except FormatError as error:
         return ShardCheck([Problem(_place(parquet), "", str(error).removeprefix(f"{_place(parquet)}: "))])
-    tar = _tar_of(parquet)
+    tar = f"{parquet.removesuffix('.parquet')}.tar"
     found, fault = walk(tar)
     if found and not fault:
         end = max(offset + size + -size % BLOCK for _, offset, size in found)
@@ -155,7 +154,7 @@ def check_row(
     entry: Entry, scene: Scene | None, labels: Labels, numbers: tuple[int, int, int] | None = None
 ) -> Iterator[Finding]:
     """Finding if a sample's row in the index differs from its scene, labels and offsets."""
-    parquet = _parquet_of(entry.tar)
+    parquet = f"{entry.tar.removesuffix('.tar')}.parquet"
     found = _read_index(parquet).slice(entry.row, 1).to_pylist()[0]
     expected = index_row(key_of(entry.index), entry.members, entry.sha256, scene, labels, numbers)
     wrong = list(differences(expected, {name: found.get(name) for name in dict.fromkeys([*SCHEMA.names, *expected])}))
@@ -188,14 +187,6 @@ def _stem(place: str) -> str:
     return place.rpartition("/")[2].partition(".")[0]
 
 
-def _tar_of(parquet: str) -> str:
-    return f"{parquet.removesuffix('.parquet')}.tar"
-
-
-def _parquet_of(tar: str) -> str:
-    return f"{tar.removesuffix('.tar')}.parquet"
-
-
 def _size(place: str) -> int:
     files, path = connect(place)
     return int(files.size(path))
@@ -224,7 +215,7 @@ def _entries(table: pa.Table, parquet: str, names: Sequence[str]) -> tuple[list[
     places = {name: place_columns([name]) for name in names}
     columns = ["key", "index", "sha256", *place_columns(names)]
     require_columns(table, columns, _place(parquet))
-    split, tar = _place(parquet).partition("/")[0], _tar_of(parquet)
+    split, tar = _place(parquet).partition("/")[0], f"{parquet.removesuffix('.parquet')}.tar"
     entries, problems = [], []
     for number, row in enumerate(table.select(columns).to_pylist()):
         key, expected = row["key"], key_of(row["index"])

@@ -16,17 +16,12 @@ from synth3dlanes.dataset.description import DESCRIPTION
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.dataset.scenes import Provenance
 from synth3dlanes.draw.sample import draw_world, sample_scene, world_again, world_in_shot
-from synth3dlanes.params.distributions import Distribution
 from synth3dlanes.production.recipe import Condition, belongs_to
 from synth3dlanes.production.twins import changed_world
-from synth3dlanes.scene.scene import Scene, Weather
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.schema import Excerpt, validation_problems
-from synth3dlanes.validate.documents import NAMED_AT_MOST, differences, some
-from synth3dlanes.validate.findings import Problem
-
-# If no sample matches dataset.json and there are more than this many, they are reported as one problem.
-MANY = 20
+from synth3dlanes.validate.findings import NAMED_AT_MOST, Problem, differences, some
 
 
 class Derivation(Excerpt):
@@ -68,18 +63,6 @@ class Origin(Provenance):
         if scene == drawn:
             return ""
         return some(list(differences(drawn.model_dump(mode="json"), scene.model_dump(mode="json"))))
-
-    def follows(self, weather: Weather, split: str) -> dict[str, Distribution]:
-        """What follows from this weather and time of day in scenes of a split, by `group.key`: without the user's own
-        values and what was changed since they were drawn."""
-        changes = self.derived.changes(split) if self.derived is not None else []
-        own = {*self.params.kept, *(path for path, _ in changes)}
-        found = self.params.replaced(weather.kind, weather.daytime)
-        return {
-            path: distribution
-            for path, distribution in found.items()
-            if not own & {path, path.replace("_deg", "_rad"), path.partition(".")[0]}
-        }
 
     def drawn(self, scene: Scene, split: str, index: int) -> Scene:
         """The scene of a sample, drawn again; of derived data sets `scene`, which lies there, says for what it was
@@ -137,14 +120,12 @@ def drawn_otherwise(
 ) -> Iterator[Problem]:
     """A problem for each of the `n` samples whose scene differs from the one drawn again; `faults` maps names to
     differences. There is one problem for all of them if another version drew them, or if dataset.json was edited: the
-    shards' recipes differ from it, or no recipe is recorded and no sample matches."""
+    shards' recipes differ from it."""
     example = next((f"{name}: {fault}" for name, fault in faults.items()), "")
-    is_edited = any(made not in ("", recipe) for made in recipes.values())
-    is_unsure = not any(recipes.values()) and len(faults) == n
     if faults and generator != __version__:
         reason = f"made by version {generator}, which drew other scenes than this one, {__version__}, for {len(faults)}"
         yield Problem(DESCRIPTION, "", f"{reason} of {n} samples: validate it with that version; {example}")
-    elif len(faults) > NAMED_AT_MOST if is_edited else is_unsure and len(faults) > MANY:
+    elif len(faults) > NAMED_AT_MOST and any(made not in ("", recipe) for made in recipes.values()):
         yield Problem(DESCRIPTION, "", f"draws other scenes than {len(faults)} of {n} samples have; {example}")
     else:
         for name, fault in faults.items():

@@ -40,11 +40,6 @@ def disagreement(
         yield from judged("ids.kind", int((asked != got).sum()), f"{source}: expected {reason}", most=SINGLE)
 
 
-def check_kinds(evidence: Evidence) -> Iterator[Result]:
-    """Findings where the two passes of ids disagree."""
-    yield from disagreement("instance", evidence.passes["semantic"], evidence.passes["instance"])
-
-
 def check_bonnet(evidence: Evidence) -> Iterator[Result]:
     """Finding if the host's bonnet is not in the picture, or should not be."""
     share, middle = evidence.world.view.bonnet, evidence.camera.width_px // 2

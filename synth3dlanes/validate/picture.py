@@ -55,20 +55,6 @@ SHARP_JPEG, FOG_M = 90, 150.0
 ASIDE_BLUR_M, MAX_BLUR_PX = 10.0, 1.0
 
 
-class Detail(NamedTuple):
-    """Ratios that measure an image's resolution: `width`, steps beside the steepest ones over these; `fineness`, detail
-    of one pixel over that of two; `evenness`, mean steps in odd and even pixel pairs, the smaller over the larger."""
-
-    width: float
-    fineness: float
-    evenness: float
-
-    @property
-    def coarseness(self) -> float:
-        """Small for an image with detail of single pixels."""
-        return self.width / (self.fineness * self.evenness)
-
-
 def _judged(
     name: str, value: float, words: str, least: float = -np.inf, most: float = np.inf, lane: str = ""
 ) -> Iterator[Result]:
@@ -125,11 +111,12 @@ def check_sharpness(evidence: Evidence) -> Iterator[Result]:
     if not is_clear or not any(lane.visible.any() for lane in evidence.labels.lanes):
         return
     detail = _detail(_middle(evidence.luma))
-    if detail is None:
-        return
-    words = "detail of single pixels, got a blurred or blown-up picture, of "
-    yield from _judged("picture.coarseness", detail.coarseness, words + "coarseness {:.2f}", most=MAX_COARSENESS)
-    yield from _judged("picture.evenness", detail.evenness, words + "evenness {:.2f}", MIN_EVENNESS)
+    if len(detail):
+        width, fineness, evenness = detail
+        words = "detail of single pixels, got a blurred or blown-up picture, of "
+        coarseness = float(width / (fineness * evenness))
+        yield from _judged("picture.coarseness", coarseness, words + "coarseness {:.2f}", most=MAX_COARSENESS)
+        yield from _judged("picture.evenness", float(evenness), words + "evenness {:.2f}", MIN_EVENNESS)
 
 
 def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
@@ -160,8 +147,10 @@ def _middle(luma: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "r c"]:
     return luma[top : top + rows, left : left + columns]
 
 
-def _detail(luma: Float[np.ndarray, "r c"]) -> Detail | None:
-    """The mean of the ratios along rows and columns; None for an image that is too small or uniform."""
+def _detail(luma: Float[np.ndarray, "r c"]) -> Float[np.ndarray, " k"]:
+    """Ratios, means of those along rows and columns: steps beside the steepest ones over these; detail of one pixel
+    over that of two; mean steps in odd and even pixel pairs, the smaller over the larger. None of an image that is too
+    small or uniform."""
     found = []
     for values in (luma, luma.T):
         steps = np.abs(np.diff(values, axis=1))
@@ -171,10 +160,10 @@ def _detail(luma: Float[np.ndarray, "r c"]) -> Detail | None:
         odd, even = steps[:, 0::2].mean(), steps[:, 1::2].mean()
         fine, coarse = (_curvature(values, reach) for reach in (1, 2))
         if luma.size < MIN_PX or not inner[steep].sum() or not min(fine, coarse, max(odd, even)):
-            return None
+            return np.zeros(0)
         width = (steps[:, 2:] + steps[:, :-2])[steep].sum() / 2 / inner[steep].sum()
         found.append((width, fine / coarse, min(odd, even) / max(odd, even)))
-    return Detail(*np.mean(found, axis=0))
+    return np.mean(found, axis=0)
 
 
 def _curvature(values: Float[np.ndarray, "r c"], reach: int) -> float:
@@ -192,9 +181,9 @@ TERRAIN_M, MIN_PIXELS, MIN_PAINT = 60.0, 200, 150
 # Less light than this share of that in the sun is the sky's.
 SHADE = 0.35
 # The built-in terrains have less blue than the road, in 86 images at least 0.056; red over green is -0.065 to 0.008 on
-# green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass.
+# green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass, 0.212 before a red house.
 MAX_BLUE = -0.02
-RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.2)}
+RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.26)}
 # That of leaves, the upper half of trees without what has less light than this share of the road, is -0.19 to -0.009 in
 # 442 images. These trees have none.
 LEAVES_OVER_GREEN, LEAVES_LIGHT, BARE = 0.02, 0.05, ("dead",)
@@ -231,19 +220,14 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     bright = float(np.quantile(evidence.luma, 0.9))
     if (semantic == SEMANTIC_IDS["sky"]).mean() > MIN_SKY:
         yield from _judged("appearance.bright", bright, "daylight, got {:.0f} of 255 in its brighter parts", BRIGHT)
-    linear = _linear(evidence)
+    levels = np.arange(256) / 255
+    linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)[evidence.picture]
     yield from _terrain(evidence, linear, _lit(linear[road]))
     if "instance" not in evidence.passes:
         return
     yield from _leaves(evidence, linear, _lit(linear[road]))
     if evidence.paint.is_dry:
         yield from _paint(evidence, linear)
-
-
-def _linear(evidence: Evidence) -> Float[np.ndarray, "h w 3"]:
-    """The picture's light."""
-    values = np.arange(256) / 255
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)[evidence.picture]
 
 
 def _lit(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
@@ -301,6 +285,7 @@ def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[
 def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[Result]:
     near = evidence.passes["depth"] < PROOF_M
     numbers = numbers_of("delimiter", evidence.passes["instance"])
+    paved = np.isin(evidence.passes["semantic"], [SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]])
     for number, lane in enumerate(lane for lane in evidence.labels.lanes if lane.kind == "delimiter"):
         at = (numbers == number) & near
         at = binary_opening(at, np.ones((RESOLVED_PX, RESOLVED_PX), dtype=bool))
@@ -308,7 +293,7 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
         color = lane.color or "white"
         if at.sum() < MIN_PAINT or not evidence.paint.shows or not evidence.paint.stands_out(color):
             continue
-        beside = linear[_pavement_beside(evidence, at)]
+        beside = linear[binary_dilation(at, iterations=AROUND_PX) & paved]
         if not len(beside):
             continue
         red, _, blue = _chroma(linear[at]) - _chroma(beside)
@@ -322,11 +307,6 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
                 f"its {at.sum()} pixels of paint brighter than the road around them, got them {{:.2f}} times as bright"
             )
             yield from _judged("appearance.brighter", times, words, BRIGHTER, lane=lane.id)
-
-
-def _pavement_beside(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    paved = np.isin(evidence.passes["semantic"], [SEMANTIC_IDS["road"], SEMANTIC_IDS["shoulder"]])
-    return np.asarray(binary_dilation(at, iterations=AROUND_PX) & paved)
 
 
 def _may_glare(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
@@ -409,6 +389,14 @@ def _edges(
     luma: Float[np.ndarray, "r c"], things: Int[np.ndarray, "r c"], way: str, parts: tuple[ImagePart, ...]
 ) -> Iterator[Finding]:
     """Findings along the rows."""
+
+    def is_clearer(at: int, steps: Float[np.ndarray, " k"]) -> bool:
+        return bool(steps[at] > CLEARLY * steps[REACH_PX])
+
+    def is_blank(steps: Float[np.ndarray, " k"]) -> bool:
+        """Whether the step in place is not larger than those away from it."""
+        return bool(max(steps[0], steps[-1]) > BLANK * steps[REACH_PX])
+
     steps = np.abs(np.diff(luma, axis=1))
     n = steps.shape[1]
     rows, columns = np.nonzero(things[:, 1:] != things[:, :-1])
@@ -423,22 +411,12 @@ def _edges(
         mean, of_things = around[inside].mean(axis=0), (around[inside], owners[inside])
         at = int(mean.argmax())
         found = ""
-        if mean.max() > MOVED * mean[REACH_PX] and _most(partial(_is_clearer, at), *of_things):
+        if mean.max() > MOVED * mean[REACH_PX] and _most(partial(is_clearer, at), *of_things):
             found = f"{at - REACH_PX:+d} px {way}"
-        elif _is_blank(mean) and _most(_is_blank, *of_things):
+        elif is_blank(mean) and _most(is_blank, *of_things):
             found = "none"
         if found:
             yield Finding("", f"image: expected edges where the passes have them, got {found} in {part.name}")
-
-
-def _is_clearer(at: int, steps: Float[np.ndarray, " k"]) -> bool:
-    """Whether the step there is clearly larger than in place."""
-    return bool(steps[at] > CLEARLY * steps[REACH_PX])
-
-
-def _is_blank(steps: Float[np.ndarray, " k"]) -> bool:
-    """Whether the step in place is not larger than those away from it."""
-    return bool(max(steps[0], steps[-1]) > BLANK * steps[REACH_PX])
 
 
 def _most(

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer
+from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
@@ -79,8 +79,15 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
             wrong = np.not_equal(np.asarray(mask), sight.clear)[sight.clear | hidden]
             reason = f"{name}: expected what the passes show, got another at {{wrong}} of {{n}}"
             yield from counted(f"points.{name}", wrong, reason, MAX_GRAZING, MAX_SHARE, lane.id)
-        moved += _wrong_if_moved(lane, sight)
-    yield from _judge_moved(moved)
+        # If its mask is moved back by a point, as it is, and moved on.
+        at, shown = (sight.clear | sight.by_object)[1:-1], sight.clear[1:-1]
+        mask = np.asarray(lane.object_visible)
+        moved += [np.count_nonzero((mask[1 + by : len(mask) - 1 + by] != shown)[at]) for by in (-1, 0, 1)]
+    here, best = int(moved[1]), int(moved.min())
+    yield Bounded("points.moved_mask", float(here - best), most=MIN_MOVED - 1)
+    if here - best >= MIN_MOVED and best * MOVED < here:
+        got = f"got another at {here} points, and at {best} if every mask is moved by a point"
+        yield Finding("", f"object_visible: expected what the passes show, {got}")
 
 
 def _on_ground(evidence: Evidence) -> Iterator[Result]:
@@ -88,7 +95,8 @@ def _on_ground(evidence: Evidence) -> Iterator[Result]:
     lanes, world_from_cam = evidence.labels.lanes, evidence.camera.world_from_cam
     asked = [lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M) for lane in lanes]
     # The end of a map's road, on which an outer line lies, may be a kerb.
-    asked = [at & (lane.connector is None or _is_inner(lane)) for lane, at in zip(lanes, asked, strict=True)]
+    inner = [lane.kind == "centerline" or (lane.left is not None and lane.right is not None) for lane in lanes]
+    asked = [at & (lane.connector is None or is_in) for lane, at, is_in in zip(lanes, asked, inner, strict=True)]
     points_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, asked, strict=True)])
     above_m = np.abs(ground_of(evidence.world).nearest(transform(world_from_cam, points_cam)).above_m)
     ends = np.cumsum([np.count_nonzero(at) for at in asked])[:-1]
@@ -99,13 +107,8 @@ def _on_ground(evidence: Evidence) -> Iterator[Result]:
         yield from counted("points.ground_m", off_m > MAX_OFF_M, reason, MAX_SINGLE, MAX_SHARE, lane.id)
 
 
-def _is_inner(lane: Lane) -> bool:
-    return lane.kind == "centerline" or (lane.left is not None and lane.right is not None)
-
-
 def _depth_at_lines(evidence: Evidence) -> Iterator[Result]:
-    """A finding if pixels at the visible points of centre lines, which have no paint, do not lie on the ground, and the
-    height of these pixels."""
+    """A finding if pixels at the visible points of centre lines, which have no paint, do not lie on the ground."""
     passes, camera = evidence.passes, evidence.camera
     depth_m = passes["depth"]
     at_lines = np.zeros(depth_m.shape, dtype=bool)
@@ -118,7 +121,7 @@ def _depth_at_lines(evidence: Evidence) -> Iterator[Result]:
             smooth = four_m.max(axis=0) < SMOOTH * four_m.min(axis=0)
             at_lines[rows[smooth], columns[smooth]] = True
     if "semantic" in passes:
-        at_lines &= ~_of_objects(passes["semantic"])
+        at_lines &= ~np.isin(passes["semantic"], OBJECTS)
     seen = evidence.seen(at_lines)
     above_m = ground_of(evidence.world).nearest(seen.points_world).above_m
     wrong = ~(np.abs(above_m) <= MAX_OFF_M)
@@ -145,7 +148,7 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: P
     depth = passes["depth"][rows, columns]
     own_depth = _own_depth(camera, strip, rows, columns)
     nearer = depth < NEARER * own_depth - NEARER_M
-    objects = _of_objects(passes["semantic"][rows, columns])
+    objects = np.isin(passes["semantic"][rows, columns], OBJECTS)
     y_m, away_m = strip.points_cam[:, 1], np.linalg.norm(strip.points_cam, axis=1)
     shows_kerbs = (y_m < KERBS_M) & (away_m < KERBS_M_A_PX * camera.img_from_cam[0, 0])
     shown = ((depth < SMOOTH * y_m) & (depth > y_m / SMOOTH)).any(axis=0)
@@ -165,26 +168,6 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: P
     )
 
 
-def _wrong_if_moved(lane: Lane, sight: Sight) -> Int[np.ndarray, "3"]:
-    """At how many points `object_visible` is not what the passes show: if it is moved back by a point, as it is, and if
-    it is moved on."""
-    at, mask = (sight.clear | sight.by_object)[1:-1], np.asarray(lane.object_visible)
-    moved = (mask[1 + by : len(mask) - 1 + by] for by in (-1, 0, 1))
-    return np.array([np.count_nonzero(np.not_equal(of, sight.clear[1:-1])[at]) for of in moved])
-
-
-def _judge_moved(wrong: Int[np.ndarray, "3"]) -> Iterator[Result]:
-    """Finding if `object_visible` of all lanes is clearly nearer to what the passes show if it is moved by a point."""
-    here, best = int(wrong[1]), int(wrong.min())
-    yield Bounded("points.moved_mask", float(here - best), most=MIN_MOVED - 1)
-    if here - best >= MIN_MOVED and best * MOVED < here:
-        yield Finding(
-            "",
-            f"object_visible: expected what the passes show, got another at {here} points, and at {best} if every mask "
-            "is moved by a point",
-        )
-
-
 def _own_depth(camera: CameraLabel, strip: Strip, rows: Squares, columns: Squares) -> Float[np.ndarray, "k n"]:
     """The depth that pixels around points would have without occlusion: that of the surface's tangent plane at the
     point, but at most the point's own depth."""
@@ -194,10 +177,6 @@ def _own_depth(camera: CameraLabel, strip: Strip, rows: Squares, columns: Square
         depth = (strip.points_cam * strip.normal_cam).sum(axis=1) / (rays_cam * strip.normal_cam).sum(axis=2)
     y_m = strip.points_cam[:, 1]
     return np.where((depth > 0) & (depth < y_m), depth, y_m)
-
-
-def _of_objects(semantic: Integer[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
-    return np.isin(semantic, OBJECTS)
 
 
 def around(uv: Points2, shape: tuple[int, ...], reach: int) -> tuple[Squares, Squares]:

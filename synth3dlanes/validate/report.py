@@ -130,12 +130,13 @@ class ValidationReport:
         yield from (f"  no {lack}: {', '.join(names)}" for lack, names in by_lack.items())
 
 
-def made_again_text(verdicts: dict[str, str]) -> list[str]:
+def made_again_text(verdicts: dict[str, str]) -> Iterator[str]:
     """Which samples were made again, with what result."""
-    lines = [f"  {verdict}: {', '.join(n for n, v in verdicts.items() if v == verdict)}" for verdict in VERDICTS]
-    told = [line for line, verdict in zip(lines, VERDICTS, strict=True) if verdict in verdicts.values()]
-    head = "\n[bold]made again[/bold]  as dataset.json says; the same command chooses the same, a larger number more"
-    return [head, *told] if verdicts else []
+    if verdicts:
+        yield "\n[bold]made again[/bold]  as dataset.json says; the same command chooses the same, a larger number more"
+    for verdict in VERDICTS:
+        if verdict in verdicts.values():
+            yield f"  {verdict}: {', '.join(name for name, own in verdicts.items() if own == verdict)}"
 
 
 def draw(image: RgbImage, labels: Labels) -> RgbImage:

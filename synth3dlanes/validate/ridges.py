@@ -82,27 +82,20 @@ class LineProfiles(NamedTuple):
         """How much brighter than its surroundings a stripe is."""
         return np.asarray(self.over.mean(axis=0))
 
-
-class Contrast(NamedTuple):
-    """The median of one line's profiles: their number, the ridge's offset and strength, the strength in
-    place, and the offset and strength of the clearest stripe that differs from both sides alike."""
-
-    lane: str
-    n: int
-    ridge_m: float
-    ridge: float
-    in_place: float
-    stripe_m: float
-    stripe: float
-
-    @property
-    def verdict(self) -> Literal["in place", "elsewhere", "unclear"]:
-        """Where the image shows the line."""
-        if self.stripe >= CONTRAST and self.in_place * STRONGER < self.stripe:
-            return "elsewhere"
-        if abs(self.ridge_m) <= IN_PLACE_M:
-            return "in place" if self.ridge >= FAINTEST else "unclear"
-        return "in place" if self.in_place >= FAINT and 2 * self.in_place >= self.ridge else "unclear"
+    def verdict(self) -> tuple[Literal["in place", "elsewhere", "unclear"], str]:
+        """Where the image shows the line, by the medians of its profiles, and words for a stripe elsewhere: one that
+        differs from both of its sides alike."""
+        strength = np.abs(np.median(self.ridges, axis=0))
+        ridge, ridge_m = strength.max(), PLACES_M[strength.argmax()]
+        in_place = strength[np.abs(PLACES_M) <= IN_PLACE_M].max()
+        left, right = np.median(self.over, axis=1)
+        stripe = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
+        if stripe.max() >= CONTRAST and in_place * STRONGER < stripe.max():
+            contrast = f"(contrast {stripe.max():.0f} there, {in_place:.0f} in place, {len(self.u_px)} profiles)"
+            return "elsewhere", f"got it {PLACES_M[stripe.argmax()]:+.2f} m aside {contrast}"
+        if abs(ridge_m) <= IN_PLACE_M:
+            return ("in place" if ridge >= FAINTEST else "unclear"), ""
+        return ("in place" if in_place >= FAINT and 2 * in_place >= ridge else "unclear"), ""
 
 
 def check_ridges(evidence: Evidence) -> Iterator[Result]:
@@ -113,16 +106,13 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
     lanes = [lane for lane in evidence.labels.lanes if lane.kind == "delimiter"]
     lanes = [lane for lane in lanes if paint.stands_out(lane.color or "white")]
     lines = list(_lines(evidence, lanes))
-    contrasts = [_contrast(line) for line in lines]
-    for line in contrasts:
-        if line.verdict == "elsewhere":
-            yield Finding(
-                line.lane,
-                f"image: expected the line's paint within {IN_PLACE_M} m, got it {line.stripe_m:+.2f} m aside "
-                f"(contrast {line.stripe:.0f} there, {line.in_place:.0f} in place, {line.n} profiles)",
-            )
-    asked = [line for line in contrasts if paint.is_dry or line.verdict != "unclear"]
-    n, in_place = sum(line.n for line in asked), sum(line.n for line in asked if line.verdict == "in place")
+    n, in_place = 0, 0
+    for line in lines:
+        verdict, found = line.verdict()
+        if verdict == "elsewhere":
+            yield Finding(line.lane, f"image: expected the line's paint within {IN_PLACE_M} m, {found}")
+        if paint.is_dry or verdict != "unclear":
+            n, in_place = n + len(line.u_px), in_place + len(line.u_px) * (verdict == "in place")
     if n >= MIN_IMAGE_PROFILES:
         reason = f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles"
         yield from judged("ridges.in_place", in_place / n, reason, MIN_SHARE)
@@ -191,17 +181,6 @@ def _room(at_m: Float[np.ndarray, " n"], end_m: Float[np.ndarray, " n"]) -> floa
     """How far the pavement extends to one side of a line, at most REACH_M, from the distances outside the pavement of
     points on the line and of the profiles' ends."""
     return float(np.min(REACH_M * at_m / (at_m - np.maximum(end_m, 0)), initial=REACH_M))
-
-
-def _contrast(line: LineProfiles) -> Contrast:
-    strength = np.abs(np.median(line.ridges, axis=0))
-    best = int(strength.argmax())
-    in_place = float(strength[np.abs(PLACES_M) <= IN_PLACE_M].max())
-    left, right = np.median(line.over, axis=1)
-    stripe = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
-    at = int(stripe.argmax())
-    ridges = PLACES_M[best], strength[best], in_place, PLACES_M[at], stripe[at]
-    return Contrast(line.lane, len(line.u_px), *map(float, ridges))
 
 
 def check_move(lines: Sequence[LineProfiles], width_px: int) -> Iterator[Finding]:

@@ -33,16 +33,14 @@ from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.processes import n_workers, process_pool
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
-from synth3dlanes.validate.documents import some
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of
+from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
 from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
 from synth3dlanes.validate.labels import check_shape
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
 from synth3dlanes.validate.origin import Origin, drawn_otherwise, made_otherwise, read_origin
 from synth3dlanes.validate.report import Lacks, ValidationReport, draw, remove_pictures, save_picture
 from synth3dlanes.world import height_map
-from synth3dlanes.world.camera import rays_of_pixels
 from synth3dlanes.world.world import resolve
 
 # Exceptions of geometry computed from invalid scenes or labels. Samples of a correct data set raise none.
@@ -202,9 +200,8 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     results += misshapen
     if not misshapen:
         world = None if scene is None else resolve(scene)
-        follows = None if scene is None or origin is None else origin.follows(scene.weather, entry.split)
         numbers = None if scene else numbers_of_lifted(pictures_per_scene(description.model_dump()), entry.index)
-        evidence = Evidence(world, labels, image, passes, sweep, entry, follows, numbers)
+        evidence = Evidence(world, labels, image, passes, sweep, entry, numbers)
         results += _examine(evidence)
         lacks = {check.name: check.needs - evidence.has for check in CHECKS}
     if findings_of(results):
@@ -246,19 +243,12 @@ def _sizes(pictures: Mapping[str, Shaped[np.ndarray, "h w *c"]], camera: HostCam
 
 
 def _passes(scene: Scene, description: Description, passes: Passes) -> Iterator[Finding]:
-    """Findings if passes differ from those in dataset.json, do not have the camera's size, or have other distances than
-    a camera measures."""
+    """Findings if passes differ from those in dataset.json, or do not have the camera's size."""
     expected = [name for name in description.render.passes if name != "lidar"]
     if set(passes) != set(expected):
         names = ", ".join(expected)
         yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
-    misshapen = [*_sizes(passes, scene.camera)]
-    yield from misshapen
-    depth_m = passes.get("depth")
-    if not misshapen and depth_m is not None and (depth_m < 0).any():
-        wrong = int(((depth_m < 0) & ~(rays_of_pixels(scene.camera)[..., 1] < 0)).sum())
-        if wrong:
-            yield Finding("", f"depth: expected distances or infinity, got another at {wrong} places")
+    yield from _sizes(passes, scene.camera)
 
 
 @contextmanager

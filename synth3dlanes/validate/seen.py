@@ -6,7 +6,7 @@ about and how to compute, for each thing among them, how far they are from where
 new kind of thing that has a body needs an entry of `bodies.BODIES` and a row.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -112,7 +112,9 @@ def check_seen(check: str, evidence: Evidence) -> Iterator[Result]:
     """Findings of the rows of a check about what the sample's pixels show."""
     passes, known = evidence.passes, {}
     for row in ROWS:
-        if row.check != check or not row.needs <= evidence.has | _any_ids(evidence, row):
+        # Instance ids say what semantic ids would, of kinds of things that have them.
+        has = evidence.has | ({"semantic"} if row.kind and "instance" in evidence.has else set())
+        if row.check != check or not row.needs <= has:
             continue
         if not row.classes:
             yield from _judge(row, evidence, None)
@@ -123,11 +125,6 @@ def check_seen(check: str, evidence: Evidence) -> Iterator[Result]:
             which = _is_of(row, {name: passes[name] for name in ("semantic", "instance") if name in passes})
             known[key] = evidence.seen(which & (passes["depth"] < row.within_m), row.n)
         yield from _judge(row, evidence, known[key])
-
-
-def _any_ids(evidence: Evidence, row: SeenRow) -> frozenset[str]:
-    """Instance ids say what semantic ids would, of kinds of things that have them."""
-    return frozenset({"semantic"}) if row.kind and "instance" in evidence.has else frozenset()
 
 
 def _is_of(row: SeenRow, ids: Mapping[str, Integer[np.ndarray, "*n"]]) -> Bool[np.ndarray, "*n"]:
@@ -147,8 +144,7 @@ def _judge(row: SeenRow, evidence: Evidence, seen: Seen | None) -> Iterator[Resu
         expected = f"{source}: expected {row.expected.format(what=what, whose=part.whose)}, got"
         if row.in_median:
             median = float(np.median(off_m))
-            signed = "" if (part.apart_m >= 0).all() else f" ({np.median(part.apart_m):+.4f} with its sign)"
-            found = f"{expected} them {median:.4f} off in the median{signed}, at {n} {what}"
+            found = f"{expected} them {median:.4f} off in the median, at {n} {what}"
             yield from judged(row.name, median, found, most=row.most, lane=part.lane)
             continue
         wrong = ~(off_m <= row.most)
@@ -321,20 +317,16 @@ def _stands(
 
 def wheels(world: World) -> Points3:
     """The contact points of all cars' tyres."""
-    found = [np.zeros((0, 3))]
+    found = []
     for car, world_from_car in zip(world.scene.cars, world.view.world_from_cars, strict=True):
         model = world.scene.assets.car_models[car.model - 1]
         x, y = model.track_m / 2 * car.scale, model.wheelbase_m / 2 * car.scale
         found.append(transform(world_from_car, np.array([[-x, y, 0], [x, y, 0], [-x, -y, 0], [x, -y, 0]])))
-    return np.concatenate(found)
+    return _joined(found)
 
 
-def _trunks(world: World) -> Points3:
-    return world.site.trees_world + np.array([0, 0, TREE_SINK_M])
-
-
-def _feet(world: World) -> Points3:
-    return np.concatenate([np.zeros((0, 3)), *(body.feet_world[::FEET_STEP] for body in world.site.structures)])
+def _joined(parts: Iterable[np.ndarray]) -> Points3:
+    return np.concatenate([np.zeros((0, 3)), *parts])
 
 
 def _on_pavement(evidence: Evidence, _: None) -> Iterator[PartSeen]:
@@ -385,8 +377,9 @@ ROWS = (
         )
         for name, points, faces, limit_m in (
             ("wheel", wheels, pavement_of, MAX_WHEEL_M),
-            ("tree", _trunks, ground_of, MAX_TREE_M),
-            ("structure", _feet, ground_of, MAX_TREE_M),
+            ("tree", lambda world: world.site.trees_world + [0, 0, TREE_SINK_M], ground_of, MAX_TREE_M),
+            ("structure", lambda world: _joined(body.feet_world for body in world.site.structures)[::FEET_STEP],
+             ground_of, MAX_TREE_M),
         )
     ),
     SeenRow(

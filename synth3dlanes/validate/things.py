@@ -16,9 +16,8 @@ from synth3dlanes.scene.instance_ids import END, thing_of
 from synth3dlanes.system.arrays import RgbImage
 from synth3dlanes.truth.object_truth import with_pixel_shares
 from synth3dlanes.validate.bodies import FAR_M, box_of, grown, meet
-from synth3dlanes.validate.documents import differences, some
 from synth3dlanes.validate.evidence import Evidence, some_pixels
-from synth3dlanes.validate.findings import Finding, Result, judged
+from synth3dlanes.validate.findings import Finding, Result, differences, judged, some
 from synth3dlanes.world.placement import PlacedObject
 
 # Lights are judged of signals that are seen as a whole.
@@ -67,10 +66,8 @@ THIN, SLIVER = 0.35, 0.05
 def check_cars(evidence: Evidence) -> Iterator[Result]:
     """Findings where the share of a car, or of a thing, does not fit its pixels and those that something nearer
     covers."""
-    items, cars = evidence.labels.objects, evidence.labels.car_visible_fraction
-    assert cars is not None
-    # Of older labels only those of cars are known.
-    shares = [*cars, *(item.visible_fraction or 0.0 for item in (items or ())[len(cars) :])]
+    items, cars = evidence.labels.objects or (), evidence.labels.car_visible_fraction or ()
+    shares = [*cars, *(item.visible_fraction or 0.0 for item in items[len(cars) :])]
     counts = np.bincount(evidence.passes["instance"].ravel(), minlength=END)
     for item, place, share in zip(evidence.world.view.objects, evidence.truth.objects or (), shares, strict=False):
         kind, number = thing_of(item.id)

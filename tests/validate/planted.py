@@ -36,7 +36,7 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import PASSES as ALL_PASSES
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import FormatError
-from synth3dlanes.validate.likeness import compare
+from synth3dlanes.validate.made_again import compare
 from synth3dlanes.world.world import World, resolve
 from tests.validate import redone
 from tests.validate.faults import FAULTS, OF_STREETS, OF_WORKS, UNSEEN, WORLDS, Fault

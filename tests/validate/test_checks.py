@@ -7,7 +7,7 @@ from synth3dlanes.world.world import resolve
 from tests.scenes import FLAT
 from tests.validate.examining import examine, seen
 
-PARTS = {"scene", "row", "origin", "image", "aim", "lidar", "depth", "normal", "semantic", "instance", "height"}
+PARTS = {"scene", "row", "image", "aim", "lidar", "depth", "normal", "semantic", "instance", "height"}
 
 
 def test_checks_have_names_of_their_own_and_need_what_evidence_may_have() -> None:

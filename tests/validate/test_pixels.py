@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -87,17 +86,6 @@ def test_a_pink_van_is_no_missing_texture_and_what_lies_behind_a_crest_has_no_co
     pink = sample.picture.copy()
     pink[len(pink) // 3 :] = (255, 0, 255)
     assert ("pink" in reasons(replace(sample, image=pink), "frame")) == (index == 1807)
-
-
-def test_lines_of_labels_without_colours_are_judged_too(samples):
-    """Those of version 0.1.0 have none."""
-
-    def found(sample, image):
-        lanes = tuple(replace(lane, color=None) for lane in sample.labels.lanes)
-        return findings(replace(sample, image=image, labels=replace(sample.labels, lanes=lanes)), "ridges")
-
-    assert not any(found(sample, sample.image) for sample in samples)
-    assert any(found(sample, other.image) for sample, other in pairwise(samples))
 
 
 def test_leaves_with_red_and_green_exchanged_are_found_by_themselves(samples):

@@ -20,8 +20,7 @@ from synth3dlanes.production.workers import Limits, call
 from synth3dlanes.scene.change import change_scene
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import InputError, MissingPackageError
-from synth3dlanes.validate.likeness import compare
-from synth3dlanes.validate.made_again import some_of
+from synth3dlanes.validate.made_again import compare, some_of
 from synth3dlanes.validate.run import validate
 from synth3dlanes.world.world import World, resolve
 from tests import warm
