@@ -377,8 +377,8 @@ ROWS = (
         )
         for name, points, faces, limit_m in (
             ("wheel", wheels, pavement_of, MAX_WHEEL_M),
-            ("tree", lambda world: world.site.trees_world + [0, 0, TREE_SINK_M], ground_of, MAX_TREE_M),
-            ("structure", lambda world: _joined(body.feet_world for body in world.site.structures)[::FEET_STEP],
+            ("tree", lambda world: np.add(world.site.trees_world, (0, 0, TREE_SINK_M)), ground_of, MAX_TREE_M),
+            ("structure", lambda world: _joined(body.feet_world[::FEET_STEP] for body in world.site.structures),
              ground_of, MAX_TREE_M),
         )
     ),
