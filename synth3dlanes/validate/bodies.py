@@ -16,8 +16,8 @@ from synth3dlanes.world.bonnet import FROM_M, HALF_WIDTH_M, TO_M, surface_m
 from synth3dlanes.world.placement import PlacedObject
 from synth3dlanes.world.world import World
 
-# Twigs may extend beyond the boxes of trees, and mirrors may hide what is beside a car. Of objects no more than points
-# is seen beyond their boxes, of structures beyond their faces.
+# Twigs and mirrors are within boxes that are larger by this factor; objects are seen within OBJECT_ROOM_M of their
+# boxes, structures within FACE_ROOM_M of their faces.
 ROOM, OBJECT_ROOM_M, FACE_ROOM_M = 1.15, 0.02, 0.03
 # Bodies of models sink into slopes by this share of their height; trunks go on underground.
 SUNK, ROOTS_M = 0.05, 1.0

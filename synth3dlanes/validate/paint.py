@@ -5,7 +5,7 @@ Points are projected to their station on the road, so that a line whose label is
 where the paint has dashes.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -71,8 +71,7 @@ def is_single(ground: Ground, xy_world: Points2) -> Bool[np.ndarray, " n"]:
     return np.asarray((high - low < APART_M) & ~ground.is_stacked(xy_world))
 
 
-@dataclass(frozen=True, eq=False)
-class Strip:
+class Strip(NamedTuple):
     """Points along a line, the unit vectors to its right in the surface, the surface normals, and whether all stripes
     are painted at each point, and large enough to appear in single pixels."""
 

@@ -42,11 +42,9 @@ MIN_NEXT = 0.6
 # A surface nearer than a point by this factor and distance hides it; the point's own surface differs by less in depth
 # from pixel to pixel.
 NEARER, NEARER_M = 0.985, 0.05
+Squares = Int[np.ndarray, "k n"]
 # Objects with narrower boxes, whose upper parts may be narrower than a pixel, tell nothing of what is behind them.
 NARROW_PX = 5.0
-
-
-Squares = Int[np.ndarray, "k n"]
 
 
 class Sight(NamedTuple):
