@@ -56,7 +56,7 @@ def test_correct_boxes_have_no_findings(sample):
 def test_pixels_and_points_of_every_car_that_the_scene_has_elsewhere_are_found(sample, by):
     """A tenth of a metre along, two aside, or 6 % smaller."""
     told = []
-    for number, car in enumerate(sample.scene.cars[:4]):
+    for number, car in enumerate(sample.scene.cars[:3]):
         (name, step), cars = *by.items(), list(sample.scene.cars)
         cars[number] = car.model_copy(update={name: getattr(car, name) + step})
         world = resolve(sample.scene.model_copy(update={"cars": tuple(cars)}))
