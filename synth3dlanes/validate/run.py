@@ -246,8 +246,7 @@ def _passes(scene: Scene, description: Description, passes: Passes) -> Iterator[
     """Findings if passes differ from those in dataset.json, or do not have the camera's size."""
     expected = [name for name in description.render.passes if name != "lidar"]
     if set(passes) != set(expected):
-        names = ", ".join(expected)
-        yield Finding("", f"passes: expected {names or 'none'}, got {', '.join(passes) or 'none'}")
+        yield Finding("", f"passes: expected {', '.join(expected) or 'none'}, got {', '.join(passes) or 'none'}")
     yield from _sizes(passes, scene.camera)
 
 
