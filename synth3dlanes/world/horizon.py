@@ -16,8 +16,8 @@ MAX_HEIGHT_M = 90.0
 # Size of the fine cells, and the greatest multiple of it that depths and widths near roads are given for.
 CELL_M = 1.25
 MAX_CELL_SCALE = 8.0
-# Growth of the cells per metre outside the fine area.
-GROWTH = 0.06
+# Growth of the cells per metre outside the fine area: the terrain's hills are smooth over tens of metres.
+GROWTH = 0.08
 # How far the grid goes: ahead and aside, and behind a host that does not look there.
 HORIZON_M, BEHIND_M = 4000.0, 300.0
 
@@ -58,18 +58,24 @@ class TerrainGrid:
 
     def cell_scale(self, xy_world: AnyPoints2) -> AnyScalars:
         """Size of the cells as a multiple of CELL_M, as `axes` lays them out."""
-        x0, y0, x1, y1 = self.area
-        out = np.maximum(
-            np.maximum(x0 - xy_world[..., 0], xy_world[..., 0] - x1),
-            np.maximum(y0 - xy_world[..., 1], xy_world[..., 1] - y1),
-        )
-        return np.clip(1 + np.clip(out, 0, None) * GROWTH / CELL_M, 1, MAX_CELL_SCALE)
+        return scale_outside(self.area, xy_world, GROWTH)
 
     @cached_property
     def axes(self) -> tuple[Scalars, Float[np.ndarray, " m"]]:
         """World x of the columns of vertices, and world y of their rows."""
         x0, y0, x1, y1 = self.area
         return _axis(x0, x1, HORIZON_M), _axis(y0, y1, HORIZON_M if self.both_ways else BEHIND_M)
+
+
+def scale_outside(area: tuple[float, float, float, float], xy_world: AnyPoints2, growth: float) -> AnyScalars:
+    """How many times larger than in an area (x0, y0, x1, y1) cells are at places, at most MAX_CELL_SCALE: they grow by
+    `growth` for each metre outside it along x or y."""
+    x0, y0, x1, y1 = area
+    out_m = np.maximum(
+        np.maximum(x0 - xy_world[..., 0], xy_world[..., 0] - x1),
+        np.maximum(y0 - xy_world[..., 1], xy_world[..., 1] - y1),
+    )
+    return np.clip(1 + np.clip(out_m, 0, None) * growth / CELL_M, 1, MAX_CELL_SCALE)
 
 
 def _axis(low: float, high: float, before_m: float) -> Scalars:

@@ -48,8 +48,10 @@ from synth3dlanes.world.horizon import FarHills, TerrainGrid
 from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.spans import Span, spans
 
-# Rows along roads by their distance from the host's way.
-ROW_STEPS_M, ROW_STEPS_AT_M = (0.5, 0.5, 1.0, 2.0, 6.0, 80.0), (0.0, 60.0, 120.0, 200.0, 450.0, 4000.0)
+# Steps between rows along roads at distances from the host's way: of areas, which say what has room beside a road and
+# what kerbs hide, and of faces, in which nobody sees the difference.
+AREA_ROWS_M = (0.0, 60.0, 120.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 2.0, 6.0, 80.0)
+FACE_ROWS_M = (0.0, 35.0, 60.0, 110.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 1.5, 4.0, 6.0, 80.0)
 # Their distance from the host is asked in these steps.
 COARSE_M = 4.0
 # Distance ahead of the host to which the terrain has its finest cells: elsewhere it meets the edges of pavement, too.
@@ -58,7 +60,7 @@ FINE_M = 40.0
 UNDER_FALL_M, PRESS_M = 0.03, 0.3
 # Beyond a distance from the host it is lower by this for each metre, less than a pixel: its cells are large there, and
 # faces of the pavement dip between its rows.
-FAR_FROM_M, FAR_FALL = 400.0, 0.0005
+FAR_FROM_M, FAR_FALL = 400.0, 0.0006
 # Distance from the host's way within which kerbs hide what is labelled; the tolerance of their simplified lines, and
 # the distance of points along these.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
@@ -116,23 +118,36 @@ class PavedAreas:
     def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
         """The stations of the rows of the paint of each curve."""
         coarse = _even([curve.end_m for curve in curves], COARSE_M)
-        return [_rows(*at) for at in zip(coarse, self.way.away_on(curves, coarse), strict=True)]
+        return [_rows(*at, FACE_ROWS_M) for at in zip(coarse, self.way.away_on(curves, coarse), strict=True)]
 
     @cached_property
-    def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
+    def _stations(self) -> tuple[list[Scalars], list[Scalars]]:
+        """Even stations of each road, and their distances from the host's way."""
         roads = self.network.roads
         coarse = _even([road.end_m for road in roads], COARSE_M)
         counts = [len(s) for s in coarse]
         s = np.concatenate(coarse)
         xy = self.network.index.table.xy(np.repeat(np.arange(len(roads)), counts), s, np.zeros(len(s)))
-        away_m = parted(self.way.away_at(xy), counts)
-        return {road.id: _rows(*at) for road, *at in zip(roads, coarse, away_m, strict=True)}
+        return coarse, parted(self.way.away_at(xy), counts)
 
-    def stretch_rows(self, stretch: Road) -> Scalars:
-        """The stations of the rows of a stretch of a road."""
-        s, start_m, end_m = self._road_rows[stretch.id], stretch.start_m, stretch.end_m
-        inside = s[np.searchsorted(s, start_m, "right") : np.searchsorted(s, end_m)]
-        return np.array([start_m, *inside.tolist(), end_m] if end_m > start_m else [start_m])
+    def _rows_by_road(self, steps: tuple[Sequence[float], Sequence[float]]) -> dict[str, Float[np.ndarray, " _"]]:
+        return {road.id: _rows(*at, steps) for road, *at in zip(self.network.roads, *self._stations, strict=True)}
+
+    @cached_property
+    def _area_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
+        return self._rows_by_road(AREA_ROWS_M)
+
+    @cached_property
+    def _face_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
+        return self._rows_by_road(FACE_ROWS_M)
+
+    def area_rows(self, stretch: Road) -> Scalars:
+        """The stations of the corners of the areas of a stretch of a road."""
+        return _within(self._area_rows[stretch.id], stretch)
+
+    def face_rows(self, stretch: Road) -> Scalars:
+        """The stations of the rows of faces of a stretch of a road."""
+        return _within(self._face_rows[stretch.id], stretch)
 
     @cached_property
     def grid(self) -> TerrainGrid:
@@ -172,7 +187,7 @@ class PavedAreas:
             bounds = [section.paved, *section.raised, *section.medians]
             bounds += [(k, k + 1) for k in range(len(section.lanes)) if stretch.junction in known]
             wanted += [(i, stretch, edge) for edge in sorted({edge for pair in bounds for edge in pair})]
-        rows = [self.stretch_rows(stretch) for stretch in stretches]
+        rows = [self.area_rows(stretch) for stretch in stretches]
         counts = [len(rows[i]) for i, _, _ in wanted]
         number, edge = (np.repeat([at[k] for at in wanted], counts) for k in (0, 2))
         s, table = np.concatenate([rows[i] for i, _, _ in wanted]), self.table
@@ -261,7 +276,7 @@ class PavedAreas:
         """Both edges of each strip of pavement within about `reach_m` of a place: of every section of a road, those in
         junctions included, and on both sides of a median."""
         for stretch in (stretch for road in self.roads for stretch in road.stretches):
-            s, (section,) = self.stretch_rows(stretch), stretch.sections
+            s, (section,) = self.area_rows(stretch), stretch.sections
             near = np.flatnonzero(np.hypot(*(stretch.xy(s, 0.0) - xy_world).T) < SEARCH_RATIO * reach_m)
             if len(near) > 1:
                 s, (first, last) = s[near[0] : near[-1] + 1], section.paved
@@ -368,7 +383,7 @@ class PavedAreas:
         for to_m, next_m in [*sorted((at.from_m, at.to_m) for at in spans_of[road.id]), (road.end_m, road.end_m)]:
             for stretch in road.stretches:
                 low, high = max(stretch.start_m, from_m), min(stretch.end_m, to_m)
-                rows = self.stretch_rows(stretch)
+                rows = self.area_rows(stretch)
                 s = np.union1d(rows[(rows > low) & (rows < high)], [low, high])
                 if high > low:
                     yield polygon_between(stretch.xy(s, stretch.left(s)), stretch.xy(s, stretch.right(s)))
@@ -503,14 +518,21 @@ def _even(ends_m: Sequence[float], step_m: float) -> list[Float[np.ndarray, " _"
     return parted(spaced(0.0 * last_m, last_m, counts), counts)
 
 
-def _rows(s: Scalars, away_m: Scalars) -> Float[np.ndarray, " m"]:
+def _within(s: Scalars, stretch: Road) -> Scalars:
+    """The ends of a stretch of a road, and the stations between these."""
+    start_m, end_m = stretch.start_m, stretch.end_m
+    inside = s[np.searchsorted(s, start_m, "right") : np.searchsorted(s, end_m)]
+    return np.array([start_m, *inside.tolist(), end_m] if end_m > start_m else [start_m])
+
+
+def _rows(s: Scalars, away_m: Scalars, steps: tuple[Sequence[float], Sequence[float]]) -> Float[np.ndarray, " m"]:
     """Stations between these, closer to each other near the host, from which they are that far."""
-    count = row_count(s, away_m)
+    count = row_count(s, away_m, steps)
     n = max(int(np.ceil(count[-1])), 1)
     return np.interp(np.linspace(0.0, count[-1], n + 1), count, s)
 
 
-def row_count(s: Scalars, away_m: Scalars) -> Scalars:
-    """How many rows there are up to stations that are this far from the host."""
-    step = np.interp(away_m, ROW_STEPS_AT_M, ROW_STEPS_M)
+def row_count(s: Scalars, away_m: Scalars, steps: tuple[Sequence[float], Sequence[float]]) -> Scalars:
+    """How many rows there are up to stations that are this far from the host, by distances and steps there."""
+    step = np.interp(away_m, *steps)
     return np.concatenate([[0.0], np.cumsum(np.diff(s) * 2 / (step[1:] + step[:-1]))])

@@ -152,7 +152,7 @@ def _strips(paved: PavedAreas) -> list[Mesh]:
 
 def _strips_of(paved: PavedAreas, number: int, stretch: Road, is_end: tuple[bool, bool]) -> Iterator[_Strip]:
     """The strips of a stretch of a road, from the left."""
-    s, (section,) = paved.stretch_rows(stretch), stretch.sections
+    s, (section,) = paved.face_rows(stretch), stretch.sections
     edges, i, last = section.edges(s), *section.paved
     widths_m = np.diff(edges, axis=0)
     columns = np.maximum(np.ceil(widths_m.max(axis=1) / paved.column_m), 1).astype(int)

@@ -20,18 +20,20 @@ from synth3dlanes.roads.roads import Road
 from synth3dlanes.scene.road_map import MapLane, MapLaneKind, Polynomial
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Scalars, Spread
 from synth3dlanes.world.camera import Sector
-from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, TerrainGrid
-from synth3dlanes.world.paved_areas import COARSE_M, PRESS_M, ROW_STEPS_M, PavedAreas, row_count
+from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, TerrainGrid, scale_outside
+from synth3dlanes.world.paved_areas import COARSE_M, FACE_ROWS_M, PRESS_M, PavedAreas, row_count
 from synth3dlanes.world.spans import EMBANKMENT_SLOPE
 
-# Widths for fine cells of the terrain; farther away they grow in proportion to the cell.
+# Widths of what is beside a road, as far ahead of the host as NARROW_M; beyond they grow by WIDENING per metre, as a
+# coarser terrain shows them.
+NARROW_M, WIDENING = 165.0, 0.06
 PRESSED_TO_M = 2.0
 VERGE_M = 4.0
 VERGE_FALL = 0.05
 # Width of the lanes' pavement beyond the paint of an edge line.
 PAINT_ROOM_M = 0.05
 # How far beyond the host fine cells reach: where it looks, and where it does not.
-FINE_M, FINE_BEHIND_M = 165.0, 10.0
+FINE_M, FINE_BEHIND_M = 60.0, 10.0
 # Least station at which the crests of a ramp end, and their reach from the host.
 CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
 # A road that begins beside another is asked from BEFORE_M before that on, and a lane and OVERLAP_M deep in the other.
@@ -42,7 +44,7 @@ ROAD_SEARCH_M = 3.0
 # have: the paper's roads are straight from some 160 m on.
 PAINT_BEHIND_M, ROAD_BEHIND_M = 30.0, np.append(np.arange(30.0, 165.0, 5.0), 260.0)
 # A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
-STEEP_M = 1.0
+STEEP_M = 1.5
 # Least width of a median, and of one that is grass between inner shoulders; a narrower one is all shoulder.
 LEAST_MEDIAN_M, GRASS_FROM_M, INNER_SHOULDER_M = 0.01, 3.0, 0.5
 
@@ -74,21 +76,25 @@ class Verges(PavedAreas):
     def rows_m(self) -> Scalars:
         """The stations of the rows of paint, to beyond the horizon, and more of them on a ramp that needs these."""
         away_m = np.arange(0.0, 2 * HORIZON_M, COARSE_M)
-        count = row_count(away_m, away_m)
+        count = row_count(away_m, away_m, FACE_ROWS_M)
         ahead_m = np.interp(np.arange(count[-1]), count, away_m)
         behind_m = ahead_m if self.way.both_ways else ahead_m[ahead_m < PAINT_BEHIND_M]
-        driven_m = np.arange(0.0, self.way.driven_m, ROW_STEPS_M[0])
+        driven_m = np.arange(0.0, self.way.driven_m, FACE_ROWS_M[1][0])
         rows_m = self.way.near_m + np.concatenate([-behind_m, driven_m, self.way.driven_m + ahead_m])
         ramps = [road.ramp.stations for road in self.network.roads if road.ramp]
         steep = [ramp for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
         return np.unique(np.concatenate([self.network.stations(rows_m), *steep]))
 
     @cached_property
-    def _road_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
+    def _area_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
         rows_m = self.rows_m
         if not self.way.both_ways:
             rows_m = np.union1d(rows_m, self.network.stations(self.way.near_m - ROAD_BEHIND_M))
         return {road.id: rows_m for road in self.network.roads}
+
+    @property
+    def _face_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
+        return self._area_rows
 
     def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
         """The stations of the rows of the paint of each curve."""
@@ -103,7 +109,7 @@ class Verges(PavedAreas):
     @cached_property
     def roads(self) -> Sequence[Road]:
         """The roads within their rows, each with a section."""
-        ends = [(road, *self._road_rows[road.id][[0, -1]].tolist()) for road in self.network.roads]
+        ends = [(road, *self._area_rows[road.id][[0, -1]].tolist()) for road in self.network.roads]
         spans = [(road, max(road.start_m, first_m), min(road.end_m, last_m)) for road, first_m, last_m in ends]
         return [
             replace(road, start_m=start_m, end_m=end_m, sections=(self._section(road, start_m, end_m),))
@@ -165,7 +171,19 @@ class Verges(PavedAreas):
     @cached_property
     def grid(self) -> TerrainGrid:
         """The terrain's grid, fine around the roads near the camera."""
-        low_m, high_m = self.way.range_m(FINE_M - 5, FINE_BEHIND_M - 2)
+        return TerrainGrid(self._area_of_roads(FINE_M), self.way.both_ways)
+
+    @cached_property
+    def _narrow(self) -> tuple[float, float, float, float]:
+        return self._area_of_roads(NARROW_M)
+
+    def _scale(self, xy_world: AnyPoints2) -> AnyScalars:
+        """How many times wider than near the host what is beside a road is at places."""
+        return scale_outside(self._narrow, xy_world, WIDENING)
+
+    def _area_of_roads(self, ahead_m: float) -> tuple[float, float, float, float]:
+        """The area (x0, y0, x1, y1) of the roads as far ahead of the host, and a little behind it."""
+        low_m, high_m = self.way.range_m(ahead_m - 5, FINE_BEHIND_M - 2)
         s = self.network.stations(np.linspace(low_m, high_m, 1 + round((high_m - low_m) / 2)))
         points = np.concatenate(
             [
@@ -174,10 +192,10 @@ class Verges(PavedAreas):
                 for edge in (road.left, road.right)
             ]
         )
-        y0, y1 = self.way.range_m(FINE_M, FINE_BEHIND_M)
+        y0, y1 = self.way.range_m(ahead_m, FINE_BEHIND_M)
         points = points[(points[:, 1] > y0) & (points[:, 1] < y1)]
         x0, x1 = points[:, 0].min() - 10, points[:, 0].max() + 10
-        return TerrainGrid((float(x0), float(y0), float(x1), float(y1)), self.way.both_ways)
+        return float(x0), float(y0), float(x1), float(y1)
 
     def crests(self) -> list[Float[np.ndarray, "m 3"]]:
         """The edges of raised roads' shoulders as world points a metre apart, less on a steep ramp: they hide what lies
@@ -226,7 +244,7 @@ class Verges(PavedAreas):
         """Height of pavement, verges and embankments over the terrain (0 away from roads)."""
         above = np.zeros(len(xy_world))
         near, roads = self.beside(xy_world, self._reach_m(xy_world))
-        scale = self.grid.cell_scale(xy_world[near])
+        scale = self._scale(xy_world[near])
         paved, verge = np.full((2, len(scale)), -np.inf)
         for outside, raised, room in roads:
             squeeze = 1.0 if room is None else np.clip(room / embankment_width(raised, scale), 1e-6, 1)
@@ -256,7 +274,7 @@ class Verges(PavedAreas):
     def _reach_m(self, xy_world: AnyPoints2) -> AnyScalars:
         """Distance from a pavement within which the ground may differ from the terrain."""
         highest_m = max([road.parting.rise_m for road in self.network.roads if road.parting], default=0.0)
-        return max(EMBANKMENT_SLOPE * highest_m, ROAD_SEARCH_M) + VERGE_M * self.grid.cell_scale(xy_world)
+        return max(EMBANKMENT_SLOPE * highest_m, ROAD_SEARCH_M) + VERGE_M * self._scale(xy_world)
 
 
 def _nearest(roads: list[Beside], n: int) -> AnyScalars:
