@@ -180,6 +180,7 @@ REFUSED = [
     ("gallery d --show height --lanes", "--lanes has no effect with --show height"),
     ("gallery FOLDER --show depth", "--show depth: FOLDER/train was made without this pass"),
     ("generate --n 1 --out memory://e", "memory://e: expected a folder or a store that outlives the command, got one"),
+    ("params check overrides", "overrides: expected one of"),
     ("merge FOLDER --out=~/e", "~/e: expected a path, got ~, which stands for the home folder in a shell alone"),
     ("generate home.yaml", "~/e: expected a path, got ~, which stands for the home folder in a shell alone"),
     ("generate memory.yaml", "memory://e: expected a folder or a store that outlives the command, got one in its"),
