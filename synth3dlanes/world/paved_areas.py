@@ -518,7 +518,7 @@ def _even(ends_m: Sequence[float], step_m: float) -> list[Float[np.ndarray, " _"
     return parted(spaced(0.0 * last_m, last_m, counts), counts)
 
 
-def _within(s: Scalars, stretch: Road) -> Scalars:
+def _within(s: Scalars, stretch: Road) -> Float[np.ndarray, " m"]:
     """The ends of a stretch of a road, and the stations between these."""
     start_m, end_m = stretch.start_m, stretch.end_m
     inside = s[np.searchsorted(s, start_m, "right") : np.searchsorted(s, end_m)]
