@@ -239,7 +239,7 @@ class _Run:
     def _joined(self, number: int, join: Future[dict[int, str]]) -> None:
         """Join a shard. A broken part is made again, with as many tries as a failed one. A full disk is waited for."""
         error = join.exception()
-        if is_full(error):
+        if error is not None and is_full(error):
             self.unjoined.append(number)
             self._ended_full(("join", number), told(error), self._shard_bytes(self.shards[number]))
             return

@@ -131,7 +131,8 @@ class PavedAreas:
         return coarse, parted(self.way.away_at(xy), counts)
 
     def _rows_by_road(self, steps: tuple[Sequence[float], Sequence[float]]) -> dict[str, Float[np.ndarray, " _"]]:
-        return {road.id: _rows(*at, steps) for road, *at in zip(self.network.roads, *self._stations, strict=True)}
+        found = zip(self.network.roads, *self._stations, strict=True)
+        return {road.id: _rows(s, away_m, steps) for road, s, away_m in found}
 
     @cached_property
     def _area_rows(self) -> dict[str, Float[np.ndarray, " _"]]:

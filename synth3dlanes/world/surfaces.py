@@ -28,7 +28,7 @@ from synth3dlanes.world.paved_areas import GroundArea, PavedAreas
 from synth3dlanes.world.solids import Body
 
 # Cells of junctions, and faces of the kerbs around them, by how far these are from the host.
-CELLS_M, KERBS_M, CELLS_TO_M = (1.0, 2.5, 10.0), (1.0, 2.5, 10.0), (60.0, 150.0)
+CELLS_M, KERBS_M, CELLS_TO_M = (0.75, 2.5, 10.0), (1.0, 2.5, 10.0), (60.0, 150.0)
 # What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M down.
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
 # Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
