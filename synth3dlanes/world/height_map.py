@@ -1,7 +1,7 @@
 """A height map of the ground ahead over the road plane, for top-view methods. Road frame."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.system.arrays import Matrix4
@@ -13,6 +13,9 @@ SHAPE = (200, 100)
 # Steps in which all cells are looked for. Those on steep ground need more: these steps are longer by what the one
 # before left, at most LONGER times, and each must end NEARER times as far from there.
 STEPS, MOST_STEPS, CLOSE_M, NEARER, LONGER = 12, 60, 1e-4, 0.95, 10.0
+# Cells that end farther than LOST_M from the ground are searched up and down to REACH_M in pieces, and within the piece
+# by halves.
+LOST_M, REACH_M, PIECE_M, HALVES = 0.01, 30.0, 0.25, 12
 
 
 def cells_road(height_m: Float[np.ndarray, "200 100"]) -> Float[np.ndarray, "20000 3"]:
@@ -29,7 +32,7 @@ def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "2
 
     Column c lies at x = (c + 0.5) 0.2 - 10 m, row r at y = 80 - (r + 0.5) 0.4 m.
     """
-    points_road = cells_road(np.zeros(SHAPE))
+    points_road, lost = cells_road(np.zeros(SHAPE)), []
     at, before_m = np.arange(len(points_road)), np.full(len(points_road), np.inf)
     gain = np.full(len(points_road), world_from_road[2, 2])
     for step in range(MOST_STEPS):
@@ -41,7 +44,34 @@ def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "2
         points_road[at, 2] += below_m * gain
         # At a kerb a step leads to no nearer place.
         asked = (np.abs(below_m) > CLOSE_M) & (np.abs(left) < NEARER) | (step < STEPS - 1)
+        lost.append(at[~asked & (np.abs(below_m) > LOST_M)])
         at, before_m, gain = at[asked], below_m[asked], gain[asked]
         if not len(at):
             break
+    lost = np.concatenate([*lost, at])
+    points_road[lost, 2] = _searched(ground, world_from_road, points_road[lost])
     return points_road[:, 2].reshape(SHAPE)
+
+
+def _searched(
+    ground: Ground, world_from_road: Matrix4, points_road: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, " n"]:
+    """The height of the ground nearest to the plane at cells; the height that a cell has where there is none."""
+
+    def below(at: Int[np.ndarray, " n"], height_m: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        points_world = transform(world_from_road, np.column_stack([points_road[at, :2], height_m]))
+        return np.asarray(ground.height_near(points_world) - points_world[:, 2])
+
+    tried_m = np.arange(-REACH_M, REACH_M + PIECE_M / 2, PIECE_M)
+    n, all_m = len(points_road), np.tile(tried_m, len(points_road))
+    is_above = below(np.repeat(np.arange(n), len(tried_m)), all_m).reshape(n, len(tried_m)) < 0
+    begins = ~is_above[:, :-1] & is_above[:, 1:]
+    nearest = np.where(begins, np.abs(tried_m[:-1] + PIECE_M / 2), np.inf).argmin(axis=1)
+    found = np.flatnonzero(begins.any(axis=1))
+    low_m = tried_m[nearest[found]]
+    for half in range(1, HALVES + 1):
+        middle_m = low_m + PIECE_M / 2**half
+        low_m = np.where(below(found, middle_m) < 0, low_m, middle_m)
+    heights_m = points_road[:, 2].copy()
+    heights_m[found] = low_m
+    return heights_m
