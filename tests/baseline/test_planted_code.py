@@ -1,6 +1,7 @@
 """Checkpoints that name code, for every command and function that reads one: nothing is imported, called, started or
 asked for over a network, unless the user named it."""
 
+import ast
 import json
 import os
 import re
@@ -22,6 +23,7 @@ from synth3dlanes.system.errors import FormatError, InputError
 from tests.thorough import first
 
 CPU = torch.device("cpu")
+PACKAGE = Path(checkpoint.__file__).parent
 EVENTS = {"os.system", "subprocess.Popen", "os.exec", "os.posix_spawn", "socket.connect", "socket.getaddrinfo"}
 happened: list[str] = []
 
@@ -181,3 +183,22 @@ def test_what_the_user_names_is_run_and_nothing_else(folder):
         checkpoint.detector("x.pt", CPU, "planted:build")
     assert (folder / "ran").exists()
     assert happened == []
+
+
+def test_one_place_makes_settings_of_files_and_two_import_by_a_name():
+    """A new reader of checkpoints goes through `load`, `load_start` or `load_lane_net`."""
+    found: dict[str, set[str]] = {}
+    for path in PACKAGE.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call):
+                name = ast.unparse(node.func)
+                found.setdefault(name.removeprefix("checkpoints."), set()).add(path.stem)
+                if name == "parse" and "TrainConfig" in ast.unparse(node.args[0]):
+                    found.setdefault("parse(TrainConfig", set()).add(path.stem)
+    assert found["parse(TrainConfig"] == {"config", "checkpoint"}
+    assert found["_read"] == {"checkpoint", "workers"}, "workers has a function of the same name for its pipes"
+    assert found["torch.load"] == {"pretrained"}
+    assert found["importlib.import_module"] == {"loss"}, "in `network_of`"
+    assert found["network_of"] == {"checkpoint", "run_state"}
+    assert found["timm.create_model"] == {"timm_trunk"}
+    assert not {"eval", "exec", "__import__", "pickle.load", "os.system", "runpy.run_module"} & found.keys()

@@ -144,3 +144,19 @@ def test_lanes_marked_in_a_drive_of_kitti_are_where_its_projection_matrix_has_th
             assert np.abs(u - found[:, 0]).max() < 3
             checked += len(found)
     assert checked > 40
+
+
+def test_a_lift_that_is_killed_goes_on_to_the_same_bytes(tmp_path: Path) -> None:
+    drive = hill.drive(4)
+
+    def killed(done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        lift_to(drive, tmp_path / "killed", precision=NO_ERROR, progress=killed)
+    assert not list((tmp_path / "killed/train").glob("*.tar"))
+    for out in ("killed", "whole"):
+        lift_to(drive, tmp_path / out, precision=NO_ERROR)
+    tars = [(tmp_path / out / "train/00000.tar").read_bytes() for out in ("killed", "whole")]
+    assert tars[0] == tars[1]

@@ -4,8 +4,10 @@ import errno
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -163,6 +165,68 @@ def test_a_folder_that_vanishes_during_a_join_is_named_and_its_shards_are_not_bl
     assert str(out) in report.problem
     assert "remove" not in report.problem
     monkeypatch.undo()
+    shutil.rmtree(out, ignore_errors=True)
+    (tmp_path / "moved").rename(out)
+    assert go(plan(out)).exit_code == 0
+    soak.check(out, N, whole)
+
+
+@pytest.mark.thorough
+def test_a_store_keeps_what_an_interrupted_run_has_made(tmp_path):
+    url = f"file://{tmp_path}/store"
+    a_plan = plan(url, 10, maker=fake_samples.make_slowly)
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    stopped = generate(a_plan, tell)
+    assert stopped.exit_code == 130
+    assert 3 <= stopped.done < 10
+    assert len(a_plan.missing()[0]) == 10 - stopped.done
+    again = go(a_plan)
+    assert (again.exit_code, again.made) == (0, 10 - stopped.done)
+    with pytest.raises(InputError, match="image_format"):
+        go(replace(a_plan, recipe=fake_samples.recipe(image_format="jpg")))
+
+
+@pytest.mark.thorough
+@needs_root
+def test_a_disk_with_no_more_files_makes_the_run_wait_until_there_may_be_some(tmp_path, whole):
+    """Bytes are free all the time."""
+    with small_disk(tmp_path / "disk", "64M", n_files=100) as disk:
+        ballast, told = disk / "ballast", []
+
+        def tell(event):
+            told.append(event.kind)
+            if event.kind == "sample" and event.done == 8:
+                ballast.mkdir()
+                with suppress(OSError):
+                    for number in range(100):
+                        (ballast / str(number)).touch()
+            if event.kind == "pause":
+                assert shutil.disk_usage(disk).free > 60 << 20
+                shutil.rmtree(ballast)
+
+        report = generate(plan(disk / "out", 20, workers=2), tell)
+        assert report.exit_code == 0
+        assert "pause" in told
+        assert told.count("pause") == told.count("resume")
+        shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
+        assert soak.files(disk / "out") == {name: whole[name] for name in shards}
+
+
+@pytest.mark.thorough
+def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole):
+    out = tmp_path / "out"
+
+    def tell(event):
+        if event.kind == "sample" and event.done == 25:
+            out.rename(tmp_path / "moved")
+
+    report = generate(plan(out), tell)
+    assert report.exit_code == 1
+    assert str(out) in report.problem
     shutil.rmtree(out, ignore_errors=True)
     (tmp_path / "moved").rename(out)
     assert go(plan(out)).exit_code == 0
