@@ -125,7 +125,7 @@ BOUNDS = TableBounds(most_rows=1 << 23, row_bytes=128, base_bytes=16 << 20)
 IMAGE = re.compile(r"(?P<timestamp>\d{1,19})\.jpg")
 Columns = dict[str, np.ndarray]
 # Labels of boxes and points are rounded.
-LIMIT_PX, BOX_M, POINT_M = 0.02, 0.001, 0.001
+LIMIT_PX, POINT_M = 0.02, 0.001
 
 README = f"""Argoverse 2's sensor data set: a log for each scene, its frames those of the clip.
 
@@ -788,7 +788,6 @@ def _boxes(log: Log, timestamp_ns: int, cam_from_ego: Matrix4, truth: SourceSamp
         lambda item: {"class": CATEGORIES[item.category], "number of points": item.lidar_points or 0},
         cam_from_ego,
         str(log.files),
-        BOX_M,
     )
 
 

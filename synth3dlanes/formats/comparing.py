@@ -42,6 +42,7 @@ ANGLE_RAD, HEIGHT_M = 1e-6, 1e-6
 ROUNDING = 1e-3
 # Where cameras are compared: shares of the image, and depths.
 SHARES, DEPTHS_M = (0.1, 0.5, 0.9), (5.0, 50.0)
+BOX_M = 0.001
 FLU_CORNERS = CORNERS[:, [1, 0, 2]] * [1, -1, 1]
 """Corners of a box of size 2 with x forward and y left, in the order of CORNERS."""
 
@@ -495,7 +496,6 @@ def compare_boxes(
     expected: Callable[[ObjectLabel], Mapping[str, object]],
     cam_from_b: Matrix4,
     of: str,
-    limit_m: float,
     words: tuple[str, str] = ("object", "box"),
 ) -> Comparison:
     """Boxes in a frame, each beside the nearest of our objects that is left, of which as much is expected as is told.
@@ -515,4 +515,4 @@ def compare_boxes(
             if box.told[what] != wanted:
                 problems.append(f"{name}: expected the {what} {wanted}, got {box.told[what]}")
     problems += (f"expected {item.category} {item.id}, got it in no row" for item in left.values())
-    return Comparison.within(gaps, {"m": limit_m}).because(problems) + Comparison(tracks=tracks)
+    return Comparison.within(gaps, {"m": BOX_M}).because(problems) + Comparison(tracks=tracks)

@@ -323,7 +323,6 @@ DEGREE = 5
 LIMIT_PX = 1.0
 """How far the polynomial may be from the camera: 0.4 px for a pinhole of 110 degrees and 1600 columns."""
 GRID, ROUNDS = (41, 31), 30
-BOX_M = 0.002
 # Greatest step back from one point of a line to the next: labels are rounded.
 BACK_M = 0.01
 CAM_OF_FLU = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -712,7 +711,6 @@ def _objects(clip: CosmosClip, micros: int, cam_from_clip: Matrix4, picture: Sou
             lambda item: {"id": str(item.id), "class": CATEGORIES.get(item.category)},
             cam_from_clip,
             str(clip.files.clip),
-            BOX_M,
             (word, word),
         )
     # Tracks are ids of the labels, which are those of each clip alone.

@@ -786,7 +786,7 @@ def _read_others(version: Version) -> None:
             raise FormatError(f"{path}: expected a PNG of {size_px[0]}x{size_px[1]} as its map says, got another file")
 
 
-LIMIT_PX, BOX_M, POINT_M, POSE_M, LEVEL_TOLERANCE = 0.02, 0.001, 0.001, 0.001, 1e-6
+LIMIT_PX, POINT_M, POSE_M, LEVEL_TOLERANCE = 0.02, 0.001, 0.001, 1e-6
 EGO_FROM_HOST = np.array([[0, 1.0, 0, REAR_M], [-1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]])
 CV_FROM_OURS = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
 
@@ -850,7 +850,7 @@ def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample
         FoundBox(row.instance_token, matrix_of(row), np.array(row.size)[[1, 0, 2]], _told(version, row)) for row in rows
     )
     items, log = objects_of(truth.labels, CATEGORIES), picture.log.logfile
-    return compare_boxes(boxes, items, expected, invert(global_from_cam), log, BOX_M)
+    return compare_boxes(boxes, items, expected, invert(global_from_cam), log)
 
 
 def _told(version: Version, row: Row) -> dict[str, object]:

@@ -113,7 +113,7 @@ def thing_at(thing: Thing, time_s: float) -> MovedThing:
 
 def walked_way(
     times_s: Float[np.ndarray, " k"], places: Float[np.ndarray, "k 3"]
-) -> scipy.interpolate.CubicHermiteSpline:
+) -> "scipy.interpolate.CubicHermiteSpline":
     """x, y and heading of a thing as smooth functions of time through the instants of its track, of which there are two
     or more. Who walks straight, or stands, goes as by PCHIP. At a corner of right angles it keeps seven tenths of its
     speed, where PCHIP of x and y would stop it."""
