@@ -24,7 +24,7 @@ from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.scene import Markings
-from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.system.arrays import AnyScalars, Points2, Points3, Scalars
 from synth3dlanes.world.areas import (
     NOTHING,
     Outlined,
@@ -448,9 +448,13 @@ class PavedAreas:
         """Heights of the terrain mesh under pavement, 0 elsewhere, and which places are not under it."""
         inside, z = contains(self.graded_pavement, flat), np.zeros(len(flat))
         under = flat[inside]
-        z[inside] = height_at(self.network.terrain, under) - UNDER_FALL_M * self.grid.cell_scale(under)
+        z[inside] = height_at(self.network.terrain, under) - self.bed_depth(under)
         z[inside] += self.rise(under, on_ground=True) - self._far_fall_m(under)
         return z, ~inside
+
+    def bed_depth(self, xy_world: Points2) -> AnyScalars:
+        """How far the terrain mesh is below the edges of the pavement."""
+        return UNDER_FALL_M * self.grid.cell_scale(xy_world)
 
     def _far_fall_m(self, xy_world: Points2) -> Scalars:
         return FAR_FALL * np.maximum(self.way.away_at(xy_world) - FAR_FROM_M, 0.0)

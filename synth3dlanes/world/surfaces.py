@@ -29,10 +29,10 @@ from synth3dlanes.world.solids import Body
 
 # Cells of junctions, and faces of the kerbs around them, by how far these are from the host.
 CELLS_M, KERBS_M, CELLS_TO_M = (0.75, 2.5, 10.0), (1.0, 2.5, 10.0), (60.0, 150.0)
-# What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M down.
-SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.05
-# Edges of pavement without a kerb have upright faces of this height: the terrain beside them is a little lower.
-SKIRT_M = 0.12
+# What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M below the bed.
+SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.02
+# Edges of pavement without a kerb have upright faces that reach as much below the terrain's bed.
+SKIRT_M = 0.09
 # Overlap of a road that begins beside another below that one's edge, and the steps in which this edge is found.
 OVERLAP_M, EDGE_STEPS = 0.05, 7
 # Distance inside the edges of the pavement from which the terrain goes down to its bed.
@@ -144,9 +144,10 @@ def _strips(paved: PavedAreas) -> list[Mesh]:
     onwards = paved.network.onwards if paved.network.across.is_along else 1.0
     points = paved.table.base_points(*map(np.concatenate, zip(*places, strict=True)))
     points[:, 2] += paved.hills.height(points[:, :2])
+    depths_m = parted(paved.bed_depth(points[:, :2]), counts)
     return [
-        _strip_mesh(strip, strip.s * onwards, own.reshape(*strip.t.shape, 3))
-        for strip, own in zip(strips, parted(points, counts), strict=True)
+        _strip_mesh(strip, strip.s * onwards, own.reshape(*strip.t.shape, 3), depth_m.reshape(strip.t.shape))
+        for strip, own, depth_m in zip(strips, parted(points, counts), depths_m, strict=True)
     ]
 
 
@@ -210,10 +211,12 @@ def _edge_of(other: Road, road: Road, s: Scalars) -> Scalars:
     return t
 
 
-def _strip_mesh(strip: _Strip, along: Scalars, points: Float[np.ndarray, "r c 3"]) -> Mesh:
-    """A strip with these points, and its upright faces."""
+def _strip_mesh(
+    strip: _Strip, along: Scalars, points: Float[np.ndarray, "r c 3"], depth_m: Float[np.ndarray, "r c"]
+) -> Mesh:
+    """A strip with these points, and its upright faces; the terrain's bed is `depth_m` below."""
     # The texture goes on over kerbs.
-    up_m, down_m, over_m = (KERB_M, KERB_M + FOOT_M, 0.2) if strip.is_raised else (0.0, SKIRT_M, 0.0)
+    up_m, foot_m, over_m = (KERB_M, FOOT_M, 0.2) if strip.is_raised else (0.0, SKIRT_M, 0.0)
     (n_rows, n_columns), (first, last) = strip.t.shape, strip.has_ends
     row = np.concatenate([[0] * first, np.arange(n_rows), [n_rows - 1] * last]).astype(int)
     column = np.clip(np.arange(-1, n_columns + 1), 0, n_columns - 1)
@@ -223,7 +226,7 @@ def _strip_mesh(strip: _Strip, along: Scalars, points: Float[np.ndarray, "r c 3"
     uv[:, -1, 0] += over_m
     is_foot = np.zeros(vertices.shape[:2], dtype=bool)
     is_foot[:, [0, -1]] = is_foot[: int(first)] = is_foot[len(row) - int(last) :] = True
-    vertices[..., 2] += np.where(is_foot, up_m - down_m, up_m)
+    vertices[..., 2] += np.where(is_foot, -foot_m - depth_m[row[:, None], column], up_m)
     vertices[:, :2, 2] -= strip.fall_m
     surfaces = strip.surfaces
     if surfaces.ndim == 2:
@@ -262,7 +265,8 @@ def _area_meshes(paved: PavedAreas) -> list[Mesh]:
         z[at.is_beside] = np.minimum(z[at.is_beside], under_m) - SEAM_FALL_M
         surface = np.full(len(at.faces), AREA_SURFACES[at.area.kind])
         found.append(Mesh(np.column_stack([at.xy, z]), at.faces, at.xy, surface))
-        found.append(_kerb(at.area, [np.column_stack(places) for places in zip(at.rings, tops, strict=True)]))
+        depths_m = (paved.bed_depth(ring) for ring in at.rings)
+        found.append(_kerb(at.area, [np.column_stack(places) for places in zip(at.rings, tops, depths_m, strict=True)]))
     return found
 
 
@@ -313,11 +317,13 @@ def _faces(areas: Sequence[BaseGeometry], cell_m: float) -> list[Merged]:
     ]
 
 
-def _kerb(area: GroundArea, tops: Sequence[Float[np.ndarray, "_ 3"]]) -> Mesh:
-    """Upright faces around an area below its upper edges, down into the terrain."""
+def _kerb(area: GroundArea, rings: Sequence[Float[np.ndarray, "_ 4"]]) -> Mesh:
+    """Upright faces around an area below its upper edges, down into the terrain, whose bed is as deep below its
+    pavement as the last column says."""
     quads = []
-    for top in tops:
-        low = top - [0, 0, area.raised_m + FOOT_M if area.raised_m else SKIRT_M]
+    for ring in rings:
+        top, low = ring[:, :3], ring[:, :3].copy()
+        low[:, 2] -= ring[:, 3] + (area.raised_m + FOOT_M if area.raised_m else SKIRT_M)
         quads.append(np.stack([low[:-1], low[1:], top[1:], top[:-1]], axis=1))
     corners = np.concatenate(quads)
     faces = np.arange(4 * len(corners)).reshape(-1, 4)

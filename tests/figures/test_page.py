@@ -14,6 +14,8 @@ from synth3dlanes.figures.samples import ShownScene
 from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.params.params import load_params
 from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.world.horizon import MAX_CELL_SCALE
+from synth3dlanes.world.paved_areas import UNDER_FALL_M
 from synth3dlanes.world.surfaces import SKIRT_M
 
 VOID = {"meta", "link", "input", "img"}
@@ -75,8 +77,9 @@ def test_the_space_holds_the_road_of_the_scene(flat_scene):
     vertices, _, faces = space_of(flat_scene, "road")
     half_m = 1.5 * 3.5 + 0.4 * 3.5
     assert np.allclose([vertices[:, 0].min(), vertices[:, 0].max()], [-half_m, half_m], atol=1e-3)
-    # With upright faces at its edges.
-    assert [vertices[:, 2].min(), vertices[:, 2].max()] == pytest.approx([-SKIRT_M, 0.0], abs=1e-3)
+    # With upright faces at its edges, which reach below the terrain's bed, deeper where its cells are large.
+    assert -SKIRT_M - MAX_CELL_SCALE * UNDER_FALL_M < vertices[:, 2].min() < -SKIRT_M - UNDER_FALL_M
+    assert vertices[:, 2].max() == pytest.approx(0.0, abs=1e-3)
     assert faces.max() == len(vertices) - 1
 
 
