@@ -87,9 +87,10 @@ def check_normals(evidence: Evidence) -> Iterator[Result]:
         is_hit = some["semantic"] != SEMANTIC_IDS["sky"]
     reason = "normal: expected unit length, and zero in the sky and only there, got otherwise at {wrong} pixels"
     yield from counted("normal.length", ~(np.abs(length - is_hit) < LENGTH), reason, SINGLE)
-    at = np.isin(some.get("semantic", 0), [SEMANTIC_IDS[name] for name in FACING])
-    if np.count_nonzero(at) >= MIN_FACING:
-        rays_cam = evidence.camera.rays(np.column_stack([columns, rows])[at] + 0.5)
-        share = float(((rays_cam * some["normal"][at]).sum(axis=1) > AWAY).mean())
-        reason = f"normal: expected it to face the camera, got {100 * share:.0f} % of road and cars turned away"
-        yield from judged("normal.away", share, reason, most=MAX_AWAY)
+    for name in FACING if "semantic" in some else ():
+        at = some["semantic"] == SEMANTIC_IDS[name]
+        if np.count_nonzero(at) >= MIN_FACING:
+            rays_cam = evidence.camera.rays(np.column_stack([columns, rows])[at] + 0.5)
+            share = float(((rays_cam * some["normal"][at]).sum(axis=1) > AWAY).mean())
+            reason = f"normal: expected it to face the camera, got {100 * share:.0f} % of {name} turned away"
+            yield from judged("normal.away", share, reason, most=MAX_AWAY)
