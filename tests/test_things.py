@@ -156,7 +156,7 @@ NAMING = {
 }
 # There the words are those of other formats, unless a kind is looked up or a category compared. Of scenes, too.
 FOREIGN, SHARED = ("formats/", "roads/maps/"), {"host", "kerb", "bridge"}
-LOOKED_UP = {"SEMANTIC_IDS", "KIND_OF", "FIRST_OF", "instance_id", "numbers_of", "most_of"}
+LOOKED_UP = {"SEMANTIC_IDS", "FIRST_OF", "instance_id", "numbers_of", "most_of"}
 
 
 def asks_for_a_kind(node):

@@ -114,7 +114,6 @@ KINDS = (
     Kind("barricade", 21, "thing", (240, 210, 150), "cream", (200, 130, 60), is_capped=True, objects=(BARRICADE,)),
 )  # fmt: skip
 
-KIND_OF = {kind.name: kind for kind in KINDS}
 SEMANTIC_IDS = {kind.name: kind.semantic_id for kind in KINDS}
 STUFF = tuple(kind.name for kind in KINDS if not kind.series)
 BOXED = tuple(kind.semantic_id for kind in KINDS if any(not of.is_element for of in kind.objects))

@@ -7,7 +7,6 @@ from pydantic import Field, model_validator
 from synth3dlanes.system.schema import DocumentPart, Metres, Positive, Unit
 
 WorksKind = Literal["none", "lane_closed", "lanes_narrowed", "lanes_shifted", "shoulder_closed"]
-WorksLines = Literal["none", "as_before", "white", "yellow"]
 WorksWidth = Annotated[float, Field(ge=0, le=50)]
 
 

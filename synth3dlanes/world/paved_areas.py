@@ -48,10 +48,17 @@ from synth3dlanes.world.horizon import FarHills, TerrainGrid
 from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.spans import Span, spans
 
-# Steps between rows along roads at distances from the host's way: of areas, which say what has room beside a road and
-# what kerbs hide, and of faces, in which nobody sees the difference.
-AREA_ROWS_M = (0.0, 60.0, 120.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 2.0, 6.0, 80.0)
-FACE_ROWS_M = (0.0, 35.0, 60.0, 110.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 1.5, 4.0, 6.0, 80.0)
+
+class RowSteps(NamedTuple):
+    """The steps between rows along roads, at distances from the host's way."""
+
+    away_m: tuple[float, ...]
+    step_m: tuple[float, ...]
+
+
+# Of areas, which say what has room beside a road and what kerbs hide, and of faces, whose longer rows nobody sees.
+AREA_ROWS = RowSteps((0.0, 60.0, 120.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 2.0, 6.0, 80.0))
+FACE_ROWS = RowSteps((0.0, 35.0, 60.0, 110.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 1.5, 4.0, 6.0, 80.0))
 # Their distance from the host is asked in these steps.
 COARSE_M = 4.0
 # Distance ahead of the host to which the terrain has its finest cells: elsewhere it meets the edges of pavement, too.
@@ -118,7 +125,7 @@ class PavedAreas:
     def curve_rows(self, curves: Sequence[LaneCurve]) -> list[Float[np.ndarray, " _"]]:
         """The stations of the rows of the paint of each curve."""
         coarse = _even([curve.end_m for curve in curves], COARSE_M)
-        return [_rows(*at, FACE_ROWS_M) for at in zip(coarse, self.way.away_on(curves, coarse), strict=True)]
+        return [_rows(*at, FACE_ROWS) for at in zip(coarse, self.way.away_on(curves, coarse), strict=True)]
 
     @cached_property
     def _stations(self) -> tuple[list[Scalars], list[Scalars]]:
@@ -130,17 +137,17 @@ class PavedAreas:
         xy = self.network.index.table.xy(np.repeat(np.arange(len(roads)), counts), s, np.zeros(len(s)))
         return coarse, parted(self.way.away_at(xy), counts)
 
-    def _rows_by_road(self, steps: tuple[Sequence[float], Sequence[float]]) -> dict[str, Float[np.ndarray, " _"]]:
+    def _rows_by_road(self, steps: RowSteps) -> dict[str, Float[np.ndarray, " _"]]:
         found = zip(self.network.roads, *self._stations, strict=True)
         return {road.id: _rows(s, away_m, steps) for road, s, away_m in found}
 
     @cached_property
     def _area_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
-        return self._rows_by_road(AREA_ROWS_M)
+        return self._rows_by_road(AREA_ROWS)
 
     @cached_property
     def _face_rows(self) -> dict[str, Float[np.ndarray, " _"]]:
-        return self._rows_by_road(FACE_ROWS_M)
+        return self._rows_by_road(FACE_ROWS)
 
     def area_rows(self, stretch: Road) -> Scalars:
         """The stations of the corners of the areas of a stretch of a road."""
@@ -530,14 +537,14 @@ def _within(s: Scalars, stretch: Road) -> Float[np.ndarray, " m"]:
     return np.array([start_m, *inside.tolist(), end_m] if end_m > start_m else [start_m])
 
 
-def _rows(s: Scalars, away_m: Scalars, steps: tuple[Sequence[float], Sequence[float]]) -> Float[np.ndarray, " m"]:
+def _rows(s: Scalars, away_m: Scalars, steps: RowSteps) -> Float[np.ndarray, " m"]:
     """Stations between these, closer to each other near the host, from which they are that far."""
     count = row_count(s, away_m, steps)
     n = max(int(np.ceil(count[-1])), 1)
     return np.interp(np.linspace(0.0, count[-1], n + 1), count, s)
 
 
-def row_count(s: Scalars, away_m: Scalars, steps: tuple[Sequence[float], Sequence[float]]) -> Scalars:
-    """How many rows there are up to stations that are this far from the host, by distances and steps there."""
-    step = np.interp(away_m, *steps)
+def row_count(s: Scalars, away_m: Scalars, steps: RowSteps) -> Scalars:
+    """How many rows there are up to stations that are this far from the host."""
+    step = np.interp(away_m, steps.away_m, steps.step_m)
     return np.concatenate([[0.0], np.cumsum(np.diff(s) * 2 / (step[1:] + step[:-1]))])

@@ -21,7 +21,7 @@ from synth3dlanes.scene.road_map import MapLane, MapLaneKind, Polynomial
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Scalars, Spread
 from synth3dlanes.world.camera import Sector
 from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, TerrainGrid, scale_outside
-from synth3dlanes.world.paved_areas import COARSE_M, FACE_ROWS_M, PRESS_M, PavedAreas, row_count
+from synth3dlanes.world.paved_areas import COARSE_M, FACE_ROWS, PRESS_M, PavedAreas, row_count
 from synth3dlanes.world.spans import EMBANKMENT_SLOPE
 
 # Widths of what is beside a road, as far ahead of the host as NARROW_M; beyond they grow by WIDENING per metre, as a
@@ -76,10 +76,10 @@ class Verges(PavedAreas):
     def rows_m(self) -> Scalars:
         """The stations of the rows of paint, to beyond the horizon, and more of them on a ramp that needs these."""
         away_m = np.arange(0.0, 2 * HORIZON_M, COARSE_M)
-        count = row_count(away_m, away_m, FACE_ROWS_M)
+        count = row_count(away_m, away_m, FACE_ROWS)
         ahead_m = np.interp(np.arange(count[-1]), count, away_m)
         behind_m = ahead_m if self.way.both_ways else ahead_m[ahead_m < PAINT_BEHIND_M]
-        driven_m = np.arange(0.0, self.way.driven_m, FACE_ROWS_M[1][0])
+        driven_m = np.arange(0.0, self.way.driven_m, FACE_ROWS.step_m[0])
         rows_m = self.way.near_m + np.concatenate([-behind_m, driven_m, self.way.driven_m + ahead_m])
         ramps = [road.ramp.stations for road in self.network.roads if road.ramp]
         steep = [ramp for ramp in ramps if np.ptp(ramp) < STEEP_M * len(ramp)]
