@@ -56,10 +56,10 @@ MIN_OF_CAR, WHOLE, END_SEEN_M, MAX_GAP_M = 150, 0.99, 0.5, 0.035
 # The number of beams that may be wrong.
 BEAMS = 20
 # Limits of visible gaps: a rigid car on the sharpest crests has a wheel up to 0.21 m off (1,350 scenes; mostly below
-# 5 cm), and farther from the host the ground's faces are metres long. A tree's base is 0.1 m below the ground and its
-# root reaches 0.3 m deeper.
-MAX_WHEEL_M, MAX_TREE_M, STANDS_WITHIN_M = 0.25, 0.4, 100.0
-# Every eighth foot of a structure is checked; structures reach as deep into the ground as trees do.
+# 5 cm), and farther from the host the ground's faces are metres long. Structures reach 0.4 m into the ground, trees as
+# deep from 0.2 m over it on, where these faces cut off the edge of a bank.
+MAX_WHEEL_M, MAX_TREE_M, MAX_FOOT_M, STANDS_WITHIN_M = 0.25, 0.3, 0.4, 100.0
+# Every eighth foot of a structure is checked.
 FEET_STEP = 8
 # Kerbs stand at the very edge. Edges of buildings this near to their lowest point are on the ground.
 ROOM_M, LOW_M = 0.05, 0.5
@@ -379,7 +379,7 @@ ROWS = (
             ("wheel", wheels, pavement_of, MAX_WHEEL_M),
             ("tree", lambda world: np.add(world.site.trees_world, (0, 0, TREE_SINK_M)), ground_of, MAX_TREE_M),
             ("structure", lambda world: _joined(body.feet_world[::FEET_STEP] for body in world.site.structures),
-             ground_of, MAX_TREE_M),
+             ground_of, MAX_FOOT_M),
         )
     ),
     SeenRow(

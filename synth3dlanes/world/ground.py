@@ -160,6 +160,21 @@ class Ground:
         z = self.paved.bed_height(xy_world.reshape(-1, 2)).reshape(xy_world.shape[:-1])
         return np.asarray(z + self.hills.height(xy_world))
 
+    def drawn_height(self, xy_world: Points2) -> Scalars:
+        """Height of the terrain mesh, whose cells are flat between their corners, at places beside the pavement. The
+        cells that its border cuts have other faces, which differ a little from this."""
+        shares, corners = np.zeros((2, len(xy_world))), np.zeros((len(xy_world), 2, 2, 2))
+        for i, axis in enumerate(self.paved.grid.axes):
+            before = np.clip(np.searchsorted(axis, xy_world[:, i]) - 1, 0, len(axis) - 2)
+            shares[i] = (xy_world[:, i] - axis[before]) / (axis[before + 1] - axis[before])
+            ends = axis[before[:, None] + [0, 1]]
+            corners[..., i] = ends[:, :, None] if i == 0 else ends[:, None]
+        z = self.mesh_heights(corners)
+        # Blender splits a cell from its first corner to the one across.
+        low, high = shares.min(axis=0), shares.max(axis=0)
+        between = np.where(shares[0] > shares[1], z[:, 1, 0], z[:, 0, 1])
+        return np.asarray((1 - high) * z[:, 0, 0] + (high - low) * between + low * z[:, 1, 1])
+
     # -- distances and areas from above
 
     def clearance(self, xy_world: AnyPoints2) -> AnyScalars:
