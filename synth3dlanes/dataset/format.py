@@ -30,6 +30,8 @@ COLUMN_OF_MEMBER = {
 }  # fmt: skip
 BLOCK = 512
 STRIP_PX = 512
+# The tag of EXIF that says how pixels are to be turned, and its values that exchange width and height.
+ORIENTATION, QUARTER_TURNS = 0x0112, (5, 6, 7, 8)
 
 # Integers up to here are exact in a half float.
 EXACT_IN_HALF = 2048
@@ -119,7 +121,7 @@ def decode_image(
     expected = f"expected a {' or '.join(kinds)} image"
     try:
         image = Image.open(io.BytesIO(data), formats=kinds)
-        _check_size(image.size, size_px, where)
+        _check_size(shown_size(image) if is_turned else image.size, size_px, where)
         if is_turned:
             ImageOps.exif_transpose(image, in_place=True)
         return _pixels_of(_as_rgb(image))
@@ -131,6 +133,17 @@ def decode_image(
         raise FormatError(f"{where}: expected at most {MAX_PX}x{MAX_PX} pixels, got more") from None
     except (OSError, SyntaxError, ValueError) as error:
         raise FormatError(f"{where}: {expected}, got {error}") from None
+
+
+def must_be_turned(data: bytes) -> bool:
+    """Whether an image file says that its pixels are to be turned or mirrored when it is shown (EXIF)."""
+    return Image.open(io.BytesIO(data)).getexif().get(ORIENTATION, 1) != 1
+
+
+def shown_size(image: Image.Image) -> tuple[int, int]:
+    """Width and height of an image as its file says that it is to be shown (EXIF)."""
+    width, height = image.size
+    return (height, width) if image.getexif().get(ORIENTATION, 1) in QUARTER_TURNS else (width, height)
 
 
 def _as_rgb(image: Image.Image) -> Image.Image:

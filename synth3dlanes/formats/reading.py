@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 from PIL import Image
 from pydantic import TypeAdapter, ValidationError
 
-from synth3dlanes.dataset.format import decode_image
+from synth3dlanes.dataset.format import decode_image, shown_size
 from synth3dlanes.geometry.frames import from_axes, inside_image, project, road_from_cam, rotation
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph, LaneKind, Marking, PaintColor, Pair
 from synth3dlanes.system.arrays import Matrix4
@@ -102,7 +102,7 @@ def read_image(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image file, without decoding it."""
+    """Width and height of an image file as it is to be shown (EXIF), without decoding it."""
     return image_header(path)[:2]
 
 
@@ -110,7 +110,7 @@ def image_header(path: Path) -> tuple[int, int, str]:
     """Width, height and kind (JPEG, PNG) of an image file, without decoding it."""
     try:
         with _opened(path) as stream, Image.open(stream) as image:
-            return (image.width, image.height, image.format or "")
+            return (*shown_size(image), image.format or "")
     except FormatError:
         raise
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:

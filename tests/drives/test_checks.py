@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from synth3dlanes.recorded.drives.checks import drive_findings
 from synth3dlanes.recorded.drives.open import open_drive
@@ -38,6 +39,13 @@ def inverse(rows):
         back = np.linalg.inv(matrix)
         row[1:4], row[4:] = back[:3, 3], (-x, -y, -z, w)
     return found
+
+
+def lying(rows):
+    """Poses in a world whose y points up."""
+    turn = Rotation.from_euler("x", -90, degrees=True)
+    rows[:, 1:4], rows[:, 4:] = turn.apply(rows[:, 1:4]), (turn * Rotation.from_quat(rows[:, 4:])).as_quat()
+    return rows
 
 
 def scaled(factor, columns):
@@ -106,6 +114,8 @@ FAULTS = {
         "m off each other, but .* m if left and right of the points are swapped",
     ),
     "inverse poses": (lambda folder: rewrite(folder, inverse), "host_from_world was given for world_from_host"),
+    "y of the world is up": (
+        lambda folder: rewrite(folder, lying), "what is up for the host is 90 degrees off the z of the world"),
     "poses in mm": (lambda folder: rewrite(folder, scaled(1e3, [1, 2, 3])), r"at 8\d\d\d m/s.* places in millimetres"),
     "poses in km": (lambda folder: rewrite(folder, scaled(0.001, [1, 2, 3])), "the host moves 0.00.* m in all"),
     "mirrored places": (

@@ -56,11 +56,15 @@ def test_every_form_of_poses_gives_the_same_track(tmp_path, truth):
         read_pose_json(tmp_path / "ours.json"),
     ):
         assert np.abs(track.at(times_s) - expected).max() < 1e-9
-    # KITTI's form has the world's axes turned as the body's are.
     kitti = read_kitti_poses(tmp_path / "kitti.txt", times_s, "flu").at(times_s)
-    turned = np.eye(4)
-    turned[:3, :3] = OURS_FROM_FLU
-    assert np.abs(kitti - turned @ expected).max() < 1e-9
+    assert np.abs(kitti - expected).max() < 1e-9
+    # Of a camera that looks ahead: in a world with z up, and in the frame that the first camera had, whose y is down.
+    cameras = poses @ np.block([[made.CAMERA_FLU.T, np.zeros((3, 1))], [0, 0, 0, 1]])
+    for world in (np.eye(4), np.block([[made.CAMERA_FLU, np.zeros((3, 1))], [0, 0, 0, 1]])):
+        (tmp_path / "camera.txt").write_text("\n".join(made.words((world @ at)[:3]) for at in cameras))
+        found = read_kitti_poses(tmp_path / "camera.txt", times_s, "rdf").at(times_s)
+        turned = np.eye(4) if world[2, 2] == 1 else made.pose(np.pi / 2, 0, 0, 0)
+        assert np.abs(found - turned @ expected).max() < 1e-9
 
 
 def test_between_poses_the_car_drives_straight_and_turns_evenly(tmp_path):
@@ -203,6 +207,18 @@ def test_bad_files_of_a_described_drive_are_told(tmp_path, truth, name, old, new
     with pytest.raises((FormatError, InputError), match=message) as caught:
         open_drive(str(folder))
     assert len(str(caught.value).splitlines()) <= 3
+
+
+def test_names_whose_numbers_are_in_another_order_are_refused(tmp_path, truth):
+    """`times` go with names in their order: 10.png is before 3.png as text."""
+    folder = made.write_described(tmp_path, truth)
+    (folder / "drive.yaml").write_text(made.DRIVE_YAML.replace("lanes: lanes.json\n", ""))
+    for number, name in enumerate(("0.1.png", "0.15.png", "0.2.png", "3.png", "10.png")):
+        (folder / f"front/{number:04d}.png").rename(folder / f"front/{name}")
+    with pytest.raises(FormatError, match=r"front: .*, got 10\.png before 3\.png: write numbers with leading zeros"):
+        open_drive(str(folder))
+    (folder / "front/10.png").rename(folder / "front/4.png")
+    assert [frame.name for frame in open_drive(str(folder)).frames] == ["0.1", "0.15", "0.2", "3", "4"]
 
 
 def test_marks_are_written_as_they_are_read(tmp_path):

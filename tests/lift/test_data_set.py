@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
 from rich.console import Console
 from synth3dlanes_cli.main import main
 
@@ -205,12 +206,19 @@ def test_the_command_lifts_a_drive_of_ones_own_files(tmp_path: Path) -> None:
     """A level road with lanes 1.75 m to both sides, written without our code."""
     drive = write_described(tmp_path, road(n=14, turn=0.0))
     (drive / "drive.yaml").write_text((drive / "drive.yaml").read_text().replace("marked: lanes.geojson\n", ""))
+    # A camera on its side: 6 says that pixels are to be shown turned by 90 degrees clockwise.
+    shown, exif = np.zeros((400, 640, 3), np.uint8), Image.Exif()
+    shown[:, :320], exif[0x0112] = 200, 6
+    for name in ("0000", "0002"):
+        Image.fromarray(np.rot90(shown).copy()).save(drive / f"front/{name}.png", exif=exif)
     out = tmp_path / "out"
     words = ["lift", str(drive), "--out", str(out), "--json", "--unchecked"]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout.splitlines()[-1])["frames"] == 14
     asides = []
+    for i in (0, 2):
+        assert (Reader(f"{out}/train").image(i) == shown).all()
     for i in range(4):
         labels = Reader(f"{out}/train").labels(i)
         assert abs(labels.camera.height_m - 1.5) < 0.03

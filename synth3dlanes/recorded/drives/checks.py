@@ -230,6 +230,8 @@ MOST_FRAMES, SCANS = 500, 6
 LEAST_STEP_S, MOST_STEP_S, GAP = 0.004, 5.0, 4.0
 MOST_SPEED_M_S, LEAST_WAY_M = 70.0, 1.0
 SPEED_UNITS = {"centimetres": 1e-2, "millimetres": 1e-3}
+# Between the host's z, on the whole, and the world's: no road is as steep.
+MOST_LYING_DEG = 30.0
 # Steps whose direction is taken, how far it may be from the heading, and turns that tell left from right.
 LEAST_MOVE_M, MOST_OFF_DEG, BACKWARDS_DEG, TURNED_DEG = 0.3, 20.0, 150.0, 8.0
 # Lanes on the ground, near the host.
@@ -295,6 +297,11 @@ def _way(drive: Drive, times_s: Scalars, poses: Float[np.ndarray, "n 4 4"]) -> l
         name = drive.frames[at].name
         told = f"{moves_m[at]:.1f} m in {steps_s[at]:.3f} s after frame {name}"
         return [f"{where}: the host jumps {told}: a pose is wrong there, or belongs to another time"]
+    up = poses[:, :3, 2].mean(axis=0)
+    up /= max(float(np.linalg.norm(up)), 1e-9)
+    if (lies_deg := float(np.degrees(np.arccos(np.clip(up[2], -1, 1))))) > MOST_LYING_DEG:
+        told = f"what is up for the host is {lies_deg:.0f} degrees off the z of the world, expected {MOST_LYING_DEG:g}"
+        return [f"{where}: {told} at most: z of the world, or of the poses, points elsewhere"]
     way_m = float(moves_m.sum())
     if len(moves_m) and way_m < LEAST_WAY_M:
         return [f"{where}: the host moves {way_m:.3g} m in all: does it stand still, or are places in kilometres?"]

@@ -1,6 +1,8 @@
 """A drive that a file of ours describes, `drive.yaml`: which files its sensors left, and how they are to be read
 (docs/drives.md)."""
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -36,6 +38,9 @@ DRIVE_FILE = "drive.yaml"
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MAX_FILES = 2_000_000
 KITTI_COLUMNS = 12
+# Whole numbers in a name, none of them behind a decimal point.
+NUMBERS = re.compile(r"(?<!\d\.)(?<!\d)\d+")
+LONGEST = 40
 
 _Value = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Row = tuple[_Value, _Value, _Value, _Value]
@@ -115,6 +120,7 @@ def _files(folder: Path, told: _Sensor, what: str, lines: ImageLines | None = No
     if not 0 < len(paths) <= MAX_FILES:
         raise FormatError(f"{folder / told.files}: expected 1 to {MAX_FILES:,} {what}, got {len(paths) or 'none'}")
     if told.times:
+        _expect_one_order(paths)
         return timed(paths, _times(folder / told.times) * SECONDS[told.unit], str(folder / told.times), what)
     names = [path.stem.replace("_", ".", 1) for path in paths]
     if not all(name.replace(".", "", 1).isdecimal() and len(name) < 25 for name in names):
@@ -123,6 +129,19 @@ def _files(folder: Path, told: _Sensor, what: str, lines: ImageLines | None = No
     times_s = np.array([float(name) for name in names]) * SECONDS[told.unit]
     order = np.argsort(times_s, kind="stable")
     return timed([paths[at] for at in order], times_s[order], str(folder / told.files), what)
+
+
+def _expect_one_order(paths: Sequence[Path]) -> None:
+    """Raise FormatError for names whose order as texts is not that of their numbers: which time is whose?"""
+
+    def padded(path: Path) -> list[str]:
+        return [NUMBERS.sub(lambda number: number[0].zfill(LONGEST), part) for part in path.parts]
+
+    by_number = sorted(paths, key=padded)
+    found = next(((path, other) for path, other in zip(paths, by_number, strict=True) if path != other), None)
+    if found:
+        told = f"{found[0].name[:60]} before {found[1].name[:60]}: write numbers with leading zeros"
+        raise FormatError(f"{paths[0].parent}: expected names in the order of their numbers, got {told}")
 
 
 def _times(path: Path) -> Scalars:

@@ -139,18 +139,16 @@ def track(path: Path, times_s: Scalars, matrices: Float[np.ndarray, "n 4 4"]) ->
 
 def read_kitti_poses(path: Path, times_s: Scalars, axes: AxesName) -> PoseTrack:
     """A line of 12 numbers for each frame, three rows of a rotation and a translation: the pose in the world of a body
-    with these axes. The world has the same axes."""
+    with these axes."""
     rows = read_rows(path, 12, "three rows of a pose")
     if len(rows) != len(times_s):
         raise FormatError(f"{path}: expected a pose for each of {len(times_s)} times, got {len(rows)}")
     matrices = np.stack([matrix34(row, f"{path}:{number}") for number, row in enumerate(rows, start=1)])
-    ours = OURS_FROM[axes]
-    return track(path, times_s, ours @ matrices @ invert(ours))
+    return track(path, times_s, _upright(matrices, axes))
 
 
 def read_tum(path: Path, axes: AxesName) -> PoseTrack:
-    """A line for each pose: seconds, place x y z, quaternion x y z w. The world's z points up, unless `axes` are those
-    of a camera: then it is such a camera's frame."""
+    """A line for each pose: seconds, place x y z, quaternion x y z w."""
     rows = read_rows(path, 8, "time, x, y, z, qx, qy, qz, qw")
     return _of_quaternions(path, rows[:, 0], rows[:, 1:4], rows[:, 4:], axes)
 
@@ -202,6 +200,12 @@ def _of_quaternions(
         raise FormatError(f"{path}: expected unit quaternions, got one of length {lengths[at]:.4g} (pose {at + 1})")
     matrices = np.tile(np.eye(4), (len(times_s), 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = scipy.spatial.transform.Rotation.from_quat(xyzw).as_matrix(), places
-    ours = OURS_FROM[axes]
-    world = ours if axes == "rdf" else np.eye(4)
-    return track(path, times_s, world @ matrices @ invert(ours))
+    return track(path, times_s, _upright(matrices, axes))
+
+
+def _upright(matrices: Float[np.ndarray, "n 4 4"], axes: AxesName) -> Float[np.ndarray, "n 4 4"]:
+    """Poses of a body with these axes as ours, in a world whose z points up. The world of a file has z up, or y down as
+    a camera's frame: what is up for the body on the whole says which."""
+    bodies = matrices @ invert(OURS_FROM[axes])
+    _, y, z = bodies[:, :3, 2].mean(axis=0)
+    return np.asarray(OURS_FROM["rdf"] @ bodies if -y > z else bodies)

@@ -12,7 +12,7 @@ import numpy as np
 from synth3dlanes import __version__
 from synth3dlanes.dataset.description import names_of, recipe_text
 from synth3dlanes.dataset.destination import Destination
-from synth3dlanes.dataset.format import LABELS, decode_image, encode_image
+from synth3dlanes.dataset.format import LABELS, decode_image, encode_image, must_be_turned
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.labels import labels as labels_format
 from synth3dlanes.params.shots import SINGLE, Shots
@@ -101,13 +101,15 @@ def _finish(shard: Shard, n: int) -> None:
 
 
 def _image(frame: DriveFrame, camera: DriveCamera, image_format: str) -> bytes:
-    """The frame's image as it is, if it is of the format and whole; without one, a gray picture."""
+    """The frame's image as it is, if it is of the format, whole, and not to be turned (EXIF), which not all readers of a
+    data set do; without one, a gray picture."""
     size_px = camera.width_px, camera.height_px
     if frame.load_image is None:
         return encode_image(np.full((size_px[1], size_px[0], 3), BLANK, np.uint8), image_format)
     data = frame.load_image()
-    pixels = decode_image(data, str(frame.image or frame.name), size_px)
-    return data if _kind(data) == image_format else encode_image(pixels, image_format)
+    pixels = decode_image(data, str(frame.image or frame.name), size_px, is_turned=True)
+    is_as_it_is = _kind(data) == image_format and not must_be_turned(data)
+    return data if is_as_it_is else encode_image(pixels, image_format)
 
 
 def _kind(data: bytes) -> str:
