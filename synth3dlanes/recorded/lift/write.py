@@ -101,7 +101,7 @@ def _finish(shard: Shard, n: int) -> None:
 
 
 def _image(frame: DriveFrame, camera: DriveCamera, image_format: str) -> bytes:
-    """The frame's image as it is, if it is of the format, whole, and not to be turned (EXIF), which not all readers of a
+    """The frame's image as it is, if it is of the format, whole, and not to be turned (EXIF), which few readers of a
     data set do; without one, a gray picture."""
     size_px = camera.width_px, camera.height_px
     if frame.load_image is None:
