@@ -409,9 +409,9 @@ def _order_problems(points: Points, line: OurLine, rule: Rule) -> Iterator[str]:
         yield f"expected points from {order}, got {back:.3g} {rule.unit} back"
 
 
-def back_along(points: Points, line: Points, slack: float = 0.0) -> float:
-    """How far points that should follow a line go back on it. In an image it may pass a place twice: of the places that
-    are nearest to a point, but for `slack`, the first that goes on is taken."""
+def back_along(points: Points, line: Points, slack: float) -> float:
+    """How far points that should follow a line go back on it. A line may pass a place twice, in an image or around a
+    roundabout: of the places that are nearest to a point, but for `slack`, the first that goes on is taken."""
     apart, share = all_feet(points, line)
     lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(lengths)])[: share.shape[1]] + share * (lengths if len(lengths) else 0.0)

@@ -687,7 +687,7 @@ def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
             continue
         ours = transform(cam_from_clip, points)
         gaps.append(Gap.of(lane.id, "m", distances(lane.xyz_cam, ours)))
-        back = back_along(lane.xyz_cam, ours)
+        back = back_along(lane.xyz_cam, ours, RULE.limit)
         if not back <= BACK_M:
             problems.append(f"line {lane.id}: expected points as in the labels, got them {back:.3g} m back")
         expected = (line_style(lane.marking, lane.double, lane.pair), color_name(lane.color))

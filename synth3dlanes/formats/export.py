@@ -27,7 +27,7 @@ from synth3dlanes.formats.plan import DEALT_EVERY, Chunk, ExportSplit, open_read
 from synth3dlanes.formats.reading import json_lines, json_object, read_text
 from synth3dlanes.formats.writing import PARTS, Part, Pinhole
 from synth3dlanes.system.arguments import checked
-from synth3dlanes.system.errors import ClaimedError, InputError
+from synth3dlanes.system.errors import ClaimedError, FormatError, InputError
 from synth3dlanes.system.files import Draft, Folder
 from synth3dlanes.system.processes import n_workers, process_pool
 from synth3dlanes.system.schema import Excerpt, PathBelow, parse
@@ -284,19 +284,42 @@ class Export:
 
 @contextmanager
 def _claimed(folder: Folder, options: dict[str, Any]) -> Iterator[None]:
-    """This export's folder, made or checked, while nobody else writes it."""
+    """This export's folder, made or checked, while nobody else writes it. What the export cannot have (an error of the
+    data set) before any chunk is done leaves the folder as it was."""
+    made = [path for path in (folder.root, *folder.root.parents) if not path.exists()]
     if not folder.exists("export.json") and set(folder.names()) - {MARKS}:
         raise InputError(
             f"{folder.root}: expected an empty folder or an unfinished export, got a folder with other files"
         )
     folder.make(MARKS)
     with locks(folder, MARKS) as held:
-        if not held.take(0):
+        # One that is refused removes its lock file.
+        if not held.take(0) or not folder.exists(f"{MARKS}/{LOCK_FILE}"):
             raise ClaimedError(f"{folder.root}: expected no other export at work here, got one; wait until it is done")
-        if folder.exists("export.json"):
+        is_new = not folder.exists("export.json")
+        if not is_new:
             _require_options(folder.root, options, "an empty folder or the export")
         folder.write("export.json", json.dumps(options).encode(), MARKS)
-        yield
+        try:
+            yield
+        except (InputError, FormatError):
+            if is_new and folder.names(MARKS) == [LOCK_FILE]:
+                _remove_refused(folder, made)
+            raise
+
+
+def _remove_refused(folder: Folder, made: Sequence[Path]) -> None:
+    """Remove what is left of an export none of whose frames is kept: its folders, which are empty, those that were
+    `made` for it, and its marks."""
+    for path in sorted(folder.root.rglob("*"), reverse=True):
+        if path.is_dir() and not path.is_symlink():
+            folder.remove_empty(path.relative_to(folder.root))
+    if set(folder.names()) == {MARKS, "export.json"}:
+        for name in (f"{MARKS}/{LOCK_FILE}", "export.json"):
+            folder.remove(name)
+        folder.remove_empty(MARKS)
+        for path in made:
+            Folder(path.parent).remove_empty(path.name)
 
 
 def _require_options(out: Path, options: dict[str, Any], expected: str = "the export") -> None:
@@ -322,13 +345,18 @@ def _run(chunks: Sequence[Chunk], out: Path, foreign: Format, workers: int) -> I
 def _export_chunk(chunk: Chunk, out: Path, foreign: Format) -> int:
     reader = open_reader(chunk.url)
     assert isinstance(foreign, PinholeFormat | SampleFormat)
-    records = [
-        write_resampled(reader, place, chunk, out, foreign)
-        if isinstance(foreign, PinholeFormat)
-        else write_as_it_is(reader, place, chunk, out, foreign)
-        for place in chunk.places
-    ]
-    folder, paths = Folder(out), [path for record in records for path in record.get("files", ())]
+    folder, records = Folder(out), list[dict[str, Any]]()
+    try:
+        for place in chunk.places:
+            if isinstance(foreign, PinholeFormat):
+                records.append(write_resampled(reader, place, chunk, out, foreign))
+            else:
+                records.append(write_as_it_is(reader, place, chunk, out, foreign))
+    except (InputError, FormatError):
+        for path in _files(records):
+            folder.remove(path)
+        raise
+    paths = list(_files(records))
     for path in paths:
         folder.sync_file(path)
     for above in {parent for path in paths for parent in PurePath(path).parents}:
@@ -341,11 +369,20 @@ def _remove(folder: Folder, mark: str) -> None:
     """Undo a chunk whose frames have changed; the lists that name them are written anew at the end. An unfinished mark
     names no frames."""
     if not mark.endswith(".tmp"):
-        for record in _records([folder.root / MARKS / mark]):
-            lists = (path for _, paths in record.get("shared", ()) for path in paths)
-            for path in (*record.get("files", ()), *lists):
-                folder.remove(path)
+        records = list(_records([folder.root / MARKS / mark]))
+        for path in (*_files(records), *_shared(records)):
+            folder.remove(path)
     folder.remove(f"{MARKS}/{mark}")
+
+
+def _files(records: Iterable[dict[str, Any]]) -> Iterator[str]:
+    """The files that frames have for themselves."""
+    return (path for record in records for path in record.get("files", ()))
+
+
+def _shared(records: Iterable[dict[str, Any]]) -> dict[str, None]:
+    """The files that frames share."""
+    return dict.fromkeys(path for record in records for _, paths in record.get("shared", ()) for path in paths)
 
 
 class _LeftOut(Excerpt):
@@ -390,7 +427,7 @@ def written(job: Export) -> Written:
             files = tuple(record.get("files", ()))
             samples |= {path: (chunk.url, place) for path in files}
             frames += [files] if files else []
-            shared |= dict.fromkeys(path for _, paths in record.get("shared", ()) for path in paths)
+            shared |= _shared([record])
     return Written(samples, tuple(frames), tuple(sorted(shared)))
 
 
@@ -401,9 +438,7 @@ def _records(marks: Sequence[Path]) -> Iterator[dict[str, Any]]:
 
 
 def _write_shared(folder: Folder, marks: Sequence[Path], foreign: Format) -> None:
-    found = dict.fromkeys(foreign.lists)
-    for record in _records(marks):
-        found |= dict.fromkeys(path for _, paths in record.get("shared", ()) for path in paths)
+    found = dict.fromkeys(foreign.lists) | _shared(_records(marks))
     for start in range(0, len(found), MOST_OPEN):
         _write_some(folder, marks, foreign, list(found)[start : start + MOST_OPEN])
 
