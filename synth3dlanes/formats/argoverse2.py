@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import shapely
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from pyarrow import feather
 from scipy.spatial import cKDTree
 
@@ -305,8 +305,8 @@ def _bytes(table: pa.Table) -> bytes:
 REACH_M = 150.0
 """Reach of the map ahead of and behind all places of the host in the clip."""
 MOST_PIECES = 1000
-CELL_M, MARGIN_M = 0.3, 5.0
-"""Size of the cells of the ground's heights, and how far beyond the pavement there are any."""
+CELL_M, MARGIN_M, BLOCK = 0.3, 5.0, 16
+"""Size of the cells of the ground's heights, how far beyond the pavement there are any, and cells along a block."""
 LINE_M, MM_DECIMALS = 0.005, 3
 """How far written lines may be from those with all points."""
 SAME_LINE_M = 0.2
@@ -479,12 +479,24 @@ def _heights(
     """Heights of the ground in cells, NaN far from the pavement, and where the first cell begins. A row goes east."""
     low, high = np.floor(paved.min(axis=0) - MARGIN_M), np.ceil(paved.max(axis=0) + MARGIN_M)
     columns, rows = np.ceil((high - low) / CELL_M).astype(int)
-    x, y = (start + (np.arange(n) + 0.5) * CELL_M for start, n in zip(low, (columns, rows), strict=True))
-    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    near = ~world.ground.paved.is_clear(xy, MARGIN_M)
-    heights = np.full(len(xy), np.nan, np.float32)
-    heights[near] = world.ground.height(xy[near])
+
+    def is_near(at: Int[np.ndarray, "n 2"], size_m: float, room_m: float) -> Bool[np.ndarray, " n"]:
+        return ~world.ground.paved.is_clear(low + (at + 0.5) * size_m, room_m)
+
+    # Most cells are far from the pavement: it is asked for blocks of them first.
+    block_m, (m, n) = BLOCK * CELL_M, -(-np.array([columns, rows]) // BLOCK)
+    blocks = is_near(_places(m, n), block_m, MARGIN_M + block_m / np.sqrt(2)).reshape(n, m)
+    near = blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[:rows, :columns].ravel()
+    at = _places(columns, rows)
+    near[near] = is_near(at[near], CELL_M, MARGIN_M)
+    heights = np.full(rows * columns, np.nan, np.float32)
+    heights[near] = world.ground.height(low + (at[near] + 0.5) * CELL_M)
     return heights.reshape(rows, columns), low
+
+
+def _places(columns: int, rows: int) -> Int[np.ndarray, "_ 2"]:
+    """The column and the row of each cell, row by row."""
+    return np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
 
 
 def _points(points: Points3) -> list[dict[str, float]]:
