@@ -26,8 +26,6 @@ from synth3dlanes.production.run import generate
 from tests import fake_samples
 from tests.maps.files import opendrive, plan, road
 
-ROOT = Path(__file__).parents[1]
-
 
 def test_every_name_has_a_type_and_a_home() -> None:
     """A type checker reads the imports under TYPE_CHECKING; they must name what a program gets."""
@@ -37,9 +35,6 @@ def test_every_name_has_a_type_and_a_home() -> None:
     assert sorted(declared) == synth3dlanes.__all__
     for name, module in declared.items():
         assert getattr(synth3dlanes, name) is getattr(sys.modules[module], name)
-
-
-def test_names_are_listed_and_others_refused() -> None:
     assert set(synth3dlanes.__all__) < set(dir(synth3dlanes))
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = synth3dlanes.no_such_name
@@ -77,6 +72,8 @@ def test_a_scene_on_a_map_is_that_of_the_recipe(tmp_path: Path) -> None:
     assert (scene.map.source, scene.map.digest) == ("x.xodr", hashlib.sha256(path.read_bytes()).hexdigest())
     there = synth3dlanes.sample_scene(params, map=str(path), at="1:30.5:-1")
     assert (there.map.route, there.camera.y_m) == (("1.0.-1",), 30.5)
+    with pytest.raises(synth3dlanes.InputError, match="map: expected none beside like"):
+        synth3dlanes.generate_dataset(params, tmp_path / "out", n=2, like=[scene], map=path)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +81,6 @@ def test_a_scene_on_a_map_is_that_of_the_recipe(tmp_path: Path) -> None:
     [
         ({"at": "1:30:-1"}, "at: expected none without map"),
         ({"map": "x.xodr", "at": "1:30"}, "at: expected ROAD:s:lane"),
-        ({"map": "x.xodr", "at": "1:30:-2"}, "at: expected a driving lane of road 1 there"),
         ({"map": "none.xodr"}, "map none.xodr: cannot read"),
         ({"map": "bad.xodr"}, "map bad.xodr: expected XML"),
     ],
@@ -100,28 +96,6 @@ def test_maps_that_are_none_are_refused(
         with pytest.raises((synth3dlanes.InputError, synth3dlanes.FormatError), match=re.escape(message)):
             draw(params, **options)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.thorough
-@pytest.mark.render
-def test_a_data_set_on_a_map(tmp_path: Path) -> None:
-    params, path = synth3dlanes.load_params("tiny", ["trees.n=0", "cars.n=1"]), a_map(tmp_path)
-    place = {"map": path, "at": "1:30.5:-1"}
-    report = synth3dlanes.generate_dataset(params, tmp_path / "out", n=2, seed=3, workers=1, **place)
-    assert (report.done, report.problem) == (2, "")
-    reader = synth3dlanes.open_dataset(tmp_path / "out")
-    assert synth3dlanes.read_scene(reader, 1) == synth3dlanes.sample_scene(params, seed=3, index=1, **place)
-    scene = synth3dlanes.read_scene(reader, 0)
-    with pytest.raises(synth3dlanes.InputError, match="map: expected none beside like"):
-        synth3dlanes.generate_dataset(params, tmp_path / "out", n=2, seed=3, like=[scene], **place)
-
-
-def test_changes_and_labels() -> None:
-    scene = synth3dlanes.sample_scene(synth3dlanes.load_params())
-    lower = synth3dlanes.change_scene(scene, ["light.sun_azimuth_deg=200", "camera.height_m=1.25"])
-    assert lower.light.sun_azimuth_rad == pytest.approx(np.radians(200))
-    assert synth3dlanes.label(lower).camera.height_m == 1.25
-    assert synth3dlanes.label(lower).lanes[0].object_visible is None
 
 
 @pytest.mark.render
@@ -143,31 +117,11 @@ def test_a_render_is_what_a_data_set_has(tmp_path: Path) -> None:
     assert saved == reader.raw(0)
 
 
-def test_a_data_set_states_the_scenes_that_its_own_are_like(tmp_path: Path) -> None:
-    params = synth3dlanes.load_params("tiny")
-    scenes = [synth3dlanes.sample_scene(params, seed=3, index=index) for index in (5, 2)]
-    spreads = ["0.2", "camera.pitch_deg=0.4"]
-    synth3dlanes.generate_dataset(params, tmp_path, n=0, like=scenes, spreads=spreads, workers=1)
-    assert json.loads((tmp_path / "dataset.json").read_text())["like"] == {
-        "scenes": [[3, "train", 5], [3, "train", 2]],
-        "spread": 0.2,
-        "spreads": [["camera.pitch_deg", 0.4]],
-    }
-    with pytest.raises(synth3dlanes.InputError, match="like: expected scenes as these parameters draw them"):
-        synth3dlanes.generate_dataset(
-            synth3dlanes.load_params("tiny", "road.lane_width_m=3"), tmp_path, n=0, like=scenes
-        )
-
-
 @pytest.mark.parametrize(
     ("function", "arguments", "problem"),
     [
         ("render", {"passes": "colour"}, "passes: expected one of depth, normal, semantic, instance, height"),
         ("render", {"samples": 0}, "samples: expected 1 or more, got 0"),
-        ("sample_scene", {"seed": -1}, "seed: expected at least 0, got -1"),
-        ("sample_scene", {"seed": 2**128 + 1}, "seed: expected at most 3.4"),
-        ("sample_scene", {"index": -1}, "index: expected 0 to 9999999999999, got -1"),
-        ("sample_scene", {"index": 10**13}, "index: expected 0 to 9999999999999, got 10000000000000"),
         ("generate_dataset", {"out": "o", "n": 1, "seed": -2}, "seed: expected at least 0, got -2"),
         ("render", {"device": "gpu"}, "device: expected one of auto, cpu"),
         (
@@ -184,7 +138,7 @@ def test_a_wrong_argument_is_named(
     function: str, arguments: dict[str, Any], problem: str, flat_scene: Any, in_tmp_path: Path
 ) -> None:
     params = {"params": synth3dlanes.load_params("tiny")}
-    first = {"render": {"scene": flat_scene}, "sample_scene": params, "generate_dataset": params}
+    first = {"render": {"scene": flat_scene}, "generate_dataset": params}
     with pytest.raises(synth3dlanes.InputError) as caught:
         getattr(synth3dlanes, function)(**first.get(function, {}), **arguments)
     assert caught.value.problems[0].startswith(problem)
@@ -277,7 +231,7 @@ def test_an_argument_of_another_type_is_named(name: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "wrong"),
     [
-        ("seed", (1.5, True, "1", float("nan"), -1, 2**129)), ("index", (1.5, "0", -1, 10**13)),
+        ("seed", (1.5, True, "1", float("nan"), -1, 2**128 + 1)), ("index", (1.5, "0", -1, 10**13)),
         ("split", ("a/b", "", "a b", "\0", 3)), ("frames", (0, 1.5, "2", 10**9)),
         ("fps", (0.0, -1, float("nan"), float("inf"), "10")), ("rig", (3, "", {})), ("params", (3, "", [])),
     ],

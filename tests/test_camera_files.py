@@ -18,7 +18,7 @@ from synth3dlanes.params.lidar_files import load_lidar
 from synth3dlanes.params.lidars import LidarSpec
 from synth3dlanes.params.params import load_params, preset_names
 from synth3dlanes.params.rig_files import load_rig
-from synth3dlanes.params.shots import Shots, clips
+from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.scene.settings import RenderSettings
@@ -122,59 +122,48 @@ def test_every_form_of_a_value(tmp_path: Path) -> None:
     assert (low["roll_rad"], high["roll_rad"]) == (-0.017453, 0.017453)
 
 
-@pytest.mark.parametrize("k", ["[[500, 0, 322], [0, 505, 239], [0, 0, 1]]", "[500, 0, 322, 0, 505, 239, 0, 0, 1]"])
-def test_k_in_rows_or_flat(k: str, tmp_path: Path) -> None:
-    found = middle(read(f"{OWN}K: {k}", tmp_path))
-    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [500, 505, 322, 239]
+FX = ("fx_px", "fy_px", "cx_px", "cy_px")
+ZEROS = [0.0] * 14
+OMNI = KALIBR.replace("pinhole", "omni").replace("[461.6", "[1.5, 461.6").replace("equidistant", "radtan")
+FOUR_CV = OPENCV.replace("cols: 5", "cols: 4").replace(",\n       -0.00069999999999999999", "")
+# Prisms, and at last two angles by which the sensor is tilted.
+TILTED = [round(0.01 * i, 2) for i in range(1, 15)]
 
 
-def test_a_field_of_view_goes_through_the_lens(tmp_path: Path) -> None:
-    pinhole = middle(read(f"{OWN}horizontal_fov_deg: 90", tmp_path))
-    assert pinhole["fx_px"] == pytest.approx(320)
-    fisheye = middle(read(f"{OWN}horizontal_fov_deg: 180\nmodel: fisheye", tmp_path))
-    assert fisheye["fx_px"] == pytest.approx(320 / (np.pi / 2), abs=1e-5)
-    bent = middle(read(f"{OWN}horizontal_fov_deg: 90\nmodel: opencv\nk1: -0.2", tmp_path))
-    assert bent["fx_px"] == pytest.approx(320 / 0.8)
+def tilted(values: list[float]) -> str:
+    matrix = [500, 0, 320, 0, 500, 240, 0, 0, 1]
+    return f"image_width: 640\nimage_height: 480\ncamera_matrix: {matrix}\ndistortion_coefficients: {values}"
 
 
-def test_opencvs_file(tmp_path: Path) -> None:
-    found = middle(read(OPENCV, tmp_path))
-    # (0, 0) is the centre of OpenCV's first pixel.
-    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [700, 690, 640.5, 350.5]
-    assert (found["width_px"], found["height_px"]) == (1280, 720)
-    assert found["lens"].model == "opencv"
-    assert found["lens"].coefficients == (-0.35, 0.15, 0.001, -0.0007, -0.03, 0, 0, 0)
+@pytest.mark.parametrize(
+    ("text", "size", "matrix", "model", "coefficients"),
+    [
+        # (0, 0) is the centre of the first pixel of others.
+        (OPENCV, (1280, 720), [700, 690, 640.5, 350.5], "opencv", [-0.35, 0.15, 0.001, -0.0007, -0.03]),
+        (FOUR_CV + "fisheye_model: 1\n", (1280, 720), [700, 690, 640.5, 350.5], "fisheye", [-0.35, 0.15, 0.001, -0.03]),
+        (KALIBR, (752, 480), [461.6, 460.3, 363.2, 248.6], "fisheye", [-0.01, 0.02, -0.003, 0.0004]),
+        (KALIBR.replace("equidistant", "radtan"), (752, 480), [461.6, 460.3, 363.2, 248.6], "opencv",
+         [-0.01, 0.02, -0.003, 0.0004]),
+        (OMNI, (752, 480), [461.6, 460.3, 363.2, 248.6], "omni", [1.5, -0.01, 0.02, -0.003, 0.0004]),
+        (MEI, (1400, 1400), [1336.3, 1335.8, 717.4, 706.3], "omni", [2.2, 0.017, 1.65, 0.0004, 0.0005]),
+        (ROS, (640, 480), [400, 401, 320.5, 240.5], "opencv", [1, 2, 3, 4, 5, 6, 7, 8]),
+        (tilted(TILTED[:12]), (640, 480), [500, 500, 320.5, 240.5], "opencv", TILTED[:12]),
+        (tilted(TILTED[:8] + ZEROS[:4]), (640, 480), [500, 500, 320.5, 240.5], "opencv", TILTED[:8]),
+        (tilted(TILTED), (640, 480), [500, 500, 320.5, 240.5], "opencv", TILTED),
+        (f"{OWN}K: [[500, 0, 322], [0, 505, 239], [0, 0, 1]]", (640, 480), [500, 505, 322, 239], "pinhole", []),
+        (f"{OWN}K: [500, 0, 322, 0, 505, 239, 0, 0, 1]", (640, 480), [500, 505, 322, 239], "pinhole", []),
+    ],
+)  # fmt: skip
+def test_files_of_others(
+    text: str, size: tuple[int, int], matrix: list[float], model: str, coefficients: list[float], tmp_path: Path
+) -> None:
+    found = middle(read(text, tmp_path))
+    assert (found["width_px"], found["height_px"]) == size
+    assert [found[name] for name in FX] == matrix
+    lens = found["lens"]
+    assert lens.model == model
+    assert list(lens.coefficients) == (coefficients + ZEROS)[: len(lens.coefficients)]
     assert (found["height_m"], found["pitch_rad"], found["right_m"]) == (1.5, 0, 0)
-
-
-def test_opencvs_fisheye_and_kalibrs(tmp_path: Path) -> None:
-    four = OPENCV.replace("cols: 5", "cols: 4").replace(",\n       -0.00069999999999999999, -0.0299", ", -0.0299")
-    assert middle(read(four + "fisheye_model: 1\n", tmp_path))["lens"].model == "fisheye"
-    found = middle(read(KALIBR, tmp_path))
-    assert found["lens"].model == "fisheye"
-    assert found["lens"].coefficients == (-0.01, 0.02, -0.003, 0.0004)
-    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [461.6, 460.3, 363.2, 248.6]
-    radtan = middle(read(KALIBR.replace("equidistant", "radtan"), tmp_path))
-    assert radtan["lens"].coefficients == (-0.01, 0.02, -0.003, 0.0004, 0, 0, 0, 0)
-
-
-def test_omnidirectional_cameras_of_kalibr_and_camodocal(tmp_path: Path) -> None:
-    found = middle(
-        read(
-            KALIBR.replace("pinhole", "omni").replace("[461.6", "[1.5, 461.6").replace("equidistant", "radtan"),
-            tmp_path,
-        )
-    )
-    assert (found["lens"].model, found["lens"].coefficients) == ("omni", (1.5, -0.01, 0.02, -0.003, 0.0004))
-    assert found["fx_px"] == 461.6
-    found = middle(read(MEI, tmp_path))
-    assert (found["lens"].model, found["lens"].coefficients) == ("omni", (2.2, 0.017, 1.65, 0.0004, 0.0005))
-    assert [found[name] for name in ("fx_px", "fy_px", "cx_px", "cy_px")] == [1336.3, 1335.8, 717.4, 706.3]
-    assert (found["width_px"], found["height_px"]) == (1400, 1400)
-
-
-def test_ros_has_the_order_of_opencv(tmp_path: Path) -> None:
-    assert middle(read(ROS, tmp_path))["lens"].coefficients == (1, 2, 3, 4, 5, 6, 7, 8)
 
 
 def test_a_calibration_gets_its_place_from_an_own_file(tmp_path: Path) -> None:
@@ -199,6 +188,7 @@ def test_a_calibration_gets_its_place_from_an_own_file(tmp_path: Path) -> None:
         (f"{OWN}fx: 500\nmodel: omni\nk3: 1", "expected xi k1 k2 p1 p2 for the model omni, got k3"),
         (f"{OWN}fx: 500\nmodel: fisheye\nxi: 1", "expected k1 k2 k3 k4 for the model fisheye, got xi"),
         (f"{OWN}fx: 500\nmodel: omni\nxi: -1", "xi: expected numbers in [0, 10000]"),
+        (f"{OWN}fx: 500\nmodel: opencv\ntau_x: 0.6", "tau_x: expected numbers in [-0.5, 0.5]"),
         (MEI.replace("xi: 2.2", "eta: 2"), "mirror_parameters: expected the numbers xi, got"),
         (f"{OWN}K: [[1, 0], [0, 1]]", "K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got"),
         (f"{OWN}horizontal_fov_deg: 181", "horizontal_fov_deg: expected less than the lens's 180, got 181"),
@@ -222,17 +212,6 @@ def test_each_mistake_has_its_line(text: str, expected: str, problems: Callable[
 
 def test_all_mistakes_are_reported(problems: Callable[[str], list[str]]) -> None:
     assert len(problems(f"{OWN}fx: 500\nheight_m: 30\npitch_deg: x\nfocal: 3")) == 3
-
-
-@pytest.mark.parametrize("name", preset_names("cameras"))
-def test_every_ready_camera_draws_scenes(name: str) -> None:
-    spec = load_camera(name)
-    scene = sample_scene(Scenes(load_params("tiny"), shots=Shots(cameras=(spec,))), 3)
-    plain = sample_scene(Scenes(load_params("tiny")), 3)
-    # The world and the host's place are those of the parameters, whatever the camera.
-    assert scene.model_copy(update={"camera": plain.camera}) == plain
-    assert (scene.camera.lane, scene.camera.y_m) == (plain.camera.lane, plain.camera.y_m)
-    assert CameraSpec.model_validate(spec.model_dump(mode="json")) == spec
 
 
 NARROW = {"width_px": 480, "height_px": 360, "fx": 200, "model": "opencv", "k1": -0.5}
@@ -262,25 +241,6 @@ def test_no_ready_camera_has_a_black_part() -> None:
     ready = [load_camera(name) for name in preset_names("cameras")]
     rigs = [camera for name in preset_names("rigs") for camera in load_rig(name)]
     assert black_pictures([*ready, *rigs]) == []
-
-
-@pytest.mark.parametrize("count", [12, 14])
-def test_prisms_and_tilts_of_opencv(count: int) -> None:
-    values = [round(0.01 * i, 2) for i in range(1, count + 1)]
-    document = {
-        **{"image_width": 640, "image_height": 480, "camera_matrix": [500, 0, 320, 0, 500, 240, 0, 0, 1]},
-        "distortion_coefficients": values,
-    }
-    lens = middle(read_camera(document, "c.yaml", Path()))["lens"]
-    assert lens.coefficients == tuple(values + [0.0] * (14 - count))
-    document["distortion_coefficients"] = values[:8] + [0.0] * (count - 8)
-    assert middle(read_camera(document, "c.yaml", Path()))["lens"].coefficients == tuple(values[:8])
-
-
-def test_a_tilt_beyond_its_bound_is_refused() -> None:
-    document = {"width_px": 640, "height_px": 480, "fx": 500, "model": "opencv", "k1": 0.1, "tau_x": 0.6}
-    with pytest.raises(InputError, match=r"c\.yaml: tau_x: expected numbers in \[-0\.5, 0\.5\]"):
-        read_camera(document, "c.yaml", Path())
 
 
 WHERE = "x.lidar.exr"
@@ -366,20 +326,6 @@ def test_what_no_lidar_measures_is_refused(data, told):
 @given(mutated(write_sweep(sweep())))
 def test_damaged_sweeps(data):
     refused_or_read(lambda: read_sweep(data, WHERE, LABEL), WHERE)
-
-
-def test_the_ready_lidars_have_the_beams_of_their_manuals():
-    specs = {name: load_lidar(name) for name in preset_names("lidars")}
-    assert {name: len(spec.elevations_deg) for name, spec in specs.items()} == {
-        "hdl_32e": 32, "hdl_64e": 64, "vlp_32c": 32
-    }  # fmt: skip
-    steps = np.diff(specs["hdl_32e"].elevations_deg)
-    assert np.allclose(steps, -41.34 / 31)
-    # 26.33 degrees from the top beam to the lowest; 1/3 degree apart above, 1/2 below.
-    elevations = np.array(specs["hdl_64e"].elevations_deg)
-    assert elevations[0] - elevations[-1] == pytest.approx(26.33)
-    assert np.allclose(np.diff(elevations)[:31], -1 / 3)
-    assert np.allclose(np.diff(elevations)[32:], -0.5)
 
 
 def test_every_problem_of_a_lidar_file_is_a_line(tmp_path):

@@ -1,6 +1,5 @@
 """Boxes of objects: places by closed forms, rectangles by dense points, ids and velocities through clips and rigs."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +8,14 @@ import pytest
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.geometry.frames import quaternion, road_from_cam, rotation, transform
 from synth3dlanes.geometry.lens import Lens
-from synth3dlanes.labels import labels as label_file
 from synth3dlanes.labels.object_labels import CORNERS, as_seen, stacked
 from synth3dlanes.params.params import load_params
-from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.assets.catalogue import CARS, Assets, vehicle_class
 from synth3dlanes.scene.assets.folder import CarNotes
 from synth3dlanes.scene.scene import Car
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.truth.object_truth import rectangles, truncation
-from tests.golden.frozen import FILE as FROZEN
-from tests.golden.frozen import KEPT
 from tests.scenes import FLAT, changed
 
 FISHEYE = Lens(model="fisheye", coefficients=(0.02, 0, 0, 0))
@@ -159,16 +154,6 @@ def test_the_velocity_of_a_clip_is_what_a_car_drives_from_frame_to_frame():
     assert n > 20
 
 
-def test_all_cameras_of_a_rig_see_the_same_boxes_in_the_world():
-    rig = load_rig("nuscenes")
-    scenes = Scenes(load_params("streets"), 3, "train", shots=Shots(cameras=rig))
-    views = [ground_truth(sample_scene(scenes, i)) for i in range(len(rig))]
-    worlds = [view.camera.world_from_cam @ stacked(view.objects).cam_from_object for view in views]
-    assert len({tuple((item.id, item.category) for item in view.objects) for view in views}) == 1
-    for world in worlds[1:]:
-        np.testing.assert_allclose(world, worlds[0], atol=1e-9)
-
-
 def test_what_pixels_and_points_tell():
     labels = ground_truth(with_cars(car("main_2", -20), car("main_1", -20), car("main_3", -20)))
     ids = np.zeros((20, 30), np.uint16)
@@ -183,21 +168,6 @@ def test_what_pixels_and_points_tell():
     assert np.isnan(arrays.velocity_cam).all()
     assert arrays.corners_cam.shape == (3, 8, 3)
     assert stacked(()).corners_cam.shape == (0, 8, 3)
-
-
-def test_older_objects_and_traffic_elements_are_read_and_written_as_they_were():
-    """Those of the frozen samples, in labels without lanes; lists of many lanes are thinned there."""
-    empty, n = json.loads(label_file.to_json(replace(ground_truth(FLAT), lanes=()))), 0
-    for row in json.loads(FROZEN.read_text()).values():
-        items = {name: row["labels"][name] for name in ("objects", "traffic_elements")}
-        items["traffic_elements"] = [item for item in items["traffic_elements"] if len(item["lanes"]) <= KEPT]
-        read = label_file.from_json(json.dumps({**empty, **items}), "")
-        again = json.loads(label_file.to_json(read))
-        for name, own in items.items():
-            assert again[name] == own
-            assert [list(item) for item in again[name]] == [list(item) for item in own], "in the same order"
-            n += len(own)
-    assert n > 300
 
 
 def test_classes_of_a_users_models_follow_from_names_or_sizes():

@@ -9,7 +9,7 @@ from scipy import stats
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world, world_in_shot
 from synth3dlanes.geometry.frames import invert, transform, turned
 from synth3dlanes.params.params import load_params
-from synth3dlanes.params.shots import clips
+from synth3dlanes.params.shots import Shots, clips
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.world import World, resolve
@@ -135,16 +135,22 @@ def test_scenes_differ_by_seed_split_and_index(params):
     assert len(texts) == 4
 
 
-@pytest.mark.parametrize("preset", ["appendix_i", "streets"])
-def test_no_two_cars_ever_touch(preset):
-    """At any instant of a clip, the host included."""
-    shots = clips(6, 2.5)
-    scenes = Scenes(load_params(preset, ["trees.n=40"]), shots=shots)
-    for index in range(6):
-        world = sample_world(scenes, shots.frames * index)
+@pytest.mark.parametrize(
+    ("preset", "shots", "n", "changes"),
+    [
+        ("appendix_i", clips(6, 2.5), 6, ["trees.n=40"]),
+        ("streets", clips(6, 2.5), 6, ["trees.n=40"]),
+        ("appendix_i", Shots(views=8), 2, ["cars.n=40", "trees.n=0"]),
+    ],
+)
+def test_no_two_cars_ever_touch(preset, shots, n, changes):
+    """At any instant of a clip, and at any place of the host in a world of views; the host included."""
+    scenes = Scenes(load_params(preset, changes), shots=shots)
+    for index in range(n):
+        world = sample_world(scenes, shots.per_scene * index)
         assert world.scene.cars
-        for frame in range(shots.frames):
-            assert touching(bodies(world_in_shot(scenes, world, shots.place(frame)))) == [], (index, frame)
+        for picture in range(shots.per_scene):
+            assert touching(bodies(world_in_shot(scenes, world, shots.place(picture)))) == [], (index, picture)
 
 
 SOLD = ["cars.palette=sold", "cars.model={2: 3, 11: 1}", "cars.n=10", "trees.n=0"]

@@ -17,6 +17,7 @@ from synth3dlanes.labels import labels as label_file
 from synth3dlanes.labels.labels import Labels, SymbolLabel
 from synth3dlanes.labels.object_labels import as_seen
 from synth3dlanes.params.camera_files import load_camera
+from synth3dlanes.params.cameras import CameraSpec
 from synth3dlanes.params.lidar_files import load_lidar
 from synth3dlanes.params.params import load_params, preset_names
 from synth3dlanes.params.rig_files import load_rig
@@ -70,8 +71,13 @@ def test_scenes_and_labels_of_every_preset(preset: str) -> None:
 
 
 @pytest.mark.parametrize("name", preset_names("cameras"))
-def test_labels_of_every_ready_camera(name: str) -> None:
-    check(drawn("tiny", shots=Shots(cameras=(load_camera(name),))))
+def test_every_ready_camera_has_labels_and_the_place_of_the_parameters(name: str) -> None:
+    spec, plain = load_camera(name), drawn("tiny", 3)
+    scene = drawn("tiny", 3, Shots(cameras=(spec,)))
+    check(scene)
+    assert scene.model_copy(update={"camera": plain.camera}) == plain
+    assert (scene.camera.lane, scene.camera.y_m) == (plain.camera.lane, plain.camera.y_m)
+    assert CameraSpec.model_validate(spec.model_dump(mode="json")) == spec
 
 
 @pytest.mark.parametrize(
@@ -178,7 +184,9 @@ def edited(document: Any, kind: str, path: tuple[Any, ...], value: Any) -> Any:
 
 def test_the_schema_of_labels_refuses_what_the_reader_refuses() -> None:
     """And nothing else, for whatever single place is wrong."""
-    document = json.loads(label_file.to_json(small()))
+    text = label_file.to_json(small())
+    assert label_file.to_json(label_file.from_json(text, "x")) == text
+    document = json.loads(text)
     LABELS.validate(document)
     refused = {"remove": 0, "add": 0, "replace": 0}
     for kind, path, value in edits(document):

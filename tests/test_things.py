@@ -18,7 +18,6 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.run import generate
 from synth3dlanes.scene.assets.catalogue import CARS, THINGS
-from synth3dlanes.scene.change import change_scene
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.instance_ids import END, instance_id, kind_indices, most_of, numbers_of, thing_of
 from synth3dlanes.scene.instance_ids import KINDS as SERIES
@@ -194,13 +193,6 @@ def test_modules_that_name_a_kind_of_thing_are_its_makers():
                 wrong[name] = named
     assert wrong == {}, "replace them by a property of the row"
     assert {*allowed} == used, "no longer needed in NAMING"
-
-
-def test_a_speed_that_follows_from_a_track_is_not_changed_alone():
-    scene = Scene.model_validate(with_things(walker(track=TRACK)).model_dump())
-    with pytest.raises(InputError, match=r"things\.0\.speed_m_s: follows from things\.0\.track"):
-        change_scene(scene, ["things.0.speed_m_s=2"])
-    assert change_scene(scene, ["things.0.yaw_deg=90"]).things[0].yaw_rad == pytest.approx(np.pi / 2)
 
 
 # Data sets on disk have these.
