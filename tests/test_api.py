@@ -234,9 +234,11 @@ def test_an_argument_of_another_type_is_named(name: str) -> None:
         ("seed", (1.5, True, "1", float("nan"), -1, 2**128 + 1)), ("index", (1.5, "0", -1, 10**13)),
         ("split", ("a/b", "", "a b", "\0", 3)), ("frames", (0, 1.5, "2", 10**9)),
         ("fps", (0.0, -1, float("nan"), float("inf"), "10")), ("rig", (3, "", {})), ("params", (3, "", [])),
+        ("views_per_scene", (0, 65, 2)),
     ],
 )  # fmt: skip
 def test_values_that_no_scene_has(kind: str, wrong: tuple[object, ...]) -> None:
+    """Nor has a scene both views and frames."""
     arguments = {"params": s3d.load_params("tiny"), "frames": 2}
     for value in wrong:
         with pytest.raises(s3d.InputError, match=f"^{kind}: expected "):

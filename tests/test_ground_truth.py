@@ -113,6 +113,13 @@ def right_of(xy):
     return np.column_stack([step[:, 1], -step[:, 0]]) / np.linalg.norm(step, axis=1)[:, None]
 
 
+def plan_middle(road):
+    """The middle of the main road in the plan: the quartic through its five offsets."""
+    knots = [road["offset_m50_m"] + road["offset_m100_m"], road["offset_m50_m"], 0, road["offset_p50_m"],
+             road["offset_p50_m"] + road["offset_p100_m"]]  # fmt: skip
+    return np.column_stack([np.polyval(np.polyfit([-1, -0.5, 0, 0.5, 1], knots, 4), Y / 100), Y])
+
+
 def terrain(scene, xy):
     z = np.zeros(len(xy))
     for g in scene["terrain"]["gaussians"]:
@@ -128,9 +135,7 @@ def expected_centres(scene):
     """Plan polylines and ramp heights of all lanes: {(road, lane of the plan): (xy, above)}."""
     r = scene["road"]
     n, w, kind = r["n_lanes"], r["lane_width_m"], r["topology"]
-    knots = [r["offset_m50_m"] + r["offset_m100_m"], r["offset_m50_m"], 0, r["offset_p50_m"],
-             r["offset_p50_m"] + r["offset_p100_m"]]  # fmt: skip
-    main = np.column_stack([np.polyval(np.polyfit([-1, -0.5, 0, 0.5, 1], knots, 4), Y / 100), Y])
+    main = plan_middle(r)
     normal = right_of(main)
     centre = {k: (k - (n + 1) / 2) * w for k in range(1, n + 1)}
     q = np.clip(Y, 0, None) * np.tan(r["exit_angle_rad"]) + r["exit_offset_m"] * (np.clip(Y, 0, None) / 60) ** 2

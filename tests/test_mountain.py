@@ -19,6 +19,7 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.world import resolve
 from tests.thorough import first
+from tests.town_maps import MapReader, values
 
 FEW = ("cars.n=0", "trees.n=0")
 STEP_M = 0.01
@@ -33,51 +34,33 @@ def road_of(scene: Scene) -> MapRoad:
     return scene.map.roads[0]
 
 
-def axis(road: MapRoad) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Stations a centimetre apart, and x, y and heading of the reference line there: headings summed up from
-    curvatures, places from headings, by the midpoint rule."""
-    first_piece = road.plan[0]
-    ends = np.cumsum([piece.length_m for piece in road.plan])
-    s = np.arange(0.0, ends[-1], STEP_M)
-    middles = s[:-1] + STEP_M / 2
-    which = np.searchsorted(ends, middles, side="right")
-    length, low, high = (
-        np.array([getattr(piece, key) for piece in road.plan])[which]
-        for key in ("length_m", "curvature", "curvature_end")
-    )
-    curvature = low + (high - low) * (middles - (ends - [piece.length_m for piece in road.plan])[which]) / length
-    heading = first_piece.heading_rad + np.concatenate([[0.0], np.cumsum(curvature * STEP_M)])
-    between = (heading[:-1] + heading[1:]) / 2
-    x = first_piece.x_m + np.concatenate([[0.0], np.cumsum(np.cos(between) * STEP_M)])
-    y = first_piece.y_m + np.concatenate([[0.0], np.cumsum(np.sin(between) * STEP_M)])
+def axis(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Stations a centimetre apart, and x, y and heading of the reference line there, by small steps."""
+    assert scene.map is not None
+    stations, xy, headings = MapReader(scene.map).lines[scene.map.roads[0].id]
+    s = np.arange(0.0, stations[-1], STEP_M)
+    x, y, heading = (np.interp(s, stations, of) for of in (*xy.T, headings))
     return s, x, y, heading
-
-
-def cubic(pieces: tuple, s: np.ndarray) -> np.ndarray:
-    """The values of cubics by station."""
-    found = np.zeros(len(s))
-    for piece in pieces:
-        x = s - piece.s_m
-        found = np.where(x >= 0, piece.a + piece.b * x + piece.c * x**2 + piece.d * x**3, found)
-    return found
 
 
 @pytest.mark.parametrize("index", first(3, range(12)))
 def test_bends_and_grades_are_as_declared(index: int) -> None:
-    road = road_of(mountain(index))
+    scene = mountain(index)
+    road = road_of(scene)
     arcs = [piece for piece in road.plan if piece.curvature and piece.curvature == piece.curvature_end]
     assert 3 <= len(arcs) <= 5
     assert all(12 <= abs(1 / arc.curvature) <= 20 for arc in arcs)
     signs = np.sign([arc.curvature for arc in arcs])
     assert (signs[1:] == -signs[:-1]).all(), "bends alternate"
-    s, _, _, heading = axis(road)
-    z = cubic(road.heights, s)
-    grades = np.diff(z) / STEP_M
+    s, _, _, heading = axis(scene)
+    _, grades = values(road.heights, s)
     assert 0.06 - 1e-6 < grades.min() < grades.max() < 0.10 + 1e-6, "the road climbs everywhere"
     assert np.abs(np.diff(grades)).max() < 1e-4, "no kinks"
-    turned = [at for at, bend in zip(np.diff(heading[np.searchsorted(s, ends(road))]), legs(road), strict=True) if bend]
-    assert (np.abs(np.degrees(turned)) > 140).all()
-    assert (np.abs(np.degrees(turned)) < 168).all()
+    turned = np.abs(np.diff(heading[np.searchsorted(s, ends(road))]))
+    assert ((turned > 1e-6) == legs(road)).all(), "the middle line is solid in bends alone"
+    assert legs(road) == [i % 2 == 1 for i in range(len(turned))]
+    assert (np.degrees(turned[np.array(legs(road))]) > 140).all()
+    assert (np.degrees(turned[np.array(legs(road))]) < 168).all()
 
 
 def test_the_host_stands_anywhere_from_where_it_sees_the_road_behind_to_where_it_sees_the_road_ahead() -> None:
@@ -99,28 +82,20 @@ def legs(road: MapRoad) -> list[bool]:
     return [kind == "solid" for kind in divider]
 
 
-def test_the_middle_line_is_solid_in_bends_alone() -> None:
-    road = road_of(mountain(0))
-    s, _, _, heading = axis(road)
-    bent = np.abs(np.diff(heading[np.searchsorted(s, ends(road))])) > 1e-6
-    assert bent.tolist() == legs(road)
-    assert bent.tolist() == [i % 2 == 1 for i in range(len(bent))]
-
-
 @pytest.mark.parametrize("descent", ["false", "true"])
 def test_labels_are_the_lanes_of_the_map(descent: str) -> None:
     """The centre line of the host's lane lies on the middle of the lane, to a millimetre in all three coordinates."""
     scene = mountain(1, f"mountain.descent={descent}", "mountain.lay_by=true", "terrain.n_gaussians=3")
     road = road_of(scene)
-    s, x, y, heading = axis(road)
+    s, x, y, heading = axis(scene)
     widths = np.zeros(len(s))
     sign = 1 if descent == "true" else -1
     for section, (from_m, to_m) in zip(road.sections, zip(ends(road), ends(road)[1:], strict=False), strict=True):
         here = (s >= from_m) & (s <= to_m)
         own = next(lane for lane in section.lanes if lane.number == sign)
-        widths[here] = cubic(own.widths, s[here] - from_m)
+        widths[here] = values(own.widths, s[here] - from_m)[0]
     t = sign * widths / 2
-    middle = np.column_stack([x - t * np.sin(heading), y + t * np.cos(heading), cubic(road.heights, s)])
+    middle = np.column_stack([x - t * np.sin(heading), y + t * np.cos(heading), values(road.heights, s)[0]])
     world = resolve(scene)
     labels = label(world, world.view)
     lines = [lane for lane in labels.lanes if lane.kind == "centerline" and lane.direction == "same"]
@@ -139,8 +114,8 @@ def test_labels_are_the_lanes_of_the_map(descent: str) -> None:
 def test_rails_stand_on_the_valley_side_and_outside_bends(index: int) -> None:
     scene = mountain(index, "mountain.rail=guardrail")
     road, rails = road_of(scene), scene.roadside.rails
-    s, *_ = axis(road)
-    z, bends = cubic(road.heights, s), [i for i, is_bend in enumerate(legs(road)) if is_bend]
+    s, *_ = axis(scene)
+    z, bends = values(road.heights, s)[0], [i for i, is_bend in enumerate(legs(road)) if is_bend]
     assert len(rails) == len(bends) + 1
     stations = ends(road)
     for i in bends:
@@ -162,7 +137,7 @@ def test_a_lay_by_lies_beside_the_right_lane_and_closes_again() -> None:
     ]
     ((lane, _),) = kinds
     s = np.linspace(0, 90, 901)
-    width = cubic(lane.widths, s)
+    width = values(lane.widths, s)[0]
     assert lane.number == -2
     assert width[0] == width[-1] == 0
     assert width.min() > -1e-9

@@ -155,22 +155,18 @@ def test_cars_stop_for_who_crosses_in_a_clip(index: int) -> None:
             before = shapely.LineString([middle, middle + 6.0 * ahead]).buffer(1.0, cap_style="flat")
             assert speed_m_s < 4 or not any(before.contains(person) for person in people)
     assert n_on[-1] > 0
-    assert begun(world, street) > 0
+    feet = [
+        [shapely.Point(pose[:2, 3]) for pose in world_in_shot(SEEN, world, CLIP.place(frame)).view.world_from_things]
+        for frame in (0, CLIP.frames - 1)
+    ]
+    begun = sum(street.contains(last) and not street.contains(first) for first, last in zip(*feet, strict=True))
+    assert begun > 0, "beside the crosswalks when the clip begins, and on one when it ends"
 
 
 def headings(world: World) -> list[tuple[np.ndarray, np.ndarray]]:
     """Where the host and the cars head to, and their middles, from above."""
     poses = (world.view.world_from_host, *world.view.world_from_cars)
     return [(pose[:2, 1], pose[:2, 3]) for pose in poses]
-
-
-def begun(world: World, street: shapely.Geometry) -> int:
-    """How many people are beside the crosswalks when a clip begins, and on one when it ends."""
-    feet = [
-        [shapely.Point(pose[:2, 3]) for pose in world_in_shot(SEEN, world, CLIP.place(frame)).view.world_from_things]
-        for frame in (0, CLIP.frames - 1)
-    ]
-    return sum(street.contains(last) and not street.contains(first) for first, last in zip(*feet, strict=True))
 
 
 @pytest.mark.thorough

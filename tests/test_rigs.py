@@ -1,22 +1,17 @@
 """Rigs: files, one world for all cameras, and what training and exports take of them."""
 
-import json
-import math
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from synth3dlanes_baseline.sources import UprightSamples, training_and_validation
 
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.dataset.rectify import rectified_labels
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
-from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.plan import plan as export_plan
 from synth3dlanes.geometry.frames import invert, project, transform
 from synth3dlanes.labels import labels as labels_format
 from synth3dlanes.params.cameras import CameraSpec
-from synth3dlanes.params.params import load_params, preset_names
+from synth3dlanes.params.params import load_params
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.plan import Plan
@@ -26,7 +21,6 @@ from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.world import resolve
 from tests import fake_samples
-from tests.scenes import changed
 
 NUSCENES = load_rig("nuscenes")
 # Rows of nuScenes' calibrated_sensor table: translation, rotation (w, x, y, z) and (f, cx, cy), in its axes: the
@@ -57,19 +51,6 @@ def test_nuscenes_cameras_see_what_the_table_says(name):
     inside = ahead & ((expected > 0) & (expected < [1600, 900])).all(axis=1)
     assert inside.sum() > 20
     assert np.abs(uv - expected)[inside].max() < 6
-
-
-def test_all_ready_rigs_can_be_read_and_see_all_around():
-    assert {"argoverse2", "nuscenes"} <= set(preset_names("rigs"))
-    for name, n_cameras in (("nuscenes", 6), ("argoverse2", 9)):
-        rig = load_rig(name)
-        assert len({spec.name for spec in rig}) == len(rig) == n_cameras
-        covered = np.zeros(360, bool)
-        for spec in rig:
-            (yaw,), (focal,), (width,) = spec.yaw_deg.values, spec.fx_px.values, spec.width_px.values
-            half = math.degrees(math.atan(width / 2 / focal)) + 1.5
-            covered |= np.abs((np.arange(360) - yaw + 180) % 360 - 180) <= half
-        assert covered.all()
 
 
 def test_lanes_boxes_and_signs_are_at_one_place_of_the_world_by_every_camera():
@@ -175,36 +156,12 @@ def test_a_single_picture_is_exported_by_whatever_camera_or_with_its_moment(data
         export_plan(f"{data}/train:9", ["CAM_FRONT"])
 
 
-def test_an_openlane_v2_frame_has_all_cameras_of_its_moment(tmp_path):
-    pair = (NUSCENES[0], NUSCENES[3])
-    recipe = fake_samples.recipe(shots=Shots(cameras=pair))
-    plan = Plan(str(tmp_path / "data"), 4, recipe, workers=1, maker=fake_samples.make_labelled)
-    assert not generate(plan, lambda event: None).problem
-    summary = Export(str(tmp_path / "data"), tmp_path / "out", "openlane_v2").write()
-    assert summary.n_frames["train"] == 4
-    frames = sorted(tmp_path.glob("out/OpenLane-V2/train/*/info/*0.json"))
-    assert len(frames) == 2
-    for frame in frames:
-        sensors = json.loads(frame.read_text())["sensor"]
-        assert set(sensors) == {spec.name for spec in pair}
-        assert all((tmp_path / "out/OpenLane-V2" / found["image_path"]).exists() for found in sensors.values())
-
-
 def test_a_rig_that_only_looks_back_has_nothing_to_train_on(tmp_path):
     back = tuple(spec for spec in NUSCENES if spec.name.startswith("CAM_BACK"))
     recipe = fake_samples.recipe(shots=Shots(cameras=back))
     generate(Plan(str(tmp_path / "d"), 3, recipe, workers=1, maker=fake_samples.make), lambda event: None)
     with pytest.raises(InputError, match="expected a camera within 30 degrees of the driving direction, got none"):
         len(UprightSamples(Reader(f"{tmp_path}/d/train")))
-
-
-def test_formats_without_yaw_get_a_road_frame_that_looks_along_the_camera():
-    world = resolve(changed(camera={"yaw_rad": 0.3, "roll_rad": 0.1, "pitch_rad": 0.05, "forward_m": 1.0}))
-    labels = label(world, world.view)
-    level = rectified_labels(labels).camera
-    axis_road = level.road_from_cam[:3, 1]
-    np.testing.assert_allclose(axis_road, [0, math.cos(0.05), -math.sin(0.05)], atol=1e-12)
-    assert (level.yaw_rad, level.roll_rad) == (0, 0)
 
 
 def test_a_fisheye_that_is_turned_ahead_sees_what_is_beside_and_is_exported_without_its_name() -> None:

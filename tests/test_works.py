@@ -24,6 +24,7 @@ from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.placement import car_place
 from synth3dlanes.world.world import World, resolve
 from tests.scenes import FLAT
+from tests.test_ground_truth import plan_middle, right_of
 from tests.test_people import thing_bodies
 from tests.thorough import first
 from tests.town_checks import bodies
@@ -286,7 +287,6 @@ def test_rendered_paint_is_where_the_labels_have_the_temporary_lines() -> None:
     assert not ids[rows[inside], columns[inside]].any()
 
 
-Y = np.arange(-100, 100.0001, 0.02)
 TWO_WAY = ["trees.n=0", "road.n_oncoming=[1, 3]", "road.median_m={0: 1, 2: 1, 6: 1}", "road.n_lanes=[1, 3]"]
 
 
@@ -300,14 +300,9 @@ def both(scene):
 
 def plan_line(scene, offset_m):
     """World polyline at an offset to the right of the main road's middle in the plan, which the flips mirror."""
-    r = scene["road"]
-    knots = [r["offset_m50_m"] + r["offset_m100_m"], r["offset_m50_m"], 0, r["offset_p50_m"],
-             r["offset_p50_m"] + r["offset_p100_m"]]  # fmt: skip
-    main = np.column_stack([np.polyval(np.polyfit([-1, -0.5, 0, 0.5, 1], knots, 4), Y / 100), Y])
-    step = np.gradient(main, axis=0)
-    right = np.column_stack([step[:, 1], -step[:, 0]]) / np.linalg.norm(step, axis=1)[:, None]
-    flips = [-1 if r["flip_longitudinal"] else 1, -1 if r["flip_lateral"] else 1]
-    return (main + offset_m * right) * flips
+    road, main = scene["road"], plan_middle(scene["road"])
+    flips = [-1 if road["flip_longitudinal"] else 1, -1 if road["flip_lateral"] else 1]
+    return (main + offset_m * right_of(main)) * flips
 
 
 def off(lane, labels, line):

@@ -33,8 +33,8 @@ def _piece(piece: PlanPiece) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return s, points, np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
 
 
-def _value(polynomials: tuple[Polynomial, ...], s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Values and slopes at stations; 0 without polynomials."""
+def values(polynomials: tuple[Polynomial, ...], s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values and slopes of cubics at stations; 0 without polynomials."""
     value, slope = np.zeros_like(s), np.zeros_like(s)
     for at in polynomials:
         x = s - at.s_m
@@ -76,12 +76,12 @@ class MapReader:
         xy = np.stack([np.interp(s, s_all, xy_all[:, k]) for k in (0, 1)], -1)
         heading = np.interp(s, s_all, h_all)
         inside = np.minimum(s, end - 1e-7)
-        t, slope = _value(road.lane_offsets, inside)
+        t, slope = values(road.lane_offsets, inside)
         sign = 1 if number > 0 else -1
         lanes: dict[int, MapLane] = {lane.number: lane for lane in road.sections[i].lanes}
         width = np.zeros_like(s)
         for k in range(1, abs(number) + 1):
-            width, its_slope = _value(lanes[sign * k].widths, inside - start)
+            width, its_slope = values(lanes[sign * k].widths, inside - start)
             half = 0.5 if k == abs(number) else 1.0
             t, slope = t + sign * half * width, slope + sign * half * its_slope
         left = np.stack([-np.sin(heading), np.cos(heading)], -1)

@@ -243,10 +243,6 @@ class Reader:
         """The positions of all samples of these scenes, in order."""
         return [int(i) for i in np.flatnonzero(np.isin(self.scene_of, scenes))]
 
-    def shuffled(self, seed: int) -> Iterator[Sample]:
-        """Every sample once, in a random order that depends on the seed alone."""
-        return (self[int(i)] for i in np.random.default_rng(seed).permutation(len(self)))
-
     def _members(self, i: int, names: tuple[str, ...]) -> dict[str, bytes]:
         """Read these adjacent members in one request, and check that the tar header before each has its name."""
         i = self._position(i)

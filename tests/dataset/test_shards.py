@@ -252,14 +252,6 @@ def test_labels_are_read_without_the_image(shard):
         reader[1]
 
 
-def test_shuffled_is_a_permutation_that_the_seed_decides(shard):
-    reader = Reader(f"file://{shard.folder}")
-    orders = {seed: [sample.key for sample in reader.shuffled(seed)] for seed in range(8)}
-    assert all(sorted(order) == [f"{i:08d}" for i in range(4)] for order in orders.values())
-    assert len({tuple(order) for order in orders.values()}) > 3
-    assert orders[5] == [sample.key for sample in reader.shuffled(5)]
-
-
 def test_index_has_scene_and_label_columns(shard):
     table = Reader(str(shard.folder)).index
     assert table.schema.equals(pa.unify_schemas([SCHEMA, ADDED_SCHEMA]))
