@@ -145,12 +145,6 @@ def test_a_wrong_argument_is_named(
     assert not list(in_tmp_path.iterdir())
 
 
-def test_an_export_takes_texts_as_it_takes_paths() -> None:
-    made = synth3dlanes.Export("d/train", "o", "apollo", (480, 360), "front")
-    assert made == synth3dlanes.Export(Path("d/train"), Path("o"), "apollo", (480, 360), ("front",))
-    assert (made.out, made.size_px, made.cameras) == (Path("o"), (480, 360), ("front",))
-
-
 def test_an_image_is_saved_as_png_or_jpg_alone(flat_scene: Any, in_tmp_path: Path) -> None:
     from synth3dlanes.renderer import Rendered
 

@@ -139,10 +139,8 @@ def test_every_page_and_every_public_name_is_there(site: Path) -> None:
         p.stem for p in site.glob("*.html")
     }
     assert {path.stem for path in (site / "formats").glob("*.html")} == set(format_names())
-    assert "lane3d_1000" in (site / "formats/openlane.html").read_text()
     reference = (site / "reference.html").read_text()
     assert {name for name in synth3dlanes.__all__ if f'id="synth3dlanes.{name}"' not in reference} == set()
-    assert "the image's border" in (site / "format.html").read_text()
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +212,6 @@ def assert_whole(out: Path, run_script) -> None:
     assert (again["made"], again["done"], again["asked"]) == (0, N, N)
 
 
-@pytest.mark.thorough
 def test_the_slurm_array_makes_a_whole_data_set(tmp_path, run_script):
     script = (CLUSTER / "lanes.sbatch").read_text()
     assert re.search(r"^#SBATCH --array=1-(\d+)$", script, re.MULTILINE)
@@ -224,7 +221,6 @@ def test_the_slurm_array_makes_a_whole_data_set(tmp_path, run_script):
     assert_whole(tmp_path / "lanes", run_script)
 
 
-@pytest.mark.thorough
 def test_the_kubernetes_job_makes_a_whole_data_set(tmp_path, run_script):
     job = yaml.safe_load((CLUSTER / "job.yaml").read_text())["spec"]
     (container,) = job["template"]["spec"]["containers"]

@@ -46,21 +46,20 @@ def elsewhere(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("writer", BELOW)
-def test_a_link_in_the_way_is_refused_and_what_it_points_to_stays(tmp_path: Path, elsewhere: Path, writer: str) -> None:
+@pytest.mark.parametrize(
+    ("writer", "place"),
+    [*((name, "train/parts/inner") for name in BELOW), *((name, "train/parts") for name in WRITERS)],
+)
+@pytest.mark.parametrize("target", ["documents", "documents/inner/thesis.tex"])
+def test_a_link_in_the_way_is_refused_and_what_it_points_to_stays(
+    tmp_path: Path, elsewhere: Path, writer: str, place: str, target: str
+) -> None:
+    """Above the place, or at the place itself."""
     (tmp_path / "data/train").mkdir(parents=True)
-    (tmp_path / "data/train/parts").symlink_to(elsewhere)
-    with pytest.raises(InputError, match=r"data/train/parts: expected no link below .*data, got one to .*documents"):
-        BELOW[writer](Folder(tmp_path / "data"), "train/parts/inner")
-    assert (elsewhere / "inner/thesis.tex").read_text() == "years of work"
-
-
-@pytest.mark.parametrize("writer", WRITERS)
-def test_a_link_at_the_place_itself_is_refused(tmp_path: Path, elsewhere: Path, writer: str) -> None:
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data/it").symlink_to(elsewhere / "inner/thesis.tex")
-    with pytest.raises(InputError, match="data/it: expected no"):
-        WRITERS[writer](Folder(tmp_path / "data"), "it")
+    (tmp_path / "data/train/parts").symlink_to(tmp_path / target)
+    with pytest.raises(InputError, match=r"data/train/parts: expected no"):
+        BELOW[writer](Folder(tmp_path / "data"), place)
+    assert (tmp_path / "data/train/parts").is_symlink()
     assert (elsewhere / "inner/thesis.tex").read_text() == "years of work"
 
 

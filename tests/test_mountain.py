@@ -1,6 +1,7 @@
 """Mountain roads: radii, grades and widths as declared, and labels against an evaluation of the map of our own."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ FEW = ("cars.n=0", "trees.n=0")
 STEP_M = 0.01
 
 
+@cache
 def mountain(index: int, *overrides: str) -> Scene:
     return sample_scene(Scenes(load_params("mountain", [*FEW, *overrides]), 7), index)
 
@@ -57,7 +59,7 @@ def test_bends_and_grades_are_as_declared(index: int) -> None:
     assert 0.06 - 1e-6 < grades.min() < grades.max() < 0.10 + 1e-6, "the road climbs everywhere"
     assert np.abs(np.diff(grades)).max() < 1e-4, "no kinks"
     turned = np.abs(np.diff(heading[np.searchsorted(s, ends(road))]))
-    assert ((turned > 1e-6) == legs(road)).all(), "the middle line is solid in bends alone"
+    assert ((turned > 1e-3) == legs(road)).all(), "the middle line is solid in bends alone"
     assert legs(road) == [i % 2 == 1 for i in range(len(turned))]
     assert (np.degrees(turned[np.array(legs(road))]) > 140).all()
     assert (np.degrees(turned[np.array(legs(road))]) < 168).all()

@@ -101,7 +101,6 @@ def test_commands_run(python: Path, tmp_path: Path) -> None:
     assert output([python.with_name("synth3dlanes"), "params", "show"], tmp_path) == shown
 
 
-@pytest.mark.thorough
 @pytest.mark.render
 def test_the_ten_lines_run(python: Path, tmp_path: Path) -> None:
     """Those of docs/api.md; Blender is in the process that renders and in no other."""

@@ -1,6 +1,7 @@
 """People and riders: they touch nothing, stand on what is built, cross when they may, and change nothing else."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,14 +14,13 @@ from synth3dlanes.params.shots import Shots
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.scene.assets.catalogue import THINGS
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.motion import host_speed
 from synth3dlanes.world.world import World
 from tests.golden.frozen import ROWS, scenes_of
 from tests.maps.files import lane, opendrive, plan, road, section
 from tests.thorough import first
-from tests.town_checks import bodies, houses
+from tests.town_checks import bodies, houses, thing_bodies
 
 MANY = ("people.per_100_m=20", "people.crossing=4", "riders.cyclists=8", "riders.motorcyclists=3")
 WALKWAYS = (
@@ -31,25 +31,11 @@ CLIP = Shots(frames=25, fps=5.0)
 SEEN = Scenes(load_params("town"), shots=CLIP)
 
 
+@cache
 def town(index: int, *overrides: str, shots: Shots | None = None) -> World:
     """A town full of people."""
     params = load_params("town", (*MANY, *WALKWAYS, *overrides))
     return draw_world(Scenes(params, 5, shots=shots) if shots else Scenes(params, 5), index)
-
-
-def rectangle(pose: Matrix4, width_m: float, length_m: float) -> shapely.Polygon:
-    """A body from above."""
-    corners = np.array([[x * width_m / 2, y * length_m / 2, 0, 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    return shapely.Polygon((corners @ pose.T)[:, :2])
-
-
-def thing_bodies(world: World) -> list[shapely.Polygon]:
-    """The boxes of all things from above, by the poses that are rendered."""
-    found = []
-    for thing, pose in zip(world.scene.things, world.view.world_from_things, strict=True):
-        model = THINGS[thing.kind][thing.model - 1]
-        found.append(rectangle(pose, model.width_m * thing.scale, model.length_m * thing.scale))
-    return found
 
 
 def standing(scene: Scene) -> list[shapely.Geometry]:
@@ -200,12 +186,14 @@ def test_umbrellas_are_for_rain() -> None:
 
 def test_people_walk_ahead_at_their_speed() -> None:
     """Not sideways or backwards, and each as fast in all frames."""
-    world = town(0, "people.standing=0.3", "people.speed_m_s=[1.2, 1.3]", "people.crossing=0", shots=CLIP)
-    views = [world_in_shot(SEEN, world, CLIP.place(frame)).view for frame in (5, 6)]
+    shots = Shots(frames=4, fps=5.0)
+    own = "people.standing=0.3", "people.speed_m_s=[1.2, 1.3]", "people.crossing=0"
+    scenes, world = Scenes(load_params("town"), shots=shots), town(0, *own, shots=shots)
+    views = [world_in_shot(scenes, world, shots.place(frame)).view for frame in (1, 2)]
     stood = walked = 0
     for thing, before, after in zip(world.scene.things, *(view.world_from_things for view in views), strict=True):
         if thing.kind == "pedestrian":
-            step = (after - before)[:2, 3] * CLIP.fps
+            step = (after - before)[:2, 3] * shots.fps
             if not thing.track:
                 assert not step.any()
                 stood += 1

@@ -188,7 +188,7 @@ def test_cars_for_which_there_is_no_room_are_left_out_where_fewer_are_allowed():
     """A jam: one lane of 60 m; the shortest car is 3.5 m long."""
     jam = ["cars.n=[2, 90]", "cars.s_m=[0, 60]", "cars.parked=0", "road.n_lanes=1", "road.topology=1"]
     counts = []
-    for index in range(20):
+    for index in range(10):
         scene = sample_scene(Scenes(load_params("appendix_i", jam)), index)
         ends = sorted((car.s_m, scene.assets.car_models[car.model - 1].length_m * car.scale) for car in scene.cars)
         assert min(b - a - (of_a + of_b) / 2 for (a, of_a), (b, of_b) in itertools.pairwise(ends)) > 0.5

@@ -23,6 +23,7 @@ from synth3dlanes.system.processes import n_workers, process_pool
 from synth3dlanes.system.scratch import OWNER, PREFIX, scratch
 from synth3dlanes.system.system_libraries import PACKAGES, install_hint, missing_packages
 
+ROOT = Path(__file__).parents[1]
 GIB = 1 << 30
 # The lines of /proc/self/cgroup, files below /sys/fs/cgroup, and of 16 cores and 64 GiB what may be used.
 MACHINES = {
@@ -95,12 +96,11 @@ def test_without_files_the_machine_counts(tmp_path: Path) -> None:
 
 def test_one_module_asks_how_many_cores_there_are() -> None:
     """Others would miss what a container allows. Workers are pinned to cores of their affinity."""
-    root = Path(__file__).parents[1]
     allowed = {"synth3dlanes/system/machine.py", "synth3dlanes/production/workers.py"}
     asking = {
-        str(path.relative_to(root))
+        str(path.relative_to(ROOT))
         for folder in ("synth3dlanes", "cli", "baseline_model")
-        for path in (root / folder).rglob("*.py")
+        for path in (ROOT / folder).rglob("*.py")
         if any(words in path.read_text() for words in ("cpu_count", "sched_getaffinity"))
     }
     assert asking == allowed
@@ -145,8 +145,7 @@ def test_a_command_says_so_in_a_line_and_ends_with_1(
 
 
 def test_nothing_else_makes_pools() -> None:
-    root = Path(__file__).parents[1]
-    programs = [path for folder in ("synth3dlanes", "cli", "baseline_model") for path in (root / folder).rglob("*.py")]
+    programs = [path for folder in ("synth3dlanes", "cli", "baseline_model") for path in (ROOT / folder).rglob("*.py")]
     assert [path.name for path in programs if "ProcessPoolExecutor" in path.read_text()] == ["processes.py"]
 
 
@@ -239,7 +238,6 @@ def test_a_killed_run_leaves_nothing_to_the_next(temporary: Path, tmp_path_facto
     assert [name for name in os.listdir(temporary) if "-core-" not in name] == []
 
 
-ROOT = Path(__file__).parents[1]
 NO_LIBRARY = "libXrender.so.1: cannot open shared object file: No such file or directory"
 
 

@@ -1,7 +1,6 @@
 """Videos: what is written is read back in place and colour; bytes are equal; strange files end in one clear line."""
 
 import sys
-import wave
 from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
@@ -111,34 +110,20 @@ def test_frames_are_read_when_they_are_asked_for(tmp_path: Path) -> None:
     at = end // 2
     (tmp_path / "a.mp4").write_bytes(data[:at] + b"\xff" * (end - at) + data[end:])
     read_before = []
-    with pytest.raises(FormatError, match=r"a\.mp4: frame \d+: expected a"):
-        read_into(read_before, tmp_path / "a.mp4")
+    match = r"a\.mp4: frame \d+: expected a"
+    with pytest.raises(FormatError, match=match), open_video(tmp_path / "a.mp4") as found:
+        read_before.extend(found.frames)
     assert 5 < len(read_before) < 40
-
-
-def read_into(frames: list[RgbImage], path: Path) -> None:
-    with open_video(path) as found:
-        frames.extend(found.frames)
-
-
-def silence() -> bytes:
-    stream = BytesIO()
-    with wave.open(stream, "wb") as out:
-        out.setnchannels(1)
-        out.setsampwidth(2)
-        out.setframerate(8000)
-        out.writeframes(bytes(16_000))
-    return stream.getvalue()
 
 
 def sound_alone() -> bytes:
     """An MP4 file with a track of sound and none of pictures."""
     stream = BytesIO()
-    with av.open(stream, "w", format="mp4") as container, av.open(BytesIO(silence())) as source:
+    with av.open(stream, "w", format="mp4") as container:
         out = container.add_stream("aac", rate=8000)
-        for frame in source.decode(audio=0):
-            frame.pts = None
-            container.mux(out.encode(frame))
+        silence = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        silence.sample_rate = 8000
+        container.mux(out.encode(silence))
         container.mux(out.encode())
     return stream.getvalue()
 
@@ -166,7 +151,6 @@ STRANGE = {
     "a script of files": (lambda small: b"ffconcat version 1.0\nfile a.mp4\n", "expected a video, got something else"),
     "no index": (lambda small: small[: len(small) // 2], "expected a video, got something else"),
     "sound alone": (lambda small: sound_alone(), "expected a video, got a file without one"),
-    "a format of sound": (lambda small: silence(), "expected a video, got something else"),
     "cut pictures": (lambda small: cut(small), r"expected at least [\d,]+ bytes, got [\d,]+: the file is cut"),
     "damaged pictures": (lambda small: filled(small), "frame 0: expected a"),
 }

@@ -25,9 +25,8 @@ from synth3dlanes.world.placement import car_place
 from synth3dlanes.world.world import World, resolve
 from tests.scenes import FLAT
 from tests.test_ground_truth import plan_middle, right_of
-from tests.test_people import thing_bodies
 from tests.thorough import first
-from tests.town_checks import bodies
+from tests.town_checks import bodies, thing_bodies
 
 WORKS = ("works.present=true", "road.topology=1", "trees.n=0")
 CLOSED = RoadWorks(

@@ -6,14 +6,17 @@ from itertools import combinations
 import numpy as np
 import shapely
 
+from synth3dlanes.scene.assets.catalogue import THINGS
 from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import TrafficSignal
+from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world.world import World
 from tests.town_maps import MapReader, off
 
 APART_M, TURNED_RAD, LEAST_RADIUS_M, SIDEWAYS = 0.01, np.radians(0.1), 4.0, 3.0
-HOST_M = 5.0, 2.0
+# Width and length.
+HOST_M = 2.0, 5.0
 
 
 def map_problems(roads: RoadMap) -> Iterator[str]:
@@ -81,17 +84,28 @@ def _green(signal: TrafficSignal) -> np.ndarray:
     return goes[np.searchsorted(ends, at, side="right")]
 
 
+def rectangle(pose: Matrix4, width_m: float, length_m: float) -> shapely.Polygon:
+    """A body from above."""
+    corners = np.array([[x * width_m / 2, y * length_m / 2, 0, 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    return shapely.Polygon((corners @ pose.T)[:, :2])
+
+
 def bodies(world: World) -> list[shapely.Polygon]:
     """The host and all cars from above at the instant of a world's shot, by the poses that are rendered."""
     view, scene = world.view, world.scene
-    sizes = [HOST_M]
-    for car in scene.cars:
+    found = [rectangle(view.world_from_host, *HOST_M)]
+    for car, pose in zip(scene.cars, view.world_from_cars, strict=True):
         model = scene.assets.car_models[car.model - 1]
-        sizes.append((model.length_m * car.scale, model.width_m * car.scale))
+        found.append(rectangle(pose, model.width_m * car.scale, model.length_m * car.scale))
+    return found
+
+
+def thing_bodies(world: World) -> list[shapely.Polygon]:
+    """The boxes of all things from above, by the poses that are rendered."""
     found = []
-    for pose, (length_m, width_m) in zip((view.world_from_host, *view.world_from_cars), sizes, strict=True):
-        corners = np.array([[x * width_m / 2, y * length_m / 2, 0, 1] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-        found.append(shapely.Polygon((corners @ pose.T)[:, :2]))
+    for thing, pose in zip(world.scene.things, world.view.world_from_things, strict=True):
+        model = THINGS[thing.kind][thing.model - 1]
+        found.append(rectangle(pose, model.width_m * thing.scale, model.length_m * thing.scale))
     return found
 
 
