@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.blender import render as renderer
+from synth3dlanes.dataset.format import decode_image, read_passes
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw import sample
 from synth3dlanes.draw.sample import Scenes
@@ -100,18 +101,15 @@ def test_objects_of_the_ground_stay_and_others_are_those_of_the_frame():
 
 def test_what_moves_and_what_stays_in_the_pixels():
     """The road before a camera that moves is another one, the bonnet is the same."""
-    pictures = [renderer_layers(index) for index in (0, 2)]
+    members = [make_sample(RECIPE, index).members for index in (0, 2)]
+    pictures = [
+        (decode_image(at["png"], "png").astype(float), read_passes(at["passes.exr"], "exr")["semantic"])
+        for at in members
+    ]
     hood = [semantic == SEMANTIC_IDS["host"] for _, semantic in pictures]
     assert (hood[0] == hood[1]).all()
     assert hood[0].any()
     assert np.abs(pictures[0][0] - pictures[1][0])[~hood[0]].mean() > 1
-
-
-def renderer_layers(index):
-    from synth3dlanes.dataset.format import decode_image, read_passes
-
-    members = make_sample(RECIPE, index).members
-    return decode_image(members["png"], "png").astype(float), read_passes(members["passes.exr"], "exr")["semantic"]
 
 
 RUN = [sys.executable, "-m", "synth3dlanes", "generate", "--n", "8", "--frames", "3", "--fps", "4", "--params", "tiny"]

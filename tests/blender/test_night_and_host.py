@@ -273,17 +273,6 @@ def test_in_dense_fog_the_world_ends_in_the_sky_without_an_edge():
     assert np.ptp(image[:100].mean(axis=(0, 1))) < 6, "fog is gray"
 
 
-@pytest.mark.thorough
-@pytest.mark.render
-def test_noise_and_blur_come_again_byte_for_byte_and_are_the_scenes_own():
-    scene = changed(sensor={"motion_blur_m": 0.3, "noise": 3})
-    settings = RenderSettings(samples=1)
-    first, again = (take_picture(resolve(scene), settings).image for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-    other = take_picture(resolve(scene.model_copy(update={"index": 1})), settings).image
-    assert (first != other).mean() > 0.5
-
-
 @pytest.mark.render
 def test_blur_leaves_a_car_ahead_sharp_and_the_road_smeared():
     car = Car(model=1, scale=1.0, color=(1, 0, 0), gloss=0.5, lane="main_2", s_m=-42)

@@ -1,19 +1,14 @@
 """Real renders against the labels: two independent ways from a scene to pixels."""
 
-import dataclasses
-
 import bpy
 import numpy as np
 import pytest
-from bpy_extras.object_utils import world_to_camera_view
-from mathutils import Vector
 
 from synth3dlanes.blender import build as builder
 from synth3dlanes.blender import render as renderer
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.geometry.frames import project, transform
 from synth3dlanes.imaging.daylight import daylight
-from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.roads.terrain import gradient_at
@@ -209,18 +204,6 @@ def test_no_scene_can_see_the_last_one():
     assert counts == (len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.images), len(bpy.data.materials))
 
 
-def test_our_projection_is_blenders_even_off_centre_and_with_oblong_pixels():
-    scene = changed(camera={"fx_px": 500.0, "fy_px": 430.0, "cx_px": 210.0, "cy_px": 200.0})
-    built(scene)
-    bpy.context.view_layer.update()
-    points_cam = np.array([[0, 10, 0], [3, 12, -1], [-4, 20, 2.0]])
-    labels: Labels = ground_truth(scene)
-    uv = project(labels.camera.img_from_cam, points_cam)
-    for point, pixel in zip(transform(resolve(scene).view.world_from_cam, points_cam), uv, strict=True):
-        x, y, _depth = world_to_camera_view(bpy.context.scene, bpy.context.scene.camera, Vector(point))
-        np.testing.assert_allclose([x * 480, (1 - y) * 360], pixel, atol=0.01)
-
-
 def test_object_visible_agrees_with_the_instance_pass():
     right, hidden, total = 0, 0, 0
     for index in range(2):
@@ -243,61 +226,6 @@ def test_object_visible_agrees_with_the_instance_pass():
             total += inside.sum()
     assert hidden > 30
     assert right / total > 0.99
-
-
-def test_pixels_are_classified_and_sky_has_no_depth():
-    result = rendered(sample_scene(Scenes(load_params("appendix_i", ["cars.n=12", "trees.n=200"]), 5, "test"), 2))
-    semantic, depth, instance = (result.passes[name] for name in ("semantic", "depth", "instance"))
-    assert set(np.unique(semantic)) <= set(SEMANTIC_IDS.values())
-    for name in ("sky", "terrain", "road", "shoulder", "marking", "tree"):
-        assert (semantic == SEMANTIC_IDS[name]).any(), name
-    np.testing.assert_array_equal(np.isinf(depth), semantic == SEMANTIC_IDS["sky"])
-    assert (numbers_of("delimiter", instance[semantic == SEMANTIC_IDS["marking"]]) >= 0).all()
-    assert (numbers_of("tree", instance[semantic == SEMANTIC_IDS["tree"]]) >= 0).all()
-
-
-@pytest.mark.thorough
-def test_exposure_changes_the_image_and_nothing_else():
-    scene = sample_scene(Scenes(BARE, 5, "test"), 1)
-    dim, bright = (
-        rendered(scene.model_copy(update={"light": scene.light.model_copy(update={"exposure": e})})) for e in (1.0, 3.0)
-    )
-    assert bright.image.mean() > 1.2 * dim.image.mean()
-    for name in dim.passes:
-        np.testing.assert_array_equal(dim.passes[name], bright.passes[name])
-    for a, b in zip(dim.labels.lanes, bright.labels.lanes, strict=True):
-        assert all(np.array_equal(x, y) for x, y in zip(dataclasses.astuple(a), dataclasses.astuple(b), strict=True))
-
-
-def test_normals_are_the_terrains_on_the_ground_and_face_the_camera():
-    without_ramp = load_params("appendix_i", ["trees.n=40", "cars.n=1", "road.topology=1"])
-    scene = sample_scene(Scenes(without_ramp, 7, "test"), 0)
-    settings = RenderSettings(samples=1, passes=("depth", "normal", "semantic"))
-    result = rendered(scene, settings)
-    normal, semantic = result.passes["normal"], result.passes["semantic"]
-    length = np.linalg.norm(normal, axis=-1)
-    np.testing.assert_allclose(length[semantic > 0], 1, atol=1e-4)
-    assert not length[semantic == 0].any()
-    v, u = np.nonzero((semantic == SEMANTIC_IDS["road"]) & (result.passes["depth"] < 40))
-    camera = result.labels.camera
-    rays = np.column_stack(
-        [(u + 0.5 - 240) / scene.camera.fx_px, np.ones(len(u)), (180 - v - 0.5) / scene.camera.fy_px]
-    )
-    points_world = transform(camera.world_from_cam, rays * result.passes["depth"][v, u][:, None])
-    slope = gradient_at(scene.terrain, points_world[:, :2])
-    expected = np.column_stack([-slope, np.ones(len(u))]) / np.sqrt(1 + (slope**2).sum(axis=1))[:, None]
-    cosine = ((normal[v, u] @ camera.world_from_cam[:3, :3].T) * expected).sum(axis=1)
-    assert np.percentile(cosine, 2) > np.cos(np.radians(1))
-    assert ((normal[v, u] * rays).sum(axis=1) < 0).all()
-
-
-@pytest.mark.thorough
-def test_asking_for_passes_changes_no_pixel():
-    scene = sample_scene(Scenes(load_params("appendix_i", ["cars.n=5", "trees.n=100", *SMALL]), 5, "test"), 3)
-    plain = rendered(scene, RenderSettings(samples=2)).image
-    with_passes = rendered(scene, RenderSettings(samples=2, passes=("depth", "normal", "semantic", "instance"))).image
-    np.testing.assert_array_equal(plain, with_passes)
-    np.testing.assert_array_equal(plain, rendered(scene, RenderSettings(samples=2)).image)
 
 
 def test_seen_share_of_cars():
@@ -347,13 +275,6 @@ def test_leaves_let_the_sun_through():
     assert gains["ahead"][1] > 1.3
     assert gains["ahead"][1] > gains["ahead"][2] + 0.1, "more green than blue"
     assert gains["ahead"][1] > gains["behind"][1] + 0.1
-
-
-def test_the_height_map_comes_with_the_passes():
-    scene = changed(terrain={"gaussians": (hill(0, 60, 6, 50),)}, camera=SMALL_CAMERA)
-    height = rendered(scene, RenderSettings(samples=1, passes=("height",))).passes["height"]
-    assert height.shape == (200, 100)
-    assert height[0, 50] > 1 > abs(height[-1, 50]), "row 0 is farthest, on the hill; the last is at the foot"
 
 
 def test_instance_ids_of_paint_follow_the_labels():

@@ -15,7 +15,6 @@ from PIL import Image  # noqa: E402
 
 from synth3dlanes.blender import example_assets as example  # noqa: E402
 from synth3dlanes.blender import render as renderer  # noqa: E402
-from synth3dlanes.blender.assets import load_meshes  # noqa: E402
 from synth3dlanes.blender.build import build  # noqa: E402
 from synth3dlanes.blender.check_assets import _wheels, check_folder  # noqa: E402
 from synth3dlanes.blender.sky_file import read_sky  # noqa: E402
@@ -27,7 +26,7 @@ from synth3dlanes.imaging.sky import AZIMUTH_RAD, HORIZON, LUMINANCE, irradiance
 from synth3dlanes.imaging.user_sky import hang, prepare_sky  # noqa: E402
 from synth3dlanes.params.params import load_params  # noqa: E402
 from synth3dlanes.production.recipe import Recipe, take_picture  # noqa: E402
-from synth3dlanes.scene.assets.catalogue import BUILT_IN, CARS, TREES, CarModel, Library, TreeModel  # noqa: E402
+from synth3dlanes.scene.assets.catalogue import BUILT_IN, Library  # noqa: E402
 from synth3dlanes.scene.assets.folder import FolderCheck, require_assets  # noqa: E402
 from synth3dlanes.scene.instance_ids import instance_id  # noqa: E402
 from synth3dlanes.scene.scene import Scene, Thing, from_json, to_json  # noqa: E402
@@ -144,24 +143,6 @@ def test_wheels_without_names_are_what_touches_the_ground_or_shares_of_the_body(
     nothing = np.zeros((0, 3))
     assert _wheels(np.concatenate([body, tyres]), nothing)[:2] == pytest.approx((2.6, 1.4))
     assert _wheels(body, nothing)[:2] == pytest.approx((0.6 * 4.4, 0.84 * 1.8))
-
-
-@pytest.mark.parametrize("model", [CARS[0], CARS[5], TREES[1]], ids=lambda model: model.name)
-def test_our_own_models_measure_as_our_catalogue_says(model: CarModel | TreeModel, tmp_path: Path) -> None:
-    """Without named wheels: what touches the ground tells where they are."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    (mesh,) = load_meshes([model.name])
-    (tmp_path / "cars").mkdir()
-    (tmp_path / "trees").mkdir()
-    path = tmp_path / ("cars" if isinstance(model, CarModel) else "trees") / f"{model.name}.blend"
-    bpy.data.libraries.write(str(path), {bpy.data.objects.new(model.name, mesh)})
-    checked = check_folder(tmp_path)
-    assert checked.problems == ()
-    (found,) = checked.assets.cars + checked.assets.trees
-    renderer.opened.cache_clear()
-    sizes = set(dataclasses.asdict(model)) - {"name", "sha256", "wheel_radius_m"}
-    for size in sizes:
-        assert getattr(found, size) == pytest.approx(getattr(model, size), abs=0.07), size
 
 
 def test_the_scene_records_what_it_was_drawn_with(scene: Scene, library: Library) -> None:

@@ -22,6 +22,7 @@ from tests import fake_samples
 
 RECIPE = fake_samples.recipe()
 DESCRIPTION = {**RECIPE.description(), "shard_size": 2}
+SILENT = {**os.environ, "PYTHONWARNINGS": "ignore", "HF_HUB_OFFLINE": "1"}
 
 
 def make(root: Path, numbers: list[int], n: int, split: str = "train") -> Path:
@@ -29,16 +30,24 @@ def make(root: Path, numbers: list[int], n: int, split: str = "train") -> Path:
     return fake_samples.data_set(root, [index for index in range(n) if index // 2 in numbers], n, 2, split)
 
 
-def header(root: Path) -> dict[str, Any]:
+def header(text: str) -> dict[str, Any]:
     """The YAML between the first two lines of three hyphens."""
-    _, text, _ = (root / "README.md").read_text().split("---\n", 2)
-    return yaml.safe_load(text)
+    return yaml.safe_load(text.split("---\n", 2)[1])
+
+
+def loaded(code: str, *arguments: object, **environment: str) -> Any:
+    """What a program prints as JSON; in a process of its own, because the warnings of libraries are not ours."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env=SILENT | environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
 
 
 def test_the_hub_finds_licence_task_size_and_splits_and_a_reader_the_parameters(tmp_path):
     make(tmp_path, [0], 2)
     make(tmp_path, [0], 2, "val-night")
-    found, text = header(tmp_path), (tmp_path / "README.md").read_text()
+    text = (tmp_path / "README.md").read_text()
+    found = header(text)
     assert document(tmp_path)["license"] == "CC0-1.0"
     assert yaml.safe_load(text.split("```yaml\n")[1].split("```")[0]) == document(tmp_path)["params"]
     assert all(f"| `.{name}` |" in text for name in RECIPE.names)
@@ -52,14 +61,13 @@ def test_the_hub_finds_licence_task_size_and_splits_and_a_reader_the_parameters(
 
 
 @pytest.mark.parametrize(("n", "size"), [(999, "n<1K"), (1000, "1K<n<10K"), (300_000, "100K<n<1M")])
-def test_the_size_is_a_category_of_the_hub(n, size):
-    description = {**DESCRIPTION, "license": "CC0-1.0", "splits": {"train": {"n": n}}}
-    assert size in yaml.safe_load(card(description).decode().split("---\n")[1])["size_categories"]
-
-
-def test_no_licence_is_claimed_where_none_is_known():
-    text = card({**DESCRIPTION, "splits": {"train": {"n": 1}}}).decode()
-    assert "license" not in yaml.safe_load(text.split("---\n")[1])
+def test_the_size_is_a_category_of_the_hub_and_no_licence_is_claimed_where_none_is_known(n, size):
+    library = Library("mine", Assets(roads=(Texture("asphalt", "0" * 64),)))
+    description = {**replace(RECIPE, library=library).description(), "shard_size": 2}
+    of_own_assets = json.loads(updated_description(None, description, "train", n, "dataset.json"))
+    text = card(of_own_assets).decode()
+    assert size in header(text)["size_categories"]
+    assert "license" not in {*of_own_assets, *header(text)}
     assert "CC0" not in text
 
 
@@ -100,7 +108,7 @@ def test_data_sets_made_of_others_have_both_too(tmp_path, is_store):
             "paths of this machine are nobody's business"
         )
     if is_store:
-        assert load(tmp_path / "dealt", "train", "val")["found"] == expected(tmp_path / "dealt", "train", "val")
+        assert by_croissant(tmp_path / "dealt", "train", "val")["found"] == expected(tmp_path / "dealt", "train", "val")
 
 
 @pytest.mark.thorough
@@ -112,15 +120,10 @@ def test_the_hugging_face_library_loads_the_folder_by_its_card(tmp_path):
         "loaded = load_dataset(sys.argv[1], streaming=True)\n"
         "print(json.dumps({name: [sample['__key__'] for sample in split] for name, split in loaded.items()}))"
     )
-    # In a process of its own: the library's warnings are not ours.
-    environment = {"HF_HOME": str(tmp_path), "HF_HUB_OFFLINE": "1", "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
-    command = [sys.executable, "-c", code, str(tmp_path / "set")]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == {"train": [f"{i:08d}" for i in range(4)], "val": [f"{i:08d}" for i in range(2)]}
+    keys = loaded(code, tmp_path / "set", HF_HOME=str(tmp_path), HOME=str(tmp_path))
+    assert keys == {"train": [f"{i:08d}" for i in range(4)], "val": [f"{i:08d}" for i in range(2)]}
 
 
-# In a process of its own: the library's warnings are not ours.
 LOAD = """
 import hashlib, json, sys
 import mlcroissant
@@ -136,13 +139,9 @@ print(json.dumps({"warnings": sorted(loaded.metadata.ctx.issues.warnings), "foun
 """
 
 
-def load(root: Path, *splits: str) -> dict[str, Any]:
+def by_croissant(root: Path, *splits: str) -> Any:
     """What mlcroissant finds, with a cache of its own: it unpacks tars by their relative names."""
-    environment = {**os.environ, "CROISSANT_CACHE": str(root.parent / f"cache-{root.name}"), "PYTHONWARNINGS": "ignore"}
-    command = [sys.executable, "-c", LOAD, str(root / "croissant.json"), *splits]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    return loaded(LOAD, root / "croissant.json", *splits, CROISSANT_CACHE=str(root.parent / f"cache-{root.name}"))
 
 
 def expected(root: Path, *splits: str) -> dict[str, Any]:
@@ -159,10 +158,10 @@ def expected(root: Path, *splits: str) -> dict[str, Any]:
 
 def test_mlcroissant_loads_images_and_lanes(tmp_path):
     root = make(make(tmp_path / "set", [0, 1], 3), [0], 2, "val-night")
-    loaded = load(root, "train", "val-night")
-    assert loaded["found"] == expected(root, "train", "val-night")
-    assert len(loaded["found"]) == 5
-    (warning,) = loaded["warnings"]
+    by = by_croissant(root, "train", "val-night")
+    assert by["found"] == expected(root, "train", "val-night")
+    assert len(by["found"]) == 5
+    (warning,) = by["warnings"]
     assert "datePublished" in warning, "when a data set is published is known to those who publish it"
 
 
@@ -192,12 +191,6 @@ def license_as(root: Path, licence: str | None) -> Path:
     found |= {} if licence is None else {"license": licence}
     (root / "dataset.json").write_text(json.dumps(found, indent=1) + "\n")
     return root
-
-
-def test_whose_assets_are_the_users_own_has_the_licence_that_they_choose():
-    library = Library("mine", Assets(roads=(Texture("asphalt", "0" * 64),)))
-    description = {**replace(RECIPE, library=library).description(), "shard_size": 2}
-    assert "license" not in json.loads(updated_description(None, description, "train", 2, "dataset.json"))
 
 
 @pytest.mark.parametrize("licence", [None, "CC-BY-4.0"])

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from synth3dlanes.dataset.description import parse_description, recipe_text, updated_description
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.errors import FormatError
 from tests import fake_samples
 
 RECIPE = {**fake_samples.recipe().description(), "shard_size": 10}
@@ -30,14 +30,10 @@ def test_what_is_written_is_read_and_written_again():
     [
         (lambda d: d["splits"].update(train=5), "splits.train: expected an object, got 5"),
         (lambda d: d["splits"].update(train={"n": -1}), "splits.train.n: .*, got -1"),
-        (lambda d: d["splits"].update(train={"n": "5"}), "splits.train.n: .*, got '5'"),
-        (lambda d: d.update(splits=[]), r"splits: .*, got \[\]"),
         (lambda d: d.pop("splits"), "splits: missing"),
         (lambda d: d.update(image_format="gif"), "image_format: .*, got 'gif'"),
         (lambda d: d["render"].pop("passes"), "render.passes: missing"),
         (lambda d: d["render"].update(passes=["smell"]), "render.passes.0: .*, got 'smell'"),
-        (lambda d: d.update(params=7), "params: .*, got 7"),
-        (lambda d: d.update(seed="x"), "seed: .*, got 'x'"),
         (lambda d: d.update(shard_size=0), "shard_size: .*, got 0"),
         (lambda d: d.update(sede=1), "sede: unknown key"),
     ],
@@ -49,8 +45,3 @@ def test_an_edited_key_is_named(change: Callable, line: str):
     for read in (parse_description, lambda text, name: updated_description(text, RECIPE, "train", 5, name)):
         with pytest.raises(FormatError, match=rf"^a/dataset\.json: {line}"):
             read(text, "a/dataset.json")
-
-
-def test_another_recipe_is_refused_by_key():
-    with pytest.raises(InputError, match=r"^x: seed: expected 7 as in this dataset, got 8\nx: shard_size: "):
-        updated_description(TEXT, {**RECIPE, "seed": 8, "shard_size": 11}, "train", 5, "x")

@@ -11,6 +11,7 @@ from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.write import Shard
 from synth3dlanes.system.errors import MissingPackageError
 from tests import fake_samples
+from tests.power_cut import contents
 
 RECIPE = fake_samples.recipe()
 DESCRIPTION = {**RECIPE.description(), "shard_size": 4}
@@ -27,11 +28,6 @@ def extend(destination: Destination, n: int) -> None:
                     for index in missing:
                         here.write_part(index, fake_samples.make(RECIPE, index).members)
                     here.join(n)
-
-
-def contents(root: Path) -> dict[str, bytes]:
-    found = (path for path in root.rglob("*") if path.is_file() and path.name != ".lock")
-    return {path.relative_to(root).as_posix(): path.read_bytes() for path in found}
 
 
 def test_a_store_gets_the_bytes_of_a_folder(tmp_path):

@@ -1,6 +1,5 @@
 """Data sets cut, put together, asked and made of clips hold the very bytes of their sources, each sample once."""
 
-import operator
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from hypothesis import strategies as st
 
 from synth3dlanes.dataset.columns import SCHEMA
 from synth3dlanes.dataset.folder import claim
-from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA
+from synth3dlanes.dataset.index import ADDED
 from synth3dlanes.dataset.info import dataset_info
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader
@@ -26,20 +25,13 @@ from synth3dlanes.production.run import generate
 from synth3dlanes.scene.scene import from_json
 from synth3dlanes.system.errors import FormatError, InputError
 from tests import fake_samples
+from tests.power_cut import contents
 
 SIZE = 3
 
 
 def make(root: Path, indices: list[int], n: int = 8, split: str = "train", seed: int = 7) -> Path:
     return fake_samples.data_set(root, indices, n, SIZE, split, seed)
-
-
-def files(root: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(root).as_posix(): path.read_bytes()
-        for path in sorted(root.rglob("*"))
-        if path.is_file() and path.name != ".lock"
-    }
 
 
 @given(st.integers(0, 200), st.lists(st.floats(0.01, 10), min_size=1, max_size=5), st.integers(0, 9))
@@ -77,11 +69,11 @@ def test_a_cut_split_is_a_data_set(tmp_path):
 def test_a_cut_is_continued_and_another_one_refused(tmp_path):
     source = Reader(f"{make(tmp_path / 'a', list(range(8)))}/train")
     split_dataset(source, {"x": 1, "y": 1}, 0, str(tmp_path / "b"))
-    before = files(tmp_path / "b")
+    before = contents(tmp_path / "b")
     (tmp_path / "b/x/00001.parquet").unlink()
     (tmp_path / "b/x/00001.tar").unlink()
     split_dataset(source, {"x": 1, "y": 1}, 0, str(tmp_path / "b"))
-    assert files(tmp_path / "b") == before
+    assert contents(tmp_path / "b") == before
     with pytest.raises(InputError, match=r"derived\.seed: expected 0 as in this dataset, got 1"):
         split_dataset(source, {"x": 1, "y": 1}, 1, str(tmp_path / "b"))
     with pytest.raises(InputError, match="got none of 8 for y"):
@@ -103,11 +95,15 @@ def test_merged_parts_are_what_one_run_makes(tmp_path, monkeypatch, linked):
     first = make(tmp_path / "a", [0, 1, 2, 6, 7])
     second = make(tmp_path / "b", [3, 4, 5])
     assert merge([str(first), str(second)], str(tmp_path / "c")) == {"train": 8}
-    assert files(tmp_path / "c") == files(whole)
+    assert contents(tmp_path / "c") == contents(whole)
     tar = tmp_path / "c/train/00001.tar"
     assert tar.samefile(second / "train/00001.tar") is linked
     assert merge([str(first), str(second)], str(tmp_path / "c")) == {"train": 8}
-    assert files(tmp_path / "c") == files(whole)
+    assert contents(tmp_path / "c") == contents(whole)
+    # Splits are merged by their names.
+    val = make(tmp_path / "val", [0, 1], split="val")
+    assert merge([str(whole), str(val)], str(tmp_path / "d")) == {"train": 8, "val": 2}
+    assert [reader.url.rpartition("/")[2] for reader in readers(str(tmp_path / "d"))] == ["train", "val"]
 
 
 @pytest.mark.parametrize("garbage", ["zeros", "a cut", "a pipe"])
@@ -122,12 +118,6 @@ def test_a_tar_that_is_not_what_its_index_says_is_not_taken_over(tmp_path, garba
     with pytest.raises(FormatError, match=r"00000\.tar"):
         merge([str(tmp_path / "a")], str(tmp_path / "c"))
     assert not list((tmp_path / "c").glob("train/*.tar"))
-
-
-def test_splits_are_merged_by_name(tmp_path):
-    train, val = make(tmp_path / "a", [0, 1]), make(tmp_path / "b", [0, 1], split="val")
-    assert merge([str(train), str(val)], str(tmp_path / "c")) == {"train": 2, "val": 2}
-    assert [reader.url.rpartition("/")[2] for reader in readers(str(tmp_path / "c"))] == ["train", "val"]
 
 
 def test_what_does_not_go_together(tmp_path):
@@ -188,10 +178,13 @@ queries = st.recursive(
 
 @given(queries)
 def test_any_query_means_what_python_means(query: str) -> None:
+    """But for a missing value, which fits nothing."""
     rows = [dict(zip(INDEX.column_names, row, strict=True)) for row in zip(*INDEX.to_pydict().values(), strict=True)]
     plain = query.replace(" = ", " == ")
     expected = [i for i, row in enumerate(rows) if eval(plain, {"__builtins__": {}}, row)]
     assert rows_where(INDEX, query).tolist() == expected
+    gap = pa.table({"size": pa.array([1, None, 3])})
+    assert (rows_where(gap, "size = 1").tolist(), rows_where(gap, "size != 1").tolist()) == ([0], [2])
 
 
 @pytest.mark.parametrize(
@@ -202,12 +195,8 @@ def test_any_query_means_what_python_means(query: str) -> None:
         ("n_lanes = 'four'", "expected a number, got text"),
         ("flip_lateral = 1", "expected a truth value, got a number"),
         ("__import__('os').system('touch pwned')", "expected columns, numbers"),
-        ("n_lanes.real = 4", "expected columns, numbers"),
         ("n_lanes + 1 = 4", "expected columns, numbers"),
-        ("(lambda: True)()", "expected columns, numbers"),
-        ("junction = f'{n_lanes}'", "expected columns, numbers"),
         ("n_lanes in (2, 3)", "expected columns, numbers"),
-        ("n_lanes = ", "expected columns, numbers"),
         ("(n_lanes = 2", "expected columns, numbers"),
         ("'open", "expected columns, numbers"),
         ("", "expected columns, numbers"),
@@ -220,22 +209,6 @@ def test_what_is_no_query(where: str, expected: str) -> None:
         rows_where(INDEX, where)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_every_column_of_a_real_index_can_be_asked_for() -> None:
-    empty = pa.Table.from_pylist([], schema=pa.unify_schemas([SCHEMA, ADDED_SCHEMA]))
-    for field in empty.schema:
-        right = {pa.string(): "'x'", pa.bool_(): "true"}.get(field.type, "1")
-        assert rows_where(empty, f"{field.name} = {right}").tolist() == []
-
-
-def test_a_missing_value_fits_nothing() -> None:
-    index = pa.table({"size": pa.array([1, None, 3])})
-    for compare in (operator.eq, operator.ne):
-        sign = "=" if compare is operator.eq else "!="
-        assert (
-            rows_where(index, f"size {sign} 1").tolist() == np.flatnonzero([compare(1, 1), 0, compare(3, 1)]).tolist()
-        )
 
 
 FRAMES = 6
@@ -260,17 +233,12 @@ def data(tmp_path_factory):
     return folder
 
 
-def test_the_index_says_what_a_sample_shows(data):
+def test_a_clip_is_found_by_its_scene(data, tmp_path):
     index = Reader(f"{data}/train").index
     assert index.schema.names == [*SCHEMA.names, *SHOT_COLUMNS, *ADDED]
-    numbers = np.arange(33)
-    assert index["scene"].to_pylist() == (numbers // FRAMES).tolist()
-    assert index["frame"].to_pylist() == (numbers % FRAMES).tolist()
-    assert set(index["camera"].to_pylist()) == {0}
+    shown = zip(*(index[name].to_pylist() for name in SHOT_COLUMNS), strict=True)
+    assert list(shown) == [(number // FRAMES, number % FRAMES, 0) for number in range(33)]
     assert rows_where(index, "frame = 0 and scene > 3").tolist() == [24, 30]
-
-
-def test_a_clip_is_found_by_its_scene(data):
     reader = Reader(f"{data}/train", columns=())
     assert reader.scenes == list(range(6))
     assert reader.clip(2) == reader.clip(2, camera=0) == list(range(12, 18))
@@ -279,15 +247,12 @@ def test_a_clip_is_found_by_its_scene(data):
     for scene, camera in ((6, None), (2, 1)):
         with pytest.raises(FormatError, match=f"expected pictures of scene {scene}"):
             reader.clip(scene, camera)
-
-
-def test_single_pictures_are_clips_of_one_and_keep_their_columns(tmp_path):
-    reader = made(tmp_path / "data", 4, frames=1)
-    assert reader.index.schema.names == [*SCHEMA.names, *ADDED]
-    assert reader.clip(3) == [3]
-    assert reader.scenes == [0, 1, 2, 3]
-    assert "shots" not in reader.description
-    assert reader.labels(0).time_s is None
+    # Single pictures are clips of one, and keep their columns.
+    single = made(tmp_path / "data", 4, frames=1)
+    assert single.index.schema.names == [*SCHEMA.names, *ADDED]
+    assert (single.clip(3), single.scenes) == ([3], [0, 1, 2, 3])
+    assert "shots" not in single.description
+    assert single.labels(0).time_s is None
 
 
 def test_a_clip_lies_in_one_split(data, tmp_path):

@@ -1,6 +1,7 @@
 """A drive in closed form, and its files as the formats define them: written here with numpy and pyarrow alone, in the
 axes of vehicles (x forward, y left, z up) and of cameras (x right, y down, z forward)."""
 
+import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +19,7 @@ START_S = 1_317_042_145.5
 
 def pose(yaw: float, x: float, y: float, z: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """A pose in a world whose z points up: turned left by `yaw` from x."""
-    cy, sy, cp, sp, cr, sr = (
-        *(f(yaw) for f in (np.cos, np.sin)),
-        *(f(pitch) for f in (np.cos, np.sin)),
-        np.cos(roll),
-        np.sin(roll),
-    )
+    cy, sy, cp, sp, cr, sr = (f(angle) for angle in (yaw, pitch, roll) for f in (np.cos, np.sin))
     rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
@@ -88,11 +84,15 @@ P2 = np.array([[721.5, 0, 609.6, 44.86], [0, 721.5, 172.9, 0.2164], [0, 0, 1, 0.
 SIZE = (1242, 375)
 
 
-def write_feather(path: Path, columns: dict[str, np.ndarray | list]) -> None:
-    table = pa.table(columns)
-    options = pa.ipc.IpcWriteOptions(compression="lz4")
-    with path.open("wb") as stream, pa.ipc.new_file(stream, table.schema, options=options) as file:
+def feather(columns: dict[str, np.ndarray | list]) -> bytes:
+    table, stream = pa.table(columns), io.BytesIO()
+    with pa.ipc.new_file(stream, table.schema, options=pa.ipc.IpcWriteOptions(compression="lz4")) as file:
         file.write_table(table)
+    return stream.getvalue()
+
+
+def write_feather(path: Path, columns: dict[str, np.ndarray | list]) -> None:
+    path.write_bytes(feather(columns))
 
 
 def words(values: np.ndarray) -> str:
@@ -292,3 +292,6 @@ def write_described(folder: Path, drive: Road) -> Path:
     (folder / "camera.yaml").write_text(CAMERA_YAML)
     (folder / "drive.yaml").write_text(DRIVE_YAML)
     return folder
+
+
+WRITERS = {"described": write_described, "sequence": write_sequence, "raw": write_raw, "argoverse": write_argoverse}

@@ -173,11 +173,8 @@ def test_lines_on_a_road_that_climbs_ahead_are_no_fault(tmp_path):
     assert not [line for line in drive_findings(open_drive(str(tmp_path))) if "horizon" in line]
 
 
-WRITERS = (made.write_described, made.write_sequence, made.write_raw, made.write_argoverse)
-
-
 @pytest.mark.parametrize(
-    ("layout", "turn"), first(4, [(layout, turn) for turn in (0.02, 0.0, -0.03) for layout in WRITERS])
+    ("layout", "turn"), first(4, [(layout, turn) for turn in (0.02, 0.0, -0.03) for layout in made.WRITERS.values()])
 )
 def test_a_drive_without_a_fault_has_no_finding(tmp_path, layout, turn):
     assert drive_findings(open_drive(str(layout(tmp_path, made.road(12, turn))))) == []

@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 
-from synth3dlanes.geometry.frames import invert, road_from_cam, transform
-from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph
 from synth3dlanes.scene.scene import Car, Scene, Tree
 from tests.browser import browser as browser
 from tests.browser import open_page as open_page
 from tests.scenes import FLAT, changed, hill
-
-HEIGHT_M, PITCH_RAD = 1.5, 0.03
-
 
 CARS = (
     Car(model=2, scale=1.0, color=(0.8, 0.1, 0.1), gloss=0.5, lane="main_1", s_m=-20.0),
@@ -40,30 +35,3 @@ def exit_scene() -> Scene:
 @pytest.fixture
 def gray_image() -> np.ndarray:
     return np.full((360, 480, 3), 120, dtype=np.uint8)
-
-
-@pytest.fixture
-def straight_labels() -> Labels:
-    """A flat road in closed form: one centre line straight ahead, a delimiter 2 m to its right, hidden from 50 m on."""
-    pose = road_from_cam(HEIGHT_M, PITCH_RAD)
-    world_from_cam = pose.copy()
-    camera = CameraLabel(
-        width_px=480,
-        height_px=360,
-        img_from_cam=np.array([[400.0, 240.0, 0.0], [0.0, 180.0, -400.0], [0.0, 1.0, 0.0]]),
-        height_m=HEIGHT_M,
-        pitch_rad=PITCH_RAD,
-        road_from_cam=pose,
-        world_from_cam=world_from_cam,
-    )
-    y_m = np.arange(0.0, 111.0)
-
-    def lane(name: str, kind: str, x_m: float) -> Lane:
-        points_road = np.stack([np.full_like(y_m, x_m), y_m, np.zeros_like(y_m)], -1)
-        points_cam = transform(invert(pose), points_road)
-        in_image = y_m >= 4
-        marking = "none" if kind == "centerline" else "solid"
-        return Lane(name, kind, "main", marking, None, None, points_cam, in_image, y_m < 50, None)  # type: ignore[arg-type]
-
-    lanes = (lane("main_1", "centerline", 0.0), lane("main_line_1", "delimiter", 2.0))
-    return Labels(camera, lanes, LaneGraph((), {}, None))

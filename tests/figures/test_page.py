@@ -54,23 +54,14 @@ def test_a_scene_page_loads_nothing(with_image, gray_image, exit_scene):
     assert len(parser.addresses) == 1 + with_image
 
 
-def spaces(scene):
-    """Vertices, their colours and faces of each group of the page's 3D view."""
-    found = re.search(
-        r'id="space-data">(.*?)</script>', scene_page(ShownScene(scene, ground_truth(scene), None)), re.DOTALL
-    )
-    assert found is not None
-    types = {"vertices": "<f4", "colors": "u1", "faces": "<u4"}
-    return {
-        group["name"]: [
-            np.frombuffer(base64.b64decode(group[key]), dtype).reshape(-1, 3) for key, dtype in types.items()
-        ]
-        for group in json.loads(found[1])["groups"]
-    }
-
-
 def space_of(scene, name):
-    return spaces(scene)[name]
+    """Vertices, their colours and faces of a group of the page's 3D view."""
+    page = scene_page(ShownScene(scene, ground_truth(scene), None))
+    found = re.search(r'id="space-data">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    (group,) = (group for group in json.loads(found[1])["groups"] if group["name"] == name)
+    types = {"vertices": "<f4", "colors": "u1", "faces": "<u4"}
+    return [np.frombuffer(base64.b64decode(group[key]), dtype).reshape(-1, 3) for key, dtype in types.items()]
 
 
 def test_the_space_holds_the_road_of_the_scene(flat_scene):

@@ -1,15 +1,13 @@
-"""The ground of maps: one surface without gaps or steps, terrain that meets it, kerbs, heights; OpenLane-V2's map."""
+"""The ground of maps: one surface without gaps or steps, terrain that meets it, kerbs, heights."""
 
 import numpy as np
 import pytest
 
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.formats.lane_map import REACH_M, lane_segments
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapIsland, Polynomial, RoadMap
 from synth3dlanes.system.arrays import Points3
-from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.faces import MeshFaces
 from synth3dlanes.world.meshes import Mesh
 from synth3dlanes.world.world import World, resolve
@@ -57,21 +55,6 @@ def test_the_pavement_is_one_surface_on_the_terrain_without_steps(world, aside_m
     np.testing.assert_allclose(world.ground.height(xy), height_at(HILLS, xy), atol=1e-9)
 
 
-def test_the_terrain_goes_on_below_the_pavement_and_meets_its_edges(world):
-    terrain = [world.site.surfaces.terrain]
-    xy = lane_points(world, 0.0)[::7]
-    below_m = MeshFaces(world.site.surfaces.pavement).height(xy) - MeshFaces(terrain).height(xy)
-    assert (below_m > 0.02).all()
-    assert (below_m < 0.4 * world.ground.paved.grid.cell_scale(xy)).all()
-    s = np.linspace(3, 60, 40)
-    arm = world.network.road("south")
-    beside = arm.xy(s, arm.right(s) + 0.4)
-    np.testing.assert_allclose(MeshFaces(terrain).height(beside), height_at(HILLS, beside), atol=0.04)
-    edge = arm.xy(s, arm.right(s) - 0.02)
-    gap_m = MeshFaces(world.site.surfaces.pavement).height(edge) - MeshFaces(terrain).height(edge)
-    assert (np.abs(gap_m - 0.12) < 0.06).all(), "a kerb above the terrain that goes on under it"
-
-
 def test_walkways_and_islands_are_raised(world):
     arm, s = world.network.road("north"), np.linspace(2, 40, 20)
     middle = arm.xy(s, arm.right(s) - 1.0)
@@ -113,28 +96,6 @@ def test_roads_with_heights_leave_the_terrain_and_fall_to_it_beside_their_edges(
     assert pose[2, 3] == pytest.approx(2 + 0.03 * 9 - np.tan(0.02) * 1.8, abs=0.01)
     assert pose[2, 1] == pytest.approx(0.03, abs=2e-3), "it climbs"
     assert pose[2, 0] == pytest.approx(-0.02, abs=2e-3), "and leans to the right"
-
-
-def test_lane_segments_have_their_boundaries_and_are_connectors_in_junctions(world):
-    labels = label(world, world.view)
-    found = list(lane_segments(world, labels.graph.segments, world.view.world_from_host[:3, 3]))
-    assert {at.id for at in found if at.is_connector} == {at.id for at in labels.graph.segments if at.junction}
-    for at in found:
-        for side, sign in ((at.left, 1), (at.right, -1)):
-            along = np.gradient(at.points_world[:, :2], axis=0)
-            to = (side.points_world - at.points_world)[:, :2]
-            left_m = (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / np.linalg.norm(along, axis=1)
-            np.testing.assert_allclose(sign * left_m, WIDTH_M / 2, atol=0.01)
-        painted = (at.left.marking, at.right.marking)
-        assert painted == (("none", "none") if at.is_connector else ("dashed", "solid")), at.id
-    ends = {at.id: at.points_world[[0, -1]] for at in found}
-    for lane, beyond in labels.graph.successors.items():
-        for name in beyond:
-            assert np.linalg.norm(ends[lane][1] - ends[name][0]) < 0.01
-    for edge in world.ground.paved.edges(world.view.world_from_host[:2, 3], REACH_M):
-        at_island = np.abs(edge[:, :2]).max(axis=1) < 1.1
-        inside_m = np.abs(world.ground.clearance(edge[:, :2]))
-        assert (at_island | (inside_m < 2.1)).all(), "at the walkways' inner edges or at their own"
 
 
 def test_what_is_far_from_the_host_is_left_out():

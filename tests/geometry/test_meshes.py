@@ -82,29 +82,6 @@ def test_no_terrain_comes_through_a_road(topology):
         assert np.nanmedian(above) > 0.25
 
 
-def test_dashes_cover_their_share_and_do_not_move_with_the_camera():
-    worlds = [resolve(changed(camera={"y_m": y})) for y in (-50, -30.3)]
-    painted = [
-        {
-            (round(lo, 3), round(hi, 3))
-            for lo, hi in zip(*_spans(world, "main_line_1"), strict=True)
-            if -20 < lo < hi < 20
-        }
-        for world in worlds
-    ]
-    edges = [sorted({e for span in spans for e in span}) for spans in painted]
-    starts = [[e for e in spans if abs(e / 4 - round(e / 4)) < 1e-6] for spans in edges]
-    assert starts[0] == starts[1] == [-16, -12, -8, -4, 0, 4, 8, 12, 16]
-    lengths = [sum(hi - lo for lo, hi in spans) for spans in painted]
-    np.testing.assert_allclose(lengths, 20, atol=2.01)
-
-
-def _spans(world, line):
-    mesh = world.paint(world.view)[line]
-    y = world.network.stations(mesh.uv_m[mesh.faces][:, :, 1])
-    return y.min(axis=1), y.max(axis=1)
-
-
 def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
     """Across its line, within a tenth of a pixel, wherever the road is not seen edge on."""
     for topology in (2, 3, 4):
@@ -127,19 +104,6 @@ def test_the_eye_sees_paint_in_its_place_on_hills_and_ramps():
                 aside_px = np.abs(off[:, 0] * along[:, 1] - off[:, 1] * along[:, 0]) / np.hypot(*along.T)
                 steep = np.hypot(*along.T) > 0.005
                 assert aside_px[steep].max(initial=0) < 0.1, curve.id
-
-
-@pytest.mark.parametrize("topology", [2, 3, 4])
-def test_no_ground_comes_up_where_the_exits_pavement_meets_the_main_one(topology):
-    """It would show through the seam, as single pixels of terrain on the road."""
-    world = world_of(topology)
-    main, branch = world.network.roads
-    s = np.arange(5.0, branch.parting.station(0.0) - 5, 0.25)
-    at, t = branch.line.project(main.xy(s, main.right(s)), s)
-    s = s[(at > 0) & (branch.outside(at, t) < -0.5)]
-    seam = main.points(s, main.right(s) + 1e-3)
-    assert len(s) > 20
-    assert (heights_at(world.site.surfaces.terrain, seam[:, :2]) < seam[:, 2] - 0.1).all()
 
 
 @pytest.mark.parametrize(("topology", "flip"), [(1, False), (2, True), (3, False), (4, True)])

@@ -39,7 +39,12 @@ KEPT, GRID = 5, (9, 12)
 
 OVER = ((0, 0, 0), (40, 0, 0.05), (160, 6, 0), (240, 6, -0.05), (360, 0, 0))
 PROFILE = "".join(f'<elevation s="{s}" a="{a}" b="{b}" c="0" d="0"/>' for s, a, b in OVER)
-BENDS = plan(("<line/>", 150.0), ('<arc curvature="0.01"/>', 120.0), ('<spiral curvStart="0" curvEnd="-0.02"/>', 90.0))
+BENDS = (
+    '<planView><geometry s="0.0" x="0.0" y="0.0" hdg="0.0" length="150.0"><line/></geometry>'
+    '<geometry s="150.0" x="149.99999999992403" y="0.0" hdg="0.0" length="120.0"><arc curvature="0.01"/></geometry>'
+    '<geometry s="270.0" x="243.20390861062737" y="63.764224561897166" hdg="1.2" length="90.0">'
+    '<spiral curvStart="0" curvEnd="-0.02"/></geometry></planView>'
+)
 BANKED = '<lateralProfile><superelevation s="0" a="0.05" b="0" c="0" d="0"/></lateralProfile>'
 HILLY = '<elevationProfile><elevation s="0" a="12" b="0.03" c="-0.0001" d="0"/></elevationProfile>'
 STREET = section(

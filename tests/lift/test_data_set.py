@@ -92,25 +92,21 @@ def test_a_pose_that_is_off_and_a_black_picture_are_found_in_their_frame(made: t
     assert problems(evidence(0), replace(evidence(1), image=np.zeros((720, 1280, 3), np.uint8))) == ["train:1"]
 
 
-def test_it_is_split(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
-    split_dataset(Reader(f"{made[0]}/train"), {"test": 1.0}, 0, str(tmp_path))
-    found, source = Reader(f"{tmp_path}/test"), Reader(f"{made[0]}/train")
-    assert found.clip(0) == list(range(8))
-    assert found[3].scene_json is None
-    assert found.raw(3) == source.raw(3)
-    assert not validate(tmp_path, 1, None, lambda done, total: None).problems
-    assert "lifted the drive hill" in " ".join((tmp_path / "README.md").read_text().split())
-
-
-def test_it_is_split_after_its_description_was_edited(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
+def test_it_is_split_after_its_description_was_edited_too(made: tuple[Path, LiftReport], tmp_path: Path) -> None:
     """The recipe in its index is another one then, and no shard takes it over."""
-    edited = tmp_path / "edited"
+    edited, source = tmp_path / "edited", Reader(f"{made[0]}/train")
     shutil.copytree(made[0], edited)
-    description = json.loads((edited / "dataset.json").read_text())
-    description["derived"]["lifted"] = "a hill"
-    (edited / "dataset.json").write_text(json.dumps(description))
-    split_dataset(Reader(f"{edited}/train"), {"test": 1.0}, 0, str(tmp_path / "out"))
-    assert Reader(f"{tmp_path}/out/test").clip(0) == list(range(8))
+    text = (edited / "dataset.json").read_text()
+    (edited / "dataset.json").write_text(text.replace('"lifted": "hill"', '"lifted": "a hill"'))
+    for root, name in ((made[0], "hill"), (edited, "a hill")):
+        out = tmp_path / name
+        split_dataset(Reader(f"{root}/train"), {"test": 1.0}, 0, str(out))
+        found = Reader(f"{out}/test")
+        assert found.clip(0) == list(range(8))
+        assert found[3].scene_json is None
+        assert found.raw(3) == source.raw(3)
+        assert f"lifted the drive {name}" in " ".join((out / "README.md").read_text().split())
+    assert not validate(tmp_path / "hill", 1, None, lambda done, total: None).problems
 
 
 def test_openlane_takes_it(made: tuple[Path, LiftReport], tmp_path: Path) -> None:

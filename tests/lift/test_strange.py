@@ -104,18 +104,6 @@ def test_the_points_of_all_scans_are_bounded(monkeypatch: pytest.MonkeyPatch) ->
     assert np.bincount(fewer.scan).min() > most / len(drive.frames) / 3, "of all scans"
 
 
-def test_a_place_that_is_taken_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "link").symlink_to(tmp_path / "folder")
-    for name in ("file", "file/below"):
-        with pytest.raises(InputError) as caught:
-            lift_to(hill.drive(4), tmp_path / name, precision=NO_ERROR)
-        assert len(str(caught.value).splitlines()) == 1
-    assert (tmp_path / "file").read_text() == "mine"
-    assert not list((tmp_path / "folder").iterdir())
-
-
 def test_lanes_marked_in_a_drive_of_kitti_are_where_its_projection_matrix_has_them(tmp_path: Path) -> None:
     """From files in KITTI's raw layout to labels: the pixels of lines on a level road, by P2 and the calibration."""
     truth = made.road(n=12, turn=0.0)

@@ -1,9 +1,13 @@
-"""OpenDRIVE files that the tests write, and an evaluation of their own numbers that shares no code with the reader."""
+"""OpenDRIVE files that the tests write."""
 
 from xml.etree import ElementTree
 
 import numpy as np
 
+from tests.maps.standard import along
+
+# A lane's links to the lane of a number before and behind it.
+ON = '<predecessor id="{0}"/><successor id="{0}"/>'
 PLAIN = '<width sOffset="0" a="3.5" b="0" c="0" d="0"/><roadMark sOffset="0" type="solid"/>'
 
 
@@ -32,12 +36,12 @@ TWO = section(lane(1), lane(-1))
 
 
 def plan(*pieces: tuple[str, float], start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> str:
-    """Geometry one after the other, each where the one before ends by `walked`."""
+    """Geometry one after the other, each where the one before ends."""
     texts, s, at = [], 0.0, np.array(start)
     for form, length in pieces:
         x, y, heading = at
         texts.append(f'<geometry s="{s}" x="{x}" y="{y}" hdg="{heading}" length="{length}">{form}</geometry>')
-        at, s = walked(ElementTree.fromstring(form), at, length, np.array([length]))[0], s + length
+        at, s = along(ElementTree.fromstring(texts[-1]), np.array([length]))[0], s + length
     return f"<planView>{''.join(texts)}</planView>"
 
 
@@ -59,37 +63,16 @@ def road(
     )
 
 
+def link(before: str = "", after: str = "") -> str:
+    """The links of a road to another, as ID:CONTACT, or to a junction by its id."""
+    texts = []
+    for tag, text in (("predecessor", before), ("successor", after)):
+        name, is_road, contact = text.partition(":")
+        kind = f'elementType="road" contactPoint="{contact}"' if is_road else 'elementType="junction"'
+        texts.append(f'<{tag} {kind} elementId="{name}"/>' if text else "")
+    return "".join(texts)
+
+
 def opendrive(*parts: str) -> bytes:
     """A file."""
     return f'<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="7"/>{"".join(parts)}</OpenDRIVE>'.encode()
-
-
-def walked(
-    form: ElementTree.Element, start: np.ndarray, length: float, s: np.ndarray, steps: int = 20_000
-) -> np.ndarray:
-    """(x, y, heading) along one piece of geometry at lengths from its start, by small steps along the curve."""
-    number = {key: float(value) for key, value in form.attrib.items() if key != "pRange"}
-    x, y, heading = start
-    if form.tag in ("line", "arc", "spiral"):
-        at = np.linspace(0, length, steps + 1)
-        first = number.get("curvature", number.get("curvStart", 0.0))
-        last = number.get("curvature", number.get("curvEnd", 0.0))
-        turn = first * at + (last - first) / length * at**2 / 2
-        middle = (turn[1:] + turn[:-1]) / 2
-        step = length / steps
-        u = np.concatenate([[0], np.cumsum(np.cos(middle) * step)])
-        v = np.concatenate([[0], np.cumsum(np.sin(middle) * step)])
-    else:
-        if form.tag == "poly3":
-            p = np.linspace(0, length, steps + 1)
-            u, v = p, sum(number[key] * p**i for i, key in enumerate("abcd"))
-        else:
-            p = np.linspace(0, 1.0 if form.get("pRange") == "normalized" else length, steps + 1)
-            u, v = (sum(number[key + axis] * p**i for i, key in enumerate("abcd")) for axis in "UV")
-        at = np.concatenate([[0], np.cumsum(np.hypot(np.diff(u), np.diff(v)))])
-        if form.tag == "paramPoly3":
-            at *= length / at[-1]
-        turn = np.unwrap(np.arctan2(np.gradient(v, p), np.gradient(u, p)))
-    u, v, turn = (np.interp(s, at, values) for values in (u, v, turn))
-    cos, sin = np.cos(heading), np.sin(heading)
-    return np.column_stack([x + cos * u - sin * v, y + sin * u + cos * v, heading + turn])

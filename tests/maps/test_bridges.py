@@ -5,7 +5,6 @@ import pytest
 
 from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.roads.maps.part import read_place
@@ -24,45 +23,8 @@ OVER = ((0, 0, 0), (40, 0, 0.05), (160, 6, 0), (240, 6, -0.05), (360, 0, 0))
 PROFILE = "".join(f'<elevation s="{s}" a="{a}" b="{b}" c="0" d="0"/>' for s, a, b in OVER)
 
 
-def at(place: str) -> tuple[World, Labels]:
-    """A scene at a place of a file in which road 2 passes over road 1, on level ground."""
-    over = road(NORTH, TWO, "2", profile=f"<elevationProfile>{PROFILE}</elevationProfile>")
-    given = read_opendrive(opendrive(road(EAST, TWO, "1"), over), "t", "map t")
-    params = load_params("streets", ("cars.n=0", "trees.n=0", "terrain.n_gaussians=1", "terrain.magnitude_m=0"))
-    world = sample_world(Scenes(params, 1, map=MapPlace(given, read_place(given, place))), 0)
-    return world, ground_truth(world.scene)
-
-
-def test_the_lower_road_is_seen_through_below_the_deck_which_hides_the_upper_one() -> None:
-    _, labels = at("1:160:-1")
-    lanes = {lane.id: lane for lane in labels.lanes}
-    assert lanes["1.0.-1"].xyz_cam[-1, 1] > 100
-    assert lanes["1.0.-1"].terrain_visible[:-2].all()
-    # Over the lower road; beside it the embankment hides the upper one.
-    upper = lanes["2.0.-1"]
-    above = np.abs(upper.xyz_cam[:, 0]) < 3
-    assert above.any()
-    assert not upper.terrain_visible[above].any()
-
-
-def test_from_the_bridge_the_lower_road_is_hidden_below_it() -> None:
-    world, labels = at("2:150:-1")
-    lower = next(lane for lane in labels.lanes if lane.id == "1.0.-1")
-    beneath = np.abs(lower.xyz_cam[:, 0]) < 2
-    assert beneath.any()
-    assert not lower.terrain_visible[beneath].any()
-    assert world.view.world_from_road[2, 3] == pytest.approx(0.0, abs=0.01)
-
-
-@pytest.mark.parametrize("place", ["1:180:-1", "2:180:-1"])
-def test_the_height_map_is_that_of_the_hosts_road(place: str) -> None:
-    world, _ = at(place)
-    heights_m = height_map(world.ground, world.view.world_from_road)
-    # In the middle columns, from the host to 40 m ahead, past the place where the roads cross.
-    assert np.abs(heights_m[100:, 48:52]).max() < 0.05
-
-
-# A level road 8 m over another, and one through a tunnel, on level ground.
+# A road up to a bridge over another and down again, a level one 8 m over it, and a tunnel.
+CLIMBING = road(NORTH, TWO, "2", profile=f"<elevationProfile>{PROFILE}</elevationProfile>")
 LEVEL = '<elevationProfile><elevation s="0" a="8" b="0" c="0" d="0"/></elevationProfile>'
 TUNNEL = '<objects><tunnel s="150" length="80" id="1"/></objects>'
 
@@ -72,6 +34,24 @@ def world_at(place: str, *roads: str) -> World:
     given = read_opendrive(opendrive(*roads), "t", "map t")
     params = load_params("streets", ("cars.n=0", "trees.n=0", "terrain.n_gaussians=1", "terrain.magnitude_m=0"))
     return sample_world(Scenes(params, 1, map=MapPlace(given, read_place(given, place))), 0)
+
+
+@pytest.mark.parametrize(("place", "hidden"), [("1:160:-1", "2.0.-1"), ("2:180:-1", "1.0.-1")])
+def test_a_deck_hides_the_other_road_at_the_crossing_alone(place: str, hidden: str) -> None:
+    """From below and from above; the lower road is seen through below it."""
+    world = world_at(place, road(EAST, TWO, "1"), CLIMBING)
+    lanes = {lane.id: lane for lane in ground_truth(world.scene).lanes}
+    crossing = np.abs(lanes[hidden].xyz_cam[:, 0]) < 2
+    assert crossing.any()
+    assert not lanes[hidden].terrain_visible[crossing].any()
+    lower = lanes["1.0.-1"]
+    if hidden != "1.0.-1":
+        assert lower.xyz_cam[-1, 1] > 100
+        assert lower.terrain_visible[:-2].all()
+    assert world.view.world_from_road[2, 3] == pytest.approx(0.0, abs=0.01)
+    # In the middle columns, from the host to 40 m ahead, the height map is that of its own road.
+    heights_m = height_map(world.ground, world.view.world_from_road)
+    assert np.abs(heights_m[100:, 48:52]).max() < 0.05
 
 
 @pytest.fixture(scope="module")
@@ -168,26 +148,25 @@ def test_bridges_of_a_file_are_decks_over_a_valley() -> None:
     assert MeshFaces([world.site.surfaces.terrain]).height(middle[:, :2])[0] < middle[0, 2] - DECK_M - 3
 
 
-def test_barriers_of_a_file_are_rails() -> None:
-    objects = (
-        '<objects><object type="barrier" subtype="guardRail" s="140" t="5" length="60" width="0.3" id="1"/>'
-        '<object type="barrier" subtype="jerseyBarrier" s="0" t="0" length="5" id="2">'
-        '<repeat s="120" length="90" distance="0" tStart="-5" tEnd="-5"/></object>'
-        '<object type="barrier" s="150" t="20" length="80" width="10" id="3"/></objects>'
-    )
-    world = world_at("1:130:-1", road(EAST, TWO, "1", after=objects))
-    found = [(rail.kind, rail.from_m, rail.to_m, rail.aside_m) for rail in world.scene.roadside.rails]
-    assert found == [("concrete", 120, 210, 5), ("guardrail", 140, 200, -5)]
-    given = read_opendrive(opendrive(road(EAST, TWO, "1", after=objects)), "t", "map t")
-    assert given.left_out["objects of type barrier"] == 1
+def rails_of(at: str, *objects: str, length_m: float = 300.0) -> list[tuple[str, float, float, float]]:
+    """The rails of a scene on a long road with these objects: kind, from, to, aside."""
+    long = plan(*[("<line/>", length_m)] * 10)
+    world = world_at(at, road(long, TWO, "1", after=f"<objects>{''.join(objects)}</objects>"))
+    return [(rail.kind, rail.from_m, rail.to_m, rail.aside_m) for rail in world.scene.roadside.rails]
 
 
-def test_a_barrier_is_as_long_as_its_road_but_not_far_beside_it() -> None:
+def test_barriers_of_a_file_are_rails_as_long_as_their_road_but_not_far_beside_it() -> None:
     """The part of a road that a scene keeps may be longer than a kilometre."""
-    objects = "".join(f'<object type="barrier" s="0" t="{t}" length="3000" id="{i}"/>' for i, t in enumerate((5, 1200)))
-    long = plan(*[("<line/>", 300.0)] * 10)
-    (rail,) = world_at("1:1500:-1", road(long, TWO, "1", after=f"<objects>{objects}</objects>")).scene.roadside.rails
-    assert (rail.from_m, rail.to_m, rail.aside_m) == (0, 1200, -5)
+    assert rails_of(
+        "1:130:-1",
+        '<object type="barrier" subtype="guardRail" s="140" t="5" length="60" width="0.3" id="1"/>',
+        '<object type="barrier" subtype="jerseyBarrier" s="0" t="0" length="5" id="2">'
+        '<repeat s="120" length="90" distance="0" tStart="-5" tEnd="-5"/></object>',
+        '<object type="barrier" s="150" t="20" length="80" width="10" id="3"/>',
+        length_m=40.0,
+    ) == [("concrete", 120, 210, 5), ("guardrail", 140, 200, -5)]
+    both = (f'<object type="barrier" s="0" t="{t}" length="3000" id="{i}"/>' for i, t in enumerate((5, 1200)))
+    assert [at[1:] for at in rails_of("1:1500:-1", *both)] == [(0, 1200, -5)]
 
 
 def test_of_many_barriers_the_nearest_are_kept_and_none_on_roads_too_far_to_be_there() -> None:

@@ -3,6 +3,7 @@ with its reason, and the rest is used. Mutations of small maps end in no traceba
 road to drive on."""
 
 import re
+from functools import partial
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,12 +12,18 @@ import pytest
 from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.roads.maps.part import draw_place, part_around
 from synth3dlanes.system.errors import FormatError, InputError
-from tests.hostile import edited_xml
-from tests.maps.files import lane, opendrive, plan, road, section
-from tests.maps.test_on_maps import link
+from tests.hostile import edited_xml, refused_or_read
+from tests.maps.files import lane, link, opendrive, plan, road, section
+from tests.thorough import first
 
 LINE = ("<line/>", 60.0)
 ON = '<predecessor id="{0}"/><successor id="{1}"/>'
+
+
+def straight(name: str, x: float, length: float, lanes: str, before: str = "", after: str = "", more: str = "") -> str:
+    """A straight road along x."""
+    pieces = f'<planView><geometry s="0" x="{x}" y="0" hdg="0" length="{length}"><line/></geometry></planView>'
+    return road(pieces, lanes, name, link=link(before, after), more=more)
 
 
 def read(data: bytes) -> GivenMap:
@@ -30,19 +37,12 @@ def through(before: int = -1, number: int = -1, after: int = -1, s: float = 0.0)
     return section(*inner, lane(number, link=ON.format(before, after)), s=s)
 
 
-def straight(name: str, x: float, length: float, lanes: str, before: str = "", after: str = "", more: str = "") -> str:
-    """A straight road along x."""
-    pieces = f'<planView><geometry s="0" x="{x}" y="0" hdg="0" length="{length}"><line/></geometry></planView>'
-    return road(pieces, lanes, name, link=link(before, after), more=more)
-
-
 FIRST = straight("1", 0, 60, through(), after="2:start")
 LAST = straight("3", 60, 60, through(), before="2:end")
 JUNCTION = (
     '<junction id="9"><connection id="0" incomingRoad="1" connectingRoad="2" contactPoint="start">'
     '<laneLink from="-1" to="-2"/></connection></junction>'
 )
-INTO_9 = '<successor elementType="junction" elementId="9"/>'
 RENAMED = through(-1, -2, -1)
 JOINED = {
     "a road of 1e-8 m": (FIRST, straight("2", 60, 1e-8, through(), "1:end", "3:start"), LAST),
@@ -59,7 +59,7 @@ JOINED = {
         straight("3", 60, 60, through(), before="2b:end"),
     ),
     "a connecting road of 0 m": (
-        road(plan(LINE), through(), "1", link=INTO_9),
+        road(plan(LINE), through(), "1", link=link(after="9")),
         straight("2", 60, 0.0, RENAMED, "1:end", "3:start", 'junction="9"'),
         straight("3", 60, 60, through(), before="2:end"),
         JUNCTION,
@@ -215,13 +215,11 @@ def a_map() -> bytes:
         '<objects><object type="building" id="1" s="20" t="20" length="9" width="8" height="7"/></objects>'
         '<signals><signal id="5" type="1000001" s="50" t="-5" orientation="+"/></signals>'
     )
-    incoming = '<successor elementType="junction" elementId="9"/>'
-    leaving = '<predecessor elementType="junction" elementId="9"/>'
     bend = plan(('<arc curvature="0.02"/>', 30.0), start=(60.0, 0.0, 0.0))
     return opendrive(
-        road(plan(LINE), two + parts, "1", link=incoming, profile=profile, after=things),
-        road(plan(LINE, start=(80.0, 0.0, 0.0)), two, "2", link=leaving, profile=profile),
-        road(plan(LINE, start=(88.0, 9.0, 0.6)), two, "3", link=leaving),
+        road(plan(LINE), two + parts, "1", link=link(after="9"), profile=profile, after=things),
+        road(plan(LINE, start=(80.0, 0.0, 0.0)), two, "2", link=link(before="9"), profile=profile),
+        road(plan(LINE, start=(88.0, 9.0, 0.6)), two, "3", link=link(before="9")),
         straight("4", 60, 20, through(), "1:end", "2:start", 'junction="9"'),
         road(bend, through(), "5", link=link("1:end", "3:start"), more='junction="9"'),
         '<controller id="8"><control signalId="5"/></controller><junction id="9">'
@@ -231,6 +229,9 @@ def a_map() -> bytes:
         '<laneLink from="-1" to="-1"/></connection>'
         '<priority high="4" low="5"/></junction>',
     )
+
+
+NO_PLACE = ("map x.xodr: expected a way of", "map x.xodr: expected driving lanes")
 
 
 def refusal(data: bytes) -> tuple[GivenMap | None, str]:
@@ -248,17 +249,9 @@ def has_sound_road(data: bytes) -> bool:
     return any(found and found.lanes for found in alone)
 
 
-def no_place(found: GivenMap, rng: np.random.Generator) -> str:
-    """Why a map has no place for a host; empty if it has one."""
-    try:
-        part_around(found, draw_place(found, rng), rng)
-    except InputError as error:
-        return str(error)
-    return ""
-
-
-def examined(n: int, seed: int) -> tuple[int, int]:
-    """Read mutants and draw a place on each; return how many had a broken road, and how many were refused."""
+@pytest.mark.parametrize(("n", "seed"), first(1, [(150, 1), *((300, seed) for seed in range(2, 6))]))
+def test_mutants_are_read_without_their_broken_roads(n: int, seed: int) -> None:
+    """And a place is drawn on each."""
     broken = refused = 0
     for data in edited_xml(a_map(), n, seed):
         found, reason = refusal(data)
@@ -269,18 +262,8 @@ def examined(n: int, seed: int) -> tuple[int, int]:
             continue
         broken += bool(found.broken)
         assert all(re.fullmatch("road [^\n]+", line) for line in found.broken)
-        assert re.search("^$|expected a way of|expected driving lanes", no_place(found, np.random.default_rng(seed)))
-    return broken, refused
-
-
-def test_mutants_are_read_without_their_broken_roads() -> None:
-    broken, refused = examined(150, seed=1)
-    assert broken > 15
-    assert refused < 15
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", range(2, 6))
-def test_more_mutants(seed: int) -> None:
-    broken, _ = examined(300, seed)
-    assert broken > 30
+        rng = np.random.default_rng(seed)
+        refused_or_read(
+            partial(lambda at, rng: part_around(at, draw_place(at, rng), rng), found, rng), *NO_PLACE, error=InputError
+        )
+    assert broken > n // 10 > refused

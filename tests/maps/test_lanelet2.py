@@ -2,7 +2,6 @@
 
 import gzip
 import pickle
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from synth3dlanes.world.world import World
 from tests.formats.test_lanelet2 import SEGMENT, File
 from tests.hostile import edited_xml
 from tests.maps.lanelet_files import Sheet, along, street
-from tests.maps.test_round_trip import HEIGHT_M, NEAR_M, middle, off
+from tests.maps.test_round_trip import check_lanes, middle
 from tests.thorough import first
 
 
@@ -63,16 +62,7 @@ def check(world: World) -> None:
     assert given.broken == ()
     assert given.left_out == {}
     names = segments_of(text, given)
-    assert set(names) == set(given.lanes)
-    assert set(names.values()) == set(world.network.lanes)
-    graph = {(names[a], names[b]) for a, b in given.links}
-    assert {pair for pair in graph if pair[0] != pair[1]} == {
-        pair for pair in world.network.links if pair[0] != pair[1]
-    }
-    for name, place in given.lanes.items():
-        aside_m, height_m = off(middle(place), world, names[name])
-        assert aside_m < NEAR_M, (name, names[name])
-        assert height_m < HEIGHT_M, (name, names[name])
+    check_lanes(world, given, names)
     if world.scene.map is None:
         return
     wanted = {pair for at in world.scene.map.junctions for pair in at.yields if {*pair} <= set(world.network.lanes)}
@@ -123,16 +113,12 @@ def test_lanelets_beside_each_other_are_lanes_of_one_road() -> None:
     lanes = {f"{road.id}.0.{lane.number}": lane for lane in road.sections[0].lanes if lane.kind == "driving"}
     ys = {y_of(given.lanes[name]): given.lanes[name].ascends for name in lanes}
     assert ys == {1.75: False, -1.75: True, -5.25: True}
+    # The way goes east: its left stripe, the solid one, is the road's left one.
+    marks = {lane.number: lane.marks[0].kind for lane in road.sections[0].lanes if lane.marks}
+    assert marks == {1: "solid", 0: "solid_dashed", -1: "dashed", -2: "solid"}
     ((one, other),) = given.links
     assert (y_of(given.lanes[one]), y_of(given.lanes[other])) == (-1.75, -1.75)
     assert not road.keeps_left
-
-
-def test_paint_is_that_of_the_ways_from_inside_out() -> None:
-    road = next(road for road in read(street()).roads.values() if len(road.sections[0].lanes) > 4)
-    marks = {lane.number: lane.marks[0].kind for lane in road.sections[0].lanes if lane.marks}
-    # The way goes east: its left stripe, the solid one, is the road's left one.
-    assert marks == {1: "solid", 0: "solid_dashed", -1: "dashed", -2: "solid"}
 
 
 def test_traffic_that_keeps_left_has_its_oncoming_lane_on_the_right() -> None:
@@ -178,33 +164,26 @@ def crossing() -> Sheet:
     return sheet
 
 
-def test_lanelets_that_cross_are_a_junction_and_those_that_begin_with_one_of_them() -> None:
-    given = read(crossing())
-    assert len(given.junctions) == 1
-    inside = {name for name, place in given.lanes.items() if place.road.junction}
-    assert len(inside) == 3
-    assert len(given.links) == 3
+def inside(data: bytes) -> int:
+    """How many lanes of a map are in a junction."""
+    return sum(place.road.junction is not None for place in read(data).lanes.values())
 
 
-def test_a_bridge_over_a_road_is_no_junction() -> None:
+def test_what_crosses_or_begins_with_what_does_is_a_junction_but_for_bridges_and_where_a_tag_says() -> None:
     data = crossing().data().decode()
+    given = read(data.encode())
+    assert (len(given.junctions), inside(data.encode()), len(given.links)) == (1, 3, 3)
     high = data
     for x in (1.75, -1.75):
         for y in (20.0, -20.0):
             node = f'<tag k="local_x" v="{x}"/><tag k="local_y" v="{y}"/><tag k="ele" v="5.0"/>'
             assert node in high
             high = high.replace(node, node.replace('"5.0"', '"12.0"'))
-    inside = {name for name, place in read(high.encode()).lanes.items() if place.road.junction}
-    assert len(inside) == 0
-
-
-def test_a_turn_direction_says_what_is_in_a_junction() -> None:
-    data = crossing().data().decode()
-    # That of the lanelet straight on alone.
+    assert inside(high.encode()) == 0
+    # A turn direction of the lanelet straight on alone.
     parts = data.split("<relation ")
     parts[2] = parts[2].replace("</relation>", '<tag k="turn_direction" v="straight"/></relation>')
-    given = read("<relation ".join(parts).encode())
-    assert [place.road.junction is not None for place in given.lanes.values()].count(True) == 1
+    assert inside("<relation ".join(parts).encode()) == 1
 
 
 def test_places_by_degrees_alone_are_those_of_utm() -> None:
@@ -273,30 +252,16 @@ def test_arcs_follow_a_bend_between_straights_within_millimetres(radius_m: float
 # -- broken and hostile files
 
 
-def broken(change: Callable[[Sheet], None]) -> bytes:
-    sheet = street()
-    change(sheet)
-    return sheet.data()
-
-
-def lost_node(sheet: Sheet) -> None:
-    sheet.ways[3] = sheet.ways[3].replace('<nd ref="', '<nd ref="9', 1)
-
-
-def one_bound(sheet: Sheet) -> None:
-    sheet.relations[3] = sheet.relations[3].replace('role="right"', 'role="center"')
-
-
 BROKEN = {
-    "a node that is not there": (lost_node, "node '9"),
-    "no right bound": (one_bound, "expected one right bound, got 0"),
+    "a node that is not there": ('<nd ref="7', '<nd ref="97', "node '97"),
+    "no right bound": ('role="right"', 'role="center"', "expected one right bound, got 0"),
 }
 
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_a_broken_lanelet_is_left_out_with_its_id_and_the_rest_is_used(name: str) -> None:
-    change, told = BROKEN[name]
-    given = read(broken(change))
+    old, new, told = BROKEN[name]
+    given = read(street().data().decode().replace(old, new, 1).encode())
     assert given.broken
     assert all(line.startswith("lanelet 1") for line in given.broken)
     assert told in given.broken[0]

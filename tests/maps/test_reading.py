@@ -16,7 +16,7 @@ from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.scene.road_map import MapMark
 from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
 from synth3dlanes.world.world import World
-from tests.maps.files import PLAIN, TWO, lane, opendrive, plan, road, section
+from tests.maps.files import ON, PLAIN, TWO, lane, link, opendrive, plan, road, section
 
 PIECES = {
     "line": "<line/>",
@@ -86,18 +86,6 @@ def test_lines_of_a_mark_say_more_than_its_type(lines: list[tuple[float, int, in
     assert (found.kind, found.width_m) == (kind, 0.1)
 
 
-def link(before: str = "", after: str = "") -> str:
-    """The link of a road."""
-    texts = {"predecessor": before, "successor": after}
-    return "".join(f"<{tag} {text}/>" for tag, text in texts.items() if text)
-
-
-def to_road(name: str, contact: str) -> str:
-    """The attributes of a link to a road."""
-    return f'elementType="road" elementId="{name}" contactPoint="{contact}"'
-
-
-JUNCTION = 'elementType="junction" elementId="9"'
 LINE = (PIECES["line"], 50.0)
 
 
@@ -106,8 +94,8 @@ def test_links_go_as_traffic_drives_whatever_way_roads_are_drawn() -> None:
     one = section(lane(1, link='<successor id="-1"/>'), lane(-1, link='<successor id="1"/>'))
     two = section(lane(1, link='<successor id="-1"/>'), lane(-1, link='<successor id="1"/>'))
     parts = (
-        road(plan(LINE), one, "1", link=link(after=to_road("2", "end"))),
-        road(plan(LINE, start=(100.0, 0.0, np.pi)), two, "2", link=link(after=to_road("1", "end"))),
+        road(plan(LINE), one, "1", link=link(after="2:end")),
+        road(plan(LINE, start=(100.0, 0.0, np.pi)), two, "2", link=link(after="1:end")),
     )
     assert set(read(*parts).links) == {("1.0.-1", "2.0.1"), ("2.0.-1", "1.0.1")}
     left = (
@@ -120,16 +108,15 @@ def test_links_through_a_junction_and_who_yields() -> None:
     connecting = [
         road(
             plan((PIECES["line"], 10.0), start=(50.0, 0.0, 0.0)),
-            section(lane(-1, link='<predecessor id="-1"/><successor id="-1"/>')),
+            section(lane(-1, link=ON.format(-1))),
             name,
-            link=link(to_road("1", "end"), to_road(other, "start")),
+            link=link("1:end", f"{other}:start"),
             more='junction="9"',
         )
         for name, other in (("11", "2"), ("12", "3"))
     ]
     ends = [
-        road(plan(LINE, start=(60.0, y, 0.0)), TWO, name, link=link(before=JUNCTION))
-        for name, y in (("2", 0.0), ("3", 4.0))
+        road(plan(LINE, start=(60.0, y, 0.0)), TWO, name, link=link(before="9")) for name, y in (("2", 0.0), ("3", 4.0))
     ]
     junction = (
         '<junction id="9" name=""><connection id="0" incomingRoad="1" connectingRoad="11" contactPoint="start">'
@@ -137,7 +124,7 @@ def test_links_through_a_junction_and_who_yields() -> None:
         '<connection id="1" incomingRoad="1" connectingRoad="12" contactPoint="start"><laneLink from="-1" to="-1"/>'
         '</connection><priority high="11" low="12"/></junction>'
     )
-    found = read(road(plan(LINE), TWO, "1", link=link(after=JUNCTION)), *connecting, *ends, junction)
+    found = read(road(plan(LINE), TWO, "1", link=link(after="9")), *connecting, *ends, junction)
     assert set(found.links) == {(a, b) for a, b, in [
         ("1.0.-1", "11.0.-1"), ("1.0.-1", "12.0.-1"), ("11.0.-1", "2.0.-1"), ("12.0.-1", "3.0.-1"),
     ]}  # fmt: skip
@@ -153,8 +140,8 @@ def test_a_direct_junction_links_roads_without_another_between_them() -> None:
         '<laneLink from="-2" to="-1"/></connection></junction>'
     )
     parts = [
-        road(plan(LINE), section(lane(-1), lane(-2)), "1", link=link(after=JUNCTION)),
-        road(plan(LINE, start=(50.0, -3.5, 0.0)), section(lane(-1)), "2", link=link(before=JUNCTION)),
+        road(plan(LINE), section(lane(-1), lane(-2)), "1", link=link(after="9")),
+        road(plan(LINE, start=(50.0, -3.5, 0.0)), section(lane(-1)), "2", link=link(before="9")),
     ]
     found = read(*parts, junction)
     assert set(found.links) == {("1.0.-2", "2.0.-1")}
@@ -193,19 +180,19 @@ def test_a_flat_map_has_no_heights_and_another_one_has_them_on_every_road() -> N
 
 EAST = plan(("<line/>", 300.0))
 AHEAD = plan(("<line/>", 200.0), start=(300.0, 0.0, 0.0))
-NEXT = '<successor elementType="road" elementId="2" contactPoint="start"/>'
-BEFORE = '<predecessor elementType="road" elementId="1" contactPoint="end"/>'
 
 
 def read_signals(signals: str, more: str = "", objects: str = "") -> GivenMap:
     """Two roads to the east, one after the other; the first one has these signals."""
     lanes = section(lane(1, link='<successor id="1"/>'), lane(-1, link='<successor id="-1"/>'))
     after = f"<objects>{objects}</objects><signals>{signals}</signals>"
-    first = road(EAST, lanes, "1", link=NEXT, after=after)
+    first = road(EAST, lanes, "1", link=link(after="2:start"), after=after)
     reference = (
         '<signals><signalReference id="7" s="4" t="0"><validity fromLane="-1" toLane="-1"/></signalReference></signals>'
     )
-    return read_opendrive(opendrive(first, road(AHEAD, TWO, "2", link=BEFORE, after=reference), more), "t", "map t")
+    return read_opendrive(
+        opendrive(first, road(AHEAD, TWO, "2", link=link(before="1:end"), after=reference), more), "t", "map t"
+    )
 
 
 def world_of(given: GivenMap, frames: int = 1, at: str = "1:200:-1", index: int = 0) -> World:
@@ -333,37 +320,49 @@ def read_objects(objects: str, signals: str = "") -> GivenMap:
     return read_opendrive(opendrive(road(ARC, LANES, after=after)), "test.xodr", "map test.xodr")
 
 
-def test_a_crosswalk_of_road_corners_lies_there_with_its_bars_along_the_road() -> None:
-    corners = "".join(
-        f'<cornerRoad id="{i}" s="{s}" t="{t}"/>' for i, (s, t) in enumerate([(12, -8), (12, 4), (15, 4), (15, -8)])
-    )
-    (paint,) = read_objects(f'<object id="1" type="crosswalk" s="13" t="0"><outline>{corners}</outline></object>').paint
-    # The road runs up from (5, 6), so that t is to the left of x = 5.
-    assert sorted(paint.outline) == [pytest.approx(at) for at in sorted([(13, 18), (1, 18), (1, 21), (13, 21)])]
-    # Its bars begin on a side across the road.
-    first = np.subtract(paint.outline[1], paint.outline[0])
-    assert abs(first[1]) < 1e-6 < abs(first[0])
+def corners(tag: str, *places: tuple[float, float]) -> str:
+    """An outline; by s and t or by u and v."""
+    first, other = ("s", "t") if tag == "cornerRoad" else ("u", "v")
+    texts = (f'<{tag} id="{i}" {first}="{a}" {other}="{b}" z="0"/>' for i, (a, b) in enumerate(places))
+    return f"<outline>{''.join(texts)}</outline>"
 
 
-def test_a_rectangle_of_length_and_width_is_an_outline_too() -> None:
-    (paint,) = read_objects(
-        f'<object id="1" type="crosswalk" s="10" t="1" hdg="{np.pi / 2}" length="12" width="3"/>'
-    ).paint
-    assert sorted(paint.outline) == [
-        pytest.approx(at) for at in sorted([(10, 14.5), (10, 17.5), (-2, 14.5), (-2, 17.5)])
-    ]
+@pytest.mark.parametrize(
+    ("told", "outline"),
+    [
+        (f'type="crosswalk" s="13" t="0">{corners("cornerRoad", (12, -8), (12, 4), (15, 4), (15, -8))}',
+         [(13, 18), (1, 18), (1, 21), (13, 21)]),
+        (f'type="crosswalk" s="10" t="1" hdg="{np.pi / 2}" length="12" width="3">',
+         [(10, 14.5), (10, 17.5), (-2, 14.5), (-2, 17.5)]),
+        (f'type="trafficIsland" s="10" t="0" height="0.2"><outlines>'
+         f'{corners("cornerLocal", (-2, -1), (2, -1), (2, 1), (-2, 1))}</outlines>',
+         [(4, 14), (6, 14), (4, 18), (6, 18)]),
+    ],
+)  # fmt: skip
+def test_crosswalks_and_islands_have_their_outlines(told: str, outline: list[tuple[float, float]]) -> None:
+    """The road runs up from (5, 6), so that t is to the left of x = 5."""
+    given = read_objects(f'<object id="1" {told}</object>')
+    (found,) = (*given.paint, *given.islands)
+    assert sorted(found.outline) == [pytest.approx(at) for at in sorted(outline)]
+    if given.islands:
+        assert given.islands[0].height_m == 0.2
+    elif "corner" in told:  # its bars begin on a side across the road
+        first = np.subtract(found.outline[1], found.outline[0])
+        assert abs(first[1]) < 1e-6 < abs(first[0])
 
 
 @pytest.mark.parametrize(
     ("told", "lanes"),
     [
-        ('t="-3.5" width="7" orientation="+"', {"1.0.-1", "1.0.-2"}),
-        ('t="0" orientation="-"', {"1.0.1"}),
-        ('t="-5" width="3" orientation="none"', {"1.0.-2"}),
+        ('type="roadMark" t="-3.5" width="7" orientation="+"', {"1.0.-1", "1.0.-2"}),
+        ('type="roadMark" t="0" orientation="-"', {"1.0.1"}),
+        ('type="roadMark" t="-5" width="3" orientation="none"', {"1.0.-2"}),
+        # RoadRunner's files say the direction in which a thing faces, not that of its traffic.
+        ('type="-1" t="-3.5" width="7" orientation="-"', {"1.0.-1", "1.0.-2"}),
     ],
 )
 def test_a_stop_line_crosses_the_lanes_that_it_is_for(told: str, lanes: set[str]) -> None:
-    found = read_objects(f'<object id="1" type="roadMark" name="StopLine" s="20" {told}/>').paint
+    found = read_objects(f'<object id="1" name="StopLine" s="20" {told}/>').paint
     assert {(paint.kind, paint.lane, paint.s_m) for paint in found} == {("stop_line", name, 20.0) for name in lanes}
 
 
@@ -375,22 +374,6 @@ def test_signals_of_paint_and_their_lanes() -> None:
     assert [(paint.kind, paint.lane) for paint in found.paint] == [("stop_line", "1.0.-2"), ("arrow_left", "1.0.-1")]
     assert [item.element.height_m for item in found.elements] == [2.3]
     assert found.left_out == {}
-
-
-def test_a_line_across_one_direction_is_there_whatever_its_orientation_says() -> None:
-    """RoadRunner's files say the direction in which a thing faces, not that of its traffic."""
-    found = read_objects('<object id="1" type="-1" name="StopLine" s="20" t="-3.5" width="7" orientation="-"/>').paint
-    assert {paint.lane for paint in found} == {"1.0.-1", "1.0.-2"}
-
-
-def test_a_traffic_island_has_its_outline_and_height() -> None:
-    corners = "".join(f'<cornerLocal u="{u}" v="{v}" z="0"/>' for u, v in [(-2, -1), (2, -1), (2, 1), (-2, 1)])
-    outline = f"<outlines><outline>{corners}</outline></outlines>"
-    (island,) = read_objects(
-        f'<object id="1" type="trafficIsland" s="10" t="0" height="0.2">{outline}</object>'
-    ).islands
-    assert sorted(island.outline) == [pytest.approx(at) for at in sorted([(4, 14), (6, 14), (4, 18), (6, 18)])]
-    assert island.height_m == 0.2
 
 
 def test_what_is_told_for_beyond_the_ends_of_a_road_is_left_out() -> None:

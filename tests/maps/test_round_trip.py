@@ -1,6 +1,6 @@
 """Scenes written as OpenDRIVE and read back as maps: the same lanes in the same places, and the same graph."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -12,14 +12,12 @@ from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes, sample_world
 from synth3dlanes.formats.opendrive import opendrive
 from synth3dlanes.params.params import load_params
-from synth3dlanes.roads.cross_section import Shapes
-from synth3dlanes.roads.maps.cubics import value
-from synth3dlanes.roads.maps.furniture import edges_at
+from synth3dlanes.roads.cross_section import CrossSection
+from synth3dlanes.roads.line_forms import plan_line
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
-from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.system.arrays import Points3
 from synth3dlanes.world.world import World
-from tests.maps.files import lane, plan, road, section
+from tests.maps.files import lane, link, plan, road, section
 from tests.maps.files import opendrive as file_of
 from tests.thorough import first
 
@@ -40,19 +38,12 @@ def segments(text: str, given: GivenMap) -> dict[str, str]:
 
 def middle(place: LanePlace) -> Points3:
     """Points of the middle of a lane of a map."""
-    low, high = place.span_m
+    (low, high), section = place.span_m, CrossSection.of(place.road, place.section)
     s = np.linspace(low, high, 3 + int(high - low))
-    t = np.array(
-        [
-            next((a + b) / 2 for at, a, b in edges_at(place.road, place.section, x) if at.number == place.lane.number)
-            for x in s.tolist()
-        ]
-    )
-    bank = np.array([value(place.road.banks, x) for x in s])
-    z = np.array([value(place.road.heights, x) for x in s]) + np.tan(bank) * t
-    if place.road.shapes:
-        z += Shapes(place.road.shapes)(s, t / np.cos(bank)) / np.cos(bank)
-    return np.column_stack([places(place.road.plan, s, t), z])[1:-1]
+    edges, k = section.edges(s), section.n_left - place.lane.number
+    t = (edges[k] + edges[k + np.sign(place.lane.number)]) / 2
+    z = section.height(s, t) if place.road.heights else 0 * s
+    return np.column_stack([plan_line(place.road.plan).xy(s, t), z])[1:-1]
 
 
 def off(points: Points3, world: World, segment: str) -> tuple[float, float]:
@@ -71,11 +62,8 @@ def off(points: Points3, world: World, segment: str) -> tuple[float, float]:
     return float(aside.max()), float(np.abs(points[:, 2] - line[nearest, 2])[level].max(initial=0.0))
 
 
-def check(world: World) -> None:
-    """Write a world, read the file, and compare."""
-    text = opendrive(world, "scene")
-    given = read_opendrive(text.encode(), "scene.xodr", "map scene.xodr")
-    names = segments(text, given)
+def check_lanes(world: World, given: GivenMap, names: Mapping[str, str]) -> None:
+    """Compare the lanes and links of a world with those of a map, whose lanes are these of the world."""
     assert set(names) == set(given.lanes)
     assert set(names.values()) == set(world.network.lanes)
     graph = {(names[a], names[b]) for a, b in given.links}
@@ -84,6 +72,13 @@ def check(world: World) -> None:
         aside_m, height_m = off(middle(place), world, names[name])
         assert aside_m < NEAR_M, name
         assert height_m < HEIGHT_M, name
+
+
+def check(world: World) -> None:
+    """Write a world, read the file, and compare."""
+    text = opendrive(world, "scene")
+    given = read_opendrive(text.encode(), "scene.xodr", "map scene.xodr")
+    check_lanes(world, given, segments(text, given))
 
 
 @pytest.mark.parametrize("preset", first(1, PRESETS))
@@ -111,7 +106,7 @@ def forks() -> Iterator[str]:
         plan(("<line/>", 120.0), ('<spiral curvStart="0" curvEnd="0.01"/>', 60.0)),
         section(lane(-1), lane(-2), lane(1)),
         "1",
-        link='<successor elementType="junction" elementId="9"/>',
+        link=link(after="9"),
         profile='<lateralProfile><superelevation s="0" a="0.05" b="0.0004" c="0" d="0"/></lateralProfile>',
     )
     yield '<junction id="9" type="direct"><connection id="0" incomingRoad="1" linkedRoad="2" contactPoint="start">'
@@ -120,7 +115,7 @@ def forks() -> Iterator[str]:
     yield "</connection></junction>"
     for name, y in (("2", 2.0), ("3", -2.0)):
         pieces = plan((f'<arc curvature="{y / 1000}"/>', 150.0), start=(179.6, 6.0 + y, 0.3))
-        yield road(pieces, on, name, link='<predecessor elementType="junction" elementId="9"/>')
+        yield road(pieces, on, name, link=link(before="9"))
 
 
 def test_given_maps_come_back_with_banks_and_direct_junctions() -> None:

@@ -18,7 +18,7 @@ from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.world import World
 from tests.maps.comparing import apart, everywhere
-from tests.maps.files import PLAIN, lane, opendrive, plan, road, section
+from tests.maps.files import ON, PLAIN, lane, opendrive, plan, road, section
 from tests.maps.standard import read
 from tests.thorough import first
 
@@ -78,7 +78,8 @@ class Draw:
                 border = f'<border sOffset="0" a="{3.2 * n}" b="{0.002 * sign}" c="0" d="0"/>'
                 text = lane(n, (border if has_borders and n < 0 else self.widths(length / 2)) + MARK)
                 is_level = is_banked and n == -right and self.rng.random() < 0.5
-                found.append(text.replace('level="false"', 'level="true"') if is_level else text)
+                level = "true" if len(texts) % 2 else "1"
+                found.append(text.replace('level="false"', f'level="{level}"') if is_level else text)
             texts.append(section(*found, s=s, more="" if left else 'singleSide="true"'))
         return "".join(texts)
 
@@ -94,6 +95,9 @@ def file(seed: int) -> bytes:
         f'<elevation s="0" a="{draw(-5, 5)}" b="0" c="0" d="0"/>' if is_banked else draw.cubics("elevation", length, 4)
     )
     banks = draw.cubics("superelevation", length, 0.08) if is_banked else ""
+    if seed % 4 == 3:
+        shape = '<shape s="{}" t="-20" a="{}" b="{}" c="0" d="0"/>'
+        banks += shape.format(0, 0, 0.001) + shape.format(length / 2, 0.03, -0.001)
     profile = f"<elevationProfile>{heights}</elevationProfile><lateralProfile>{banks}</lateralProfile>"
     start = draw(-50, 50), draw(-50, 50), draw(-3, 3)
     return opendrive(road(plan(*pieces, start=start), offsets + draw.lanes(length, is_banked), profile=profile))
@@ -108,7 +112,6 @@ def test_every_lane_of_a_drawn_road_is_where_the_standard_says(seed: int) -> Non
     assert found.height_m < 0.004
 
 
-ON = '<predecessor id="{0}"/><successor id="{0}"/>'
 LINE = plan(("<line/>", 300.0))
 PIECE = '<geometry s="{0}" x="{0}" y="{1}" hdg="0" length="{2}"><line/></geometry>'
 GAP = f"<planView>{PIECE.format(0.0, 0.0, 100.0)}{PIECE.format(100.0, 0.4, 200.0)}</planView>"
@@ -163,7 +166,15 @@ STEPS = {
     "bank within": road(BEND, lanes(0), profile=BANKS),
     "plan at a border": road(GAP, lanes(0, 100)),
     "plan within": road(GAP, lanes(0)),
+    # Of which a scene keeps a part.
+    "on a long road": road(
+        plan(("<line/>", 800.0), ('<arc curvature="0.001"/>', 900.0), ("<line/>", 700.0)),
+        lanes(0, 1300, inside=WIDTHS),
+        profile=f"<elevationProfile>{cubic('elevation', (0, 40, 0.02), (1350, 61, -0.01))}</elevationProfile>",
+    ),
 }  # fmt: skip
+# Where the host is if it is not 60 m on.
+PLACES = {"elevation at the end": "1:260:-1", "on a long road": "1:1310:-1"}
 
 
 @cache
@@ -176,7 +187,7 @@ def given(name: str) -> tuple[GivenMap, bytes]:
 @cache
 def scene(name: str) -> tuple[World, Labels]:
     """A world with the host before the step, and its labels."""
-    return drawn(given(name)[0], "1:260:-1" if name.endswith("end") else "1:60:-1")
+    return drawn(given(name)[0], PLACES.get(name, "1:60:-1"))
 
 
 def drawn(file: GivenMap, at: str) -> tuple[World, Labels]:
@@ -215,7 +226,8 @@ def test_an_exported_map_steps_where_the_labels_do(name: str) -> None:
     world, labels = scene(name)
     roads = {str(at.element.get("name")): at for at in read(opendrive_of(world, "scene").encode()).values()}
     assert world.scene.map is not None
-    in_world = world.scene.map.model_copy(update={"given_frame": (0.0, 0.0, 0.0, 0.0)})
+    own = tuple(at.model_copy(update={"given_from_m": 0.0}) for at in world.scene.map.roads)
+    in_world = world.scene.map.model_copy(update={"given_frame": (0.0, 0.0, 0.0, 0.0), "roads": own})
     found = apart(replace(world, scene=world.scene.model_copy(update={"map": in_world})), labels, given(name)[0], roads)
     assert found.plan_m < 0.02
     assert not found.height_m > 0.03
@@ -236,29 +248,3 @@ def test_a_mark_told_from_before_its_section_is_painted_in_it_on_the_lanes_edge(
     assert x.min() == pytest.approx(100, abs=0.01)
     marks = [mark for part in read_map.roads["1"].sections for at in part.lanes for mark in at.marks]
     assert [mark.s_m for mark in marks] == [0.0] * 8
-
-
-def test_level_lanes_of_a_banked_road_have_the_height_of_their_inner_edge() -> None:
-    sides = section(
-        *(lane(n, kind="driving" if abs(n) < 3 else "sidewalk", link=ON.format(n)) for n in (3, 2, 1, -1, -2, -3))
-    )
-    for n in (3, -2, -3):
-        sides = sides.replace(f'id="{n}" type="sidewalk" level="false"', f'id="{n}" type="sidewalk" level="true"')
-        sides = sides.replace(f'id="{n}" type="driving" level="false"', f'id="{n}" type="driving" level="1"')
-    shape = cubic("shape", (0, 0, 0.002)).replace('s="0"', 's="0" t="-20"') + cubic("shape", (0, 0.05, 0)).replace(
-        's="0"', 's="150" t="-20"'
-    )
-    for extra in ("", shape):
-        file = opendrive(road(BEND, sides, profile=lateral(cubic("superelevation", (0, 0.08, 0.0002)) + extra, 0.04)))
-        read_map = read_opendrive(file, "level.xodr", "map level.xodr")
-        assert read_map.text().endswith("left out: nothing")
-        world, labels = drawn(read_map, "1:100:-1")
-        found = apart(world, labels, read_map, read(file))
-        assert found.n_points > 500
-        assert max(found.plan_m, found.height_m) < 0.01
-        (across,) = world.network.roads[0].sections
-        t = across.edges(np.array([100.0]))[:, 0]
-        heights = across.height(np.full(len(t), 100.0), t)
-        assert np.ptp(heights[-3:]) < 1e-9
-        assert np.ptp(heights[:2]) < 1e-9
-        assert abs(heights[2] - heights[1]) > 0.2
