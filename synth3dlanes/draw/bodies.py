@@ -157,7 +157,7 @@ def vehicle_places(
 
 def _speed(scene: Scene, car: Car) -> float:
     """The speed of a car that has no track."""
-    return car.speed_m_s if scene.shot.n_frames > 1 or scene.town is not None or car.offset_m else HOST_M_S
+    return car.speed_m_s if scene.has_traffic or car.offset_m else HOST_M_S
 
 
 def way_places(

@@ -1,12 +1,14 @@
 """The documented rules (docs/params.md) that change declared distributions: rules of weather, of topology, of roads
 without oncoming lanes, and of the number of lanes."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from synth3dlanes.params.distributions import Choice, Distribution, Integers, Uniform, at_least, at_most, extent
 from synth3dlanes.params.groups import DAYTIMES, KINDS
 from synth3dlanes.params.params import Params
 from synth3dlanes.roads.from_paper import is_wide_enough
+from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.scene.scene import MIN_MEDIAN_M, PaperRoad, Scene
 from synth3dlanes.scene.town import ROUNDABOUTS, Town
 
@@ -17,6 +19,7 @@ CONDITIONED = {
     "trees.y_m": "kept off roads",
 }
 NO_MEDIAN: Choice[float] = Choice((0.0,), (1.0,))
+Rules = dict[str, Distribution | None]
 
 
 def lanes_of(declared: Integers | Choice[int], topology: int) -> Integers | Choice[int]:
@@ -49,23 +52,29 @@ class ParameterRules:
     def __init__(self, params: Params) -> None:
         self.params = params
         self._by_weather: dict[tuple[str, str], dict[str, Distribution]] = {}
+        # By the part of a scene that brings rules of its own.
+        self._of_part: dict[str, Callable[[Rules, Scene, Any], Rules]] = {
+            "road": self._of_road,
+            "map": self._of_map,
+            "town": self._of_town,
+        }
 
     def of(self, scene: Scene) -> Mapping[str, Distribution | None]:
         """The distribution of every parameter in scenes with the weather, the topology and the lanes of this one; None
         where the rules leave only its range, no key where it is not used."""
-        found: dict[str, Distribution | None] = dict(self._under(scene.weather.kind, scene.weather.daytime))
+        found: Rules = dict(self._under(scene.weather.kind, scene.weather.daytime))
         params = self.params
         found |= dict.fromkeys(CONDITIONED)
         if "sold" in params.cars.palette.values:
             del found["cars.color"], found["cars.saturation"]  # not drawn from these keys
-        if scene.map is not None:
-            unused = ("road.", "symbols.", "camera.lane", "camera.y_m", "cars.s_m")
-            found = {key: form for key, form in found.items() if not key.startswith(unused)}
-            if scene.town is not None:
-                return self._of_town(found, scene.town)
-            # Cars for which there is no room are left out.
-            return found | {"cars.n": None}
-        road = scene.paper_road
+        for part, rules in self._of_part.items():
+            own = getattr(scene, part)
+            found = found if own is None else rules(found, scene, own)
+        return found
+
+    def _of_road(self, found: Rules, scene: Scene, road: PaperRoad) -> Rules:
+        """Those of the paper's road, whose lanes, room and works bound what is drawn."""
+        params = self.params
         found["road.n_lanes"] = lanes_of(params.road.n_lanes, road.topology)
         if not self._has_room(road):
             found |= {"road.n_oncoming": None, "road.median_m": None}
@@ -77,8 +86,13 @@ class ParameterRules:
             found["camera.lane"] = None
         return found
 
-    def _of_town(self, found: dict[str, Distribution | None], town: Town) -> dict[str, Distribution | None]:
-        """Those of a town: of the road of the paper there is none, and lanes and control are as its junction allows."""
+    def _of_map(self, found: Rules, scene: Scene, roads: RoadMap) -> Rules:
+        """Those of a map, which has no such road; cars for which there is no room are left out."""
+        unused = ("road.", "symbols.", "camera.lane", "camera.y_m", "cars.s_m")
+        return {key: form for key, form in found.items() if not key.startswith(unused)} | {"cars.n": None}
+
+    def _of_town(self, found: Rules, scene: Scene, town: Town) -> Rules:
+        """Those of a town: lanes and control are as its junction allows."""
         unused = {"cars.n", "trees.n", "trees.model", "trees.x_m", "trees.y_m"}
         found["cars.model"] = None  # those that turn or park are short
         declared = self.params.town

@@ -127,7 +127,8 @@ def _refusal(first: Scene, scenes: Scenes, path: str) -> str:
     if not is_drawn_again(first, path):
         decides = path in (*DECIDING, "camera") or group in (*DECIDING, *OF_DATA_SETS)
         return "other values follow from it; expected one value of another group, or a parameter" if decides else ""
-    is_used = path in ParameterRules(scenes.params).of(first) and (group != "town" or first.town is not None)
+    # A part of a scene that it lacks has no parameters.
+    is_used = path in ParameterRules(scenes.params).of(first) and getattr(first, group, first) is not None
     if not is_used or (group == "motion" and first.shot.n_frames == 1):
         return "has no effect on scenes such as the first of the source"
     if scenes.shots.cameras and group == "camera" and path not in DECIDING:

@@ -50,6 +50,8 @@ MAX_SYMBOLS, MAX_THINGS = most_of("symbol"), most_of("thing")
 MAX_PAINTS = 8
 # Of a grid of heights.
 MAX_GRID = 200
+# The most lanes that messages name.
+MOST_NAMED = 12
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
 
 
@@ -492,6 +494,11 @@ class Scene(DocumentPart):
         return f"{name}/view/{self.shot.view}" if self.shot.view else name
 
     @property
+    def has_traffic(self) -> bool:
+        """Whether cars have speeds of their own: in clips, and in single pictures where traffic was simulated."""
+        return self.shot.n_frames > 1 or self.town is not None
+
+    @property
     def start(self) -> HostCamera:
         """The camera around which the world is built: the host's own, or the camera of its first view."""
         views = self.shot.views
@@ -545,7 +552,7 @@ class Scene(DocumentPart):
         """Check that the lanes that signals and signs govern exist."""
         beside = self.roadside
         segments = self.roads.driving_lanes
-        among = ", ".join(self.road.segments) if self.road else "the driving lanes of the map"
+        some = ", ".join(sorted(segments)[:MOST_NAMED])
         governed = [
             *((f"roadside.signals.{i}.lanes", item.lanes) for i, item in enumerate(beside.signals)),
             *((f"roadside.signs.{i}.lanes", item.lanes) for i, item in enumerate(beside.signs)),
@@ -557,14 +564,16 @@ class Scene(DocumentPart):
         for path, lanes in governed:
             for lane in lanes:
                 if lane not in segments:
-                    raise ValueError(f"{path}: expected lanes among {among}, got {lane}")
+                    raise ValueError(f"{path}: expected lanes such as {some}, got {lane}")
         return self
 
     @model_validator(mode="after")
     def _has_its_lanes(self) -> "Scene":
         """Check that the lanes of host and cars exist at their stations."""
-        if problem := PROBLEMS[type(self.roads)](self, self.roads):
-            raise ValueError(problem)
+        for part, problem_of in PROBLEMS.items():
+            own = getattr(self, part)
+            if own is not None and (problem := problem_of(self, own)):
+                raise ValueError(problem)
         return self
 
 
@@ -617,8 +626,8 @@ def _map_problem(scene: Scene, roads: RoadMap) -> str:
     return ""
 
 
-# What is missing, by how a scene has its roads.
-PROBLEMS: dict[type, Callable[[Scene, Any], str]] = {PaperRoad: _road_problem, RoadMap: _map_problem}
+# What is missing, by the part of a scene that misses it.
+PROBLEMS: dict[str, Callable[[Scene, Any], str]] = {"road": _road_problem, "map": _map_problem}
 
 
 def to_json(scene: Scene) -> str:

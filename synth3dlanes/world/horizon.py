@@ -29,14 +29,15 @@ class FarHills:
     height_m: float
     waves: Float[np.ndarray, "2 k"]
     phases: Float[np.ndarray, " k"]
-    center_world: tuple[float, float] = (0.0, 0.0)
+    center_world: Float[np.ndarray, "2"]
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> "FarHills":
-        """Draw the hills of one scene."""
+    def draw(cls, rng: np.random.Generator, center_world: Float[np.ndarray, "2"]) -> "FarHills":
+        """Draw the hills of one scene, around a place."""
         height_m = MAX_HEIGHT_M * rng.random() ** 1.5
         angles, phases = 2 * np.pi * rng.random((2, N_WAVES))
-        return cls(height_m, 2 * np.pi / LENGTHS_M * np.stack([np.cos(angles), np.sin(angles)]), phases)
+        waves = 2 * np.pi / LENGTHS_M * np.stack([np.cos(angles), np.sin(angles)])
+        return cls(height_m, waves, phases, center_world)
 
     def height(self, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Metres to add to the terrain; 0 near the roads."""

@@ -83,9 +83,9 @@ def car_at(network: Network, car: Car, time_s: float, where: str = "cars") -> Ca
 
 
 def car_speed(scene: Scene, car: Car) -> float:
-    """A car's speed at the instant of a scene. In single pictures simulated traffic alone has speeds: elsewhere cars
-    that are not parked drive at SPEED_M_S, as the host does."""
-    if scene.shot.n_frames > 1 or scene.town is not None:
+    """A car's speed at the instant of a scene. In single pictures without traffic, cars that are not parked drive at
+    SPEED_M_S, as the host does."""
+    if scene.has_traffic:
         return car.speed_m_s
     return 0.0 if car.offset_m else SPEED_M_S
 

@@ -3,8 +3,10 @@
 World frame, metres. Labels, meshes, masks and light are all computed from a world and a view.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -16,8 +18,9 @@ from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.network import Network
 from synth3dlanes.scene.host import HostCamera, Lidar
 from synth3dlanes.scene.instance_ids import instance_id
+from synth3dlanes.scene.road_map import RoadMap
 from synth3dlanes.scene.roadside import Roadside
-from synth3dlanes.scene.scene import Car, Scene, Tree
+from synth3dlanes.scene.scene import Car, PaperRoad, Scene, Tree
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.world import roadside
 from synth3dlanes.world.bonnet import cam_from_bonnet
@@ -294,16 +297,34 @@ def surfaces_of(scene: Scene, network: Network) -> Surfaces:
     shot, camera = scene.shot, scene.start
     driven_m = host_station(network, camera, host_driven(shot, shot.duration_s)) - camera.y_m
     driven_m = driven_m if shot.views is None else shot.views.reach_m
-    hills = FarHills.draw(scene.stream("far_hills"))
-    if scene.map is not None:
-        x, y = network.host_points(scene.start, np.zeros(1))[0, :2].tolist()
-        hills = replace(hills, center_world=(x, y))
+    kind = KINDS[type(scene.roads)]
+    middle = network.host_points(camera, np.zeros(1))[0, :2] if kind.is_anywhere else np.zeros(2)
+    hills = FarHills.draw(scene.stream("far_hills"), middle)
     way = HostWay(network, camera.y_m, driven_m, shot.behind_m > 0)
-    return Surfaces(Ground((Verges if scene.map is None else PavedAreas)(way, scene.markings, hills)))
+    return Surfaces(Ground(kind.paved(way, scene.markings, hills)))
 
 
 def scene_network(scene: Scene) -> Network:
     """The roads of a scene."""
-    if scene.map is None:
-        return paper_network(scene.paper_road, scene.terrain)
+    return KINDS[type(scene.roads)].network(scene)
+
+
+class RoadKind(NamedTuple):
+    """What differs between scenes by what says where their roads are: how the network is made, what is paved, and
+    whether the host may be anywhere in the world; elsewhere its road leads through the world's origin."""
+
+    network: Callable[[Scene], Network]
+    paved: type[PavedAreas]
+    is_anywhere: bool
+
+
+def _map_network(scene: Scene) -> Network:
+    assert scene.map is not None, "asked only of scenes with a map"
     return map_network(scene.map, bare_roads(scene.map, scene.terrain), scene.terrain, scene.start.y_m)
+
+
+# The only place that asks for the kind of roads.
+KINDS = {
+    PaperRoad: RoadKind(lambda scene: paper_network(scene.paper_road, scene.terrain), Verges, is_anywhere=False),
+    RoadMap: RoadKind(_map_network, PavedAreas, is_anywhere=True),
+}

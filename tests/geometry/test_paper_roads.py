@@ -96,12 +96,12 @@ def test_far_hills_rise_behind_all_roads_and_nowhere_else(flat_scene):
     angles, radii_m = np.meshgrid(np.linspace(0, 2 * np.pi, 90), np.linspace(0, 4000, 161))
     xy = np.stack([radii_m * np.cos(angles), radii_m * np.sin(angles)], axis=-1)
     scenes = [flat_scene.model_copy(update={"index": index}) for index in range(20)]
-    heights_m = np.array([FarHills.draw(scene.stream("far_hills")).height(xy) for scene in scenes])
+    heights_m = np.array([FarHills.draw(scene.stream("far_hills"), np.zeros(2)).height(xy) for scene in scenes])
     assert not heights_m[:, radii_m < 500].any()
     assert heights_m.min() == 0
     assert 40 < heights_m.max() < 300
     assert len({round(float(height.max()), 3) for height in heights_m}) == 20, "every scene has its own"
-    np.testing.assert_array_equal(FarHills.draw(scenes[0].stream("far_hills")).height(xy), heights_m[0])
+    np.testing.assert_array_equal(FarHills.draw(scenes[0].stream("far_hills"), np.zeros(2)).height(xy), heights_m[0])
 
 
 @pytest.mark.parametrize("flip", [False, True])
