@@ -128,7 +128,7 @@ class LaneCurve:
             on = piece.on(s)
             return piece.road.xy(on, piece.offset(on))
         xy = np.zeros((*s.shape, 2))
-        for at, piece in self._parts(s):
+        for at, piece in self.parts_at(s):
             on = piece.on(np.minimum(s[at], piece.end_m))
             xy[at] = piece.road.xy(on, piece.offset(on))
         return xy
@@ -141,7 +141,7 @@ class LaneCurve:
         """Points on the road surface at stations and offsets from the curve: to where t of its roads grows or, if
         stations are lengths along it, to the right of growing ones."""
         found = np.zeros((*s.shape, 3))
-        for at, piece in self._parts(s):
+        for at, piece in self.parts_at(s):
             on = piece.on(np.minimum(s[at], piece.end_m))
             found[at] = piece.road.points(on, piece.offset(on) + t[at] * piece.along)
         return found
@@ -182,7 +182,7 @@ class LaneCurve:
 
         return points_world
 
-    def _parts(self, s: AnyScalars) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
+    def parts_at(self, s: AnyScalars) -> Iterator[tuple[Bool[np.ndarray, "*n"], Piece]]:
         """Which stations lie on each piece; the first and the last one have no outer ends."""
         ends = [-np.inf, *(piece.start_m for piece in self.pieces[1:]), np.inf]
         for piece, (low, high) in zip(self.pieces, pairwise(ends), strict=True):

@@ -77,6 +77,13 @@ class RoadLines:
         driven_m = {name: self.stations_along(self.roads[name], at.driven_m, lengths_m) for name in along}
         return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
 
+    def around(
+        self, driven_m: Scalars, is_near: Callable[[Points2], Bool[np.ndarray, " k"]]
+    ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+        """The stations of every line's points at those of the host's way around it."""
+        s = driven_m * self.onwards
+        return {curve: s[(s > curve.start_m) & (s < curve.end_m)] for curve in self.curves}
+
     def known(self, places: Sequence[HostStation], lengths_m: Scalars) -> set[str]:
         """The ids of the lines with more than one such point at any of some places, each ahead of the one before."""
         # Along a road a line comes into range or is passed, never both.
@@ -241,6 +248,16 @@ class LineTable:
             if inside.size:
                 found[self.curves[number]] = samples.s[first + inside[0] : first + inside[-1] + 1]
         return found
+
+    def around(
+        self, driven_m: Scalars, is_near: Callable[[Points2], Bool[np.ndarray, " k"]]
+    ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+        """The stations of every line's points that are near the host."""
+        numbers = np.flatnonzero(self.which_come(is_near)).tolist()
+        samples = self._samples(numbers)
+        counts, near = np.diff(samples.starts), is_near(samples.xy_world)
+        parts = zip(numbers, parted(samples.s, counts), parted(near, counts), strict=True)
+        return {self.curves[number]: s[kept] for number, s, kept in parts}
 
     def known(self, places: Sequence[HostStation], lengths_m: Scalars) -> set[str]:
         """The ids of the lines with more than one such point at any of some places."""

@@ -3,22 +3,21 @@
 Far away the terrain's texture is enough. Tufts stand on the verge, up to where its texture begins to look like depth.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
-from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.roads import SIDES
-from synth3dlanes.system.arrays import Points2, Points3, Scalars
+from synth3dlanes.system.arrays import Points3, Scalars
 from synth3dlanes.world.ground import Ground
 
 TuftsAndPoints = Integer[np.ndarray, " pairs"]
 
-# Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge.
+# Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge. There are
+# two edges of the roads of the host's way, and two of those that begin beside them.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
-LEAST_EDGES = 4  # that random numbers are drawn for
+N_EDGES = 4
 # More of them for each metre that the host drives.
 PER_M = 40
 # Grass is mown next to the road: its height grows from the share SHORT at the edge to all of it at FULL_AT_M.
@@ -40,49 +39,43 @@ class Blades:
     dryness: Scalars
 
 
-def blades(
-    ground: Ground,
-    lines: Sequence[LaneCurve],
-    eye_world: Float[np.ndarray, "3"],
-    grass_m: float,
-    rng: np.random.Generator,
-) -> Blades:
+def blades(ground: Ground, eye_world: Float[np.ndarray, "3"], grass_m: float, rng: np.random.Generator) -> Blades:
     """The blades of grass of `grass_m` height that a camera at `eye_world` sees beside the road."""
     feet, height_m = _tufts(ground, grass_m, rng)
-    points = lane_points(ground, lines)
+    points = lane_points(ground)
     free = ~_in_sight(feet, height_m, eye_world, points)
     return _grown(feet[free], height_m[free], rng)
 
 
-def lane_points(ground: Ground, lines: Sequence[LaneCurve]) -> Points3:
+def lane_points(ground: Ground) -> Points3:
     """Points of all lane curves around the host, spaced as those of the labels, up to RANGE_M."""
-    s = ground.network.stations(np.arange(*ground.way.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M))
-    return np.concatenate(
-        [line.points_world(s[(s > line.start_m) & (s < line.end_m)]) for line in lines] + [np.zeros((0, 3))]
-    )
+    lines, driven_m = ground.network.lines, np.arange(*ground.way.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M)
+    stations = lines.around(driven_m, lambda xy_world: ground.way.away_at(xy_world) < RANGE_M)
+    return np.concatenate([*lines.points_along(stations), np.zeros((0, 3))])
 
 
 def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points3, Scalars]:
     """Feet and heights of tufts along the edges of the pavement; the nearer to the host, the denser."""
     network, last_m = ground.network, ground.way.near_m + ground.way.driven_m
-    n_edges = max(LEAST_EDGES, 2 * len(network.roads))
-    draws = rng.random((4, n_edges, PER_EDGE))
+    draws = rng.random((4, N_EDGES, PER_EDGE))
     driven_m = last_m + _away(draws[0])
     if ground.way.driven_m:
-        more = rng.random((4, n_edges, int(PER_M * ground.way.driven_m)))
+        more = rng.random((4, N_EDGES, int(PER_M * ground.way.driven_m)))
         draws = np.concatenate([draws, more], axis=2)
         driven_m = np.concatenate([driven_m, ground.way.near_m + AHEAD_M[0] + ground.way.driven_m * more[0]], axis=1)
     if ground.way.both_ways:
-        more = rng.random((4, n_edges, PER_EDGE))
+        more = rng.random((4, N_EDGES, PER_EDGE))
         draws = np.concatenate([draws, more], axis=2)
         driven_m = np.concatenate([driven_m, ground.way.near_m - _away(more[0])], axis=1)
     beside = BESIDE_M[0] + (BESIDE_M[1] - BESIDE_M[0]) * draws[1]
-    s, xy = network.stations(driven_m), list[Points2]()
-    for road in network.roads:
-        for side in SIDES:
-            edge = len(xy)
-            at = s[edge] >= road.start_m
-            xy.append(road.xy(s[edge][at], road.edge(side, s[edge][at], beside[edge][at])))
+    s, xy = network.stations(driven_m), [np.zeros((0, 2))]
+    for edge, (own_s, own_m) in enumerate(zip(s, beside, strict=True)):
+        is_aside, side = edge // len(SIDES), SIDES[edge % len(SIDES)]
+        for at, piece in network.way.parts_at(own_s):
+            for road in network.branches(piece.road) if is_aside else (piece.road,):
+                on = piece.on(own_s[at])
+                here = (on >= road.start_m) & (on <= road.end_m) & network.way.has(own_s[at])
+                xy.append(road.xy(on[here], road.edge(side, on[here], own_m[at][here])))
     places = np.concatenate(xy)
     from_edge_m = ground.clearance(places)
     kept = (from_edge_m > BESIDE_M[0]) & (from_edge_m < BESIDE_M[1])

@@ -278,7 +278,7 @@ class World:
         grass_m = self.scene.vegetation.grass_m
         if not grass_m:
             return None
-        found = blades(self.ground, self.site.lines, view.eye_world, grass_m, self.scene.stream("grass"))
+        found = blades(self.ground, view.eye_world, grass_m, self.scene.stream("grass"))
         return found if len(found.shade) else None
 
 

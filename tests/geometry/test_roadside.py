@@ -8,7 +8,7 @@ from jaxtyping import Bool
 from scipy.spatial import cKDTree
 
 from synth3dlanes.draw.sample import Scenes, sample_world
-from synth3dlanes.geometry.frames import transform
+from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.params.params import load_params
 from synth3dlanes.scene.roadside import Building, Crossing, Post, Rail, Roadside
 from synth3dlanes.scene.scene import Scene
@@ -284,8 +284,8 @@ def test_boards_of_a_gantry_face_the_traffic_below_them(flip):
 HIGH = ["vegetation.grass_m=0.6", "trees.n=0", "cars.n=0"]
 
 
-def grown(n: int, *overrides: str) -> list[World]:
-    params = load_params("appendix_i", [*HIGH, *overrides])
+def grown(n: int, *overrides: str, preset: str = "appendix_i") -> list[World]:
+    params = load_params(preset, [*HIGH, *overrides])
     return [sample_world(Scenes(params, 2, "train"), index) for index in range(n)]
 
 
@@ -307,6 +307,7 @@ def hidden(world: World, blades: grass.Blades) -> Bool[np.ndarray, " p"]:
 def test_no_blade_hides_a_labelled_point(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the rule, blades do hide points in the bends of these scenes."""
     some = grown(4, "road.offset_p100_m=10", "road.offset_p50_m=-10", "road.shoulder_factor=0.2")
+    some += grown(1, preset="town")
     for world in some:
         blades = world.grass(world.view)
         assert blades is not None
@@ -317,10 +318,10 @@ def test_no_blade_hides_a_labelled_point(monkeypatch: pytest.MonkeyPatch) -> Non
     assert sum(hidden(world, blades).sum() for world, blades in zip(some, free, strict=True) if blades) > 10
 
 
-@pytest.mark.parametrize("topology", [1, 2, 4])
-def test_grass_stands_on_the_verge(topology: int) -> None:
+@pytest.mark.parametrize("preset", ["1", "2", "4", "town", "mountain"])
+def test_grass_stands_on_the_verge(preset: str) -> None:
     """Feet lie within a tuft's radius of the verge, a little below the ground; blades are no higher than asked for."""
-    for world in grown(3, f"road.topology={topology}"):
+    for world in grown(3, f"road.topology={preset}") if preset.isdigit() else grown(1, preset=preset):
         blades = world.grass(world.view)
         assert blades is not None
         feet, tips = blades.corners_world[:, :2].mean(axis=1), blades.corners_world[:, 2]
@@ -330,6 +331,6 @@ def test_grass_stands_on_the_verge(topology: int) -> None:
         assert np.abs(feet[:, 2] - world.ground.height(feet[:, :2])).mean() < 0.1
         rise_m = tips[:, 2] - feet[:, 2] - grass.SINK_M
         assert 0 < rise_m.min() < 0.1 < rise_m.max() <= 0.6
-        ahead_m = (feet[:, 1] - world.view.eye_world[1]) * np.sign(world.view.world_from_road[1, 1])
+        ahead_m = transform(invert(world.view.world_from_road), feet)[:, 1]
         assert np.quantile(ahead_m, 0.999) < 60
         assert np.median(ahead_m) < 20, "dense near the host"
