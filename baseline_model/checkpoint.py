@@ -179,7 +179,6 @@ def detector(source: str | Path, device: torch.device, own_model: str | None = N
 
 def detector_of(checkpoint: Checkpoint, network: nn.Module) -> Detector:
     """The detector with this network, built of the checkpoint."""
-    model = checkpoint.config.model
     found = checkpoint.about.get("train", {}).get("focal_px")  # not in those of 0.1.0
     trained = None if found is None else FocalLengths(*found)
-    return Detector(network, (model.image_height_px, model.image_width_px), trained)
+    return Detector(network, checkpoint.config.model.size_px, trained)

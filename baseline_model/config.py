@@ -88,6 +88,11 @@ class ModelConfig(Strict):
     """Our addition: at last, points of lanes are corrected by what the image shows within pixels of them."""
 
     @property
+    def size_px(self) -> tuple[int, int]:
+        """Height and width of the images."""
+        return (self.image_height_px, self.image_width_px)
+
+    @property
     def is_refined(self) -> bool:
         """Whether lanes are corrected by the maps of the image."""
         return self.refinements > 0 or self.has_close_look
@@ -103,7 +108,7 @@ class ModelConfig(Strict):
             )
         if grid.rows < 8:
             raise ValueError(f"grid.rows: expected at least 8, which three pools reduce to 1, got {grid.rows}")
-        if min(self.image_height_px, self.image_width_px) < 16:
+        if min(self.size_px) < 16:
             size = f"{self.image_width_px} x {self.image_height_px}"
             raise ValueError(f"image: expected at least 16 x 16 px, one cell of the last map, got {size}")
         if len(knots) < 2 or list(knots) != sorted(set(knots)) or knots[0] < FIRST_KNOT_M or knots[-1] > LAST_KNOT_M:
@@ -128,6 +133,11 @@ class CustomModel(Strict):
     arguments: dict[str, Any] = {}
     image_height_px: Size = 360
     image_width_px: Size = 480
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Height and width of the images."""
+        return (self.image_height_px, self.image_width_px)
 
     @property
     def pose_target(self) -> PoseTarget:

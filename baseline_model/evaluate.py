@@ -69,12 +69,12 @@ def evaluate_predictions(
 
 
 def evaluate_flat_ground(
-    checkpoint: str | Path, data_dir: str | Path, config: MetricConfig | None = None, device: str = "auto"
+    checkpoint: str | Path, data_dir: str | Path, device: str = "auto"
 ) -> dict[str, EvaluationReport]:
     """The paper's `flat ground` row: the network's lanes are projected to the image and back onto a plane known from
     the labels, either the tangent plane or the `horizon` plane. The paper reports the better one."""
     detector = checkpoints.detector(checkpoint, choose_device(device))
-    scores = {plane: Evaluation(config or MetricConfig()) for plane in ("plane", "horizon")}
+    scores = {plane: Evaluation() for plane in ("plane", "horizon")}
     for labels, prediction in detector.in_samples(open_split(data_dir)):
         for plane, evaluation in scores.items():
             evaluation.add(labels, through_flat_ground(prediction, labels, plane))

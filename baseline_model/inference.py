@@ -22,6 +22,7 @@ from .workers import ahead
 
 Fitted = tuple[CameraImage, UInt8[np.ndarray, "rows columns 3"], Intrinsics]
 """An image, and what the network sees of it."""
+BATCH = 16
 MOST_BYTES = 1 << 26
 """Of the images of a batch, as read."""
 
@@ -70,7 +71,7 @@ class Detector:
         found = cast(LaneDetector, self.network).detect(pixels, intrinsics)
         return [Prediction(key, tuple(lanes), None) for key, lanes in zip(keys, found, strict=True)]
 
-    def in_images(self, images: Iterable[CameraImage], batch: int = 16) -> Iterator[tuple[CameraImage, Prediction]]:
+    def in_images(self, images: Iterable[CameraImage]) -> Iterator[tuple[CameraImage, Prediction]]:
         """Each image with its lanes. A thread reads and resizes the next images meanwhile."""
 
         def fitted(one: CameraImage) -> Fitted:
@@ -79,14 +80,14 @@ class Detector:
                 return_freed_memory()
             return (one, *found)
 
-        for several in _batched(ahead(map(fitted, images), 2), batch):
+        for several in _batched(ahead(map(fitted, images), 2)):
             of_batch, small, intrinsics = zip(*several, strict=True)
             pixels = torch.from_numpy(np.stack(small)).permute(0, 3, 1, 2)
             found = self.in_batch([one.key for one in of_batch], pixels, torch.tensor(intrinsics))
             yield from zip(of_batch, found, strict=True)
 
     def in_samples(
-        self, samples: Samples, batch: int = 16, workers: int | None = None
+        self, samples: Samples, batch: int = BATCH, workers: int | None = None
     ) -> Iterator[tuple[Labels, Prediction]]:
         """The lanes of labelled images, of whose labels only the intrinsics are used, with these labels. Worker
         processes decode the images; None means one for each spare core."""
@@ -97,12 +98,12 @@ class Detector:
             yield from zip(several.labels, self.in_batch(several.keys, several.image, several.intrinsics), strict=True)
 
 
-def _batched(items: Iterable[Fitted], n: int) -> Iterator[list[Fitted]]:
-    """Batches of `n`, or of fewer where images are large: as read, one may take 200 MB."""
+def _batched(items: Iterable[Fitted]) -> Iterator[list[Fitted]]:
+    """Batches of BATCH, or of fewer where images are large: as read, one may take 200 MB."""
     batch: list[Fitted] = []
     for item in items:
         batch.append(item)
-        if len(batch) == n or sum(one.image.nbytes for one, _, _ in batch) > MOST_BYTES:
+        if len(batch) == BATCH or sum(one.image.nbytes for one, _, _ in batch) > MOST_BYTES:
             yield batch
             batch = []
     if batch:

@@ -143,7 +143,6 @@ class Examples:
     ) -> None:
         self._samples, self._annotations, self._pixels = samples, annotations, pixels
         self._config, self.is_on_device = config, is_on_device
-        self._size_px = (config.model.image_height_px, config.model.image_width_px)
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -168,17 +167,17 @@ class Examples:
 
     def _kept_image(self, index: int) -> RgbImage | None:
         record = None if self._pixels is None else self._pixels.get(index)
-        return None if record is None else np.frombuffer(record, np.uint8).reshape(*self._size_px, 3)
+        return None if record is None else np.frombuffer(record, np.uint8).reshape(*self._config.model.size_px, 3)
 
     def _annotate(self, index: int, key: str, labels: Labels) -> NetworkLabels:
         pose_mode, in_image_only = self._config.model.pose_target, self._config.fov_mask
-        annotation = annotation_of(key, labels, self._size_px, pose_mode, in_image_only=in_image_only)
+        annotation = annotation_of(key, labels, self._config.model.size_px, pose_mode, in_image_only=in_image_only)
         if self._annotations is not None:
             self._annotations.put(index, to_bytes(annotation))
         return annotation
 
     def _keep_image(self, index: int, image: RgbImage) -> UInt8[np.ndarray, "h2 w2 3"]:
-        small = resize(image, self._size_px)
+        small = resize(image, self._config.model.size_px)
         if self._pixels is not None:
             self._pixels.put(index, small.tobytes())
         return small
@@ -205,7 +204,7 @@ class Decoding:
 
 def decoding_of(n_images: int, config: TrainConfig, process: Process) -> Decoding:
     """Decide where decoded images are kept: `keep_decoded`, or where every process here has room for them."""
-    n_bytes = n_images * slot_bytes_of((config.model.image_height_px, config.model.image_width_px))
+    n_bytes = n_images * slot_bytes_of(config.model.size_px)
     free_bytes = free_memory_bytes()
     is_on_device = config.keep_decoded is not False and n_bytes < MEMORY_SHARE * free_gpu_bytes(process.device)
     fits = n_bytes * process.neighbours < MEMORY_SHARE * free_bytes
@@ -217,8 +216,7 @@ def open_examples(
     samples: Samples, decoding: Decoding, config: TrainConfig, process: Process, out_dir: Path
 ) -> Examples:
     """Put the caches before a split: annotations in `out_dir`, decoded images in memory if they are kept."""
-    size_px = (config.model.image_height_px, config.model.image_width_px)
-    pixels = pixel_memory(size_px) if decoding.is_once and not decoding.is_on_device else None
+    pixels = pixel_memory(config.model.size_px) if decoding.is_once and not decoding.is_on_device else None
     annotations = _annotations(samples, config, process, out_dir)
     return Examples(samples, config, annotations, pixels, is_on_device=decoding.is_on_device)
 

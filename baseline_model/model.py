@@ -74,7 +74,7 @@ class LaneNet(nn.Module):
         pathway = TimmPathway if config.backbone.startswith(TIMM) else ImagePathway
         self.image = pathway(config, n_stages=4 if needs_all else 1) if self._needs_image(config) else None
         channels = self.image.channels if self.image is not None else ()
-        size = self.image.sizes(config.image_height_px, config.image_width_px)[-1] if self.image is not None else (0, 0)
+        size = self.image.sizes(*config.size_px)[-1] if self.image is not None else (0, 0)
         self.pose = PoseBranch(channels[3], size, config) if is_pose_learned else None
         levels = {"full": (0, 1, 2, 3), "early_ipm": (0,), "late_ipm": (3,)}.get(variant, ())
         self.projections = nn.ModuleDict(

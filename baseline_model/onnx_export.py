@@ -85,7 +85,7 @@ def exported(model: LaneNet) -> Any:
     _onnx()
     config = model.config
     # A batch of two: the exporter would treat a size of one as constant.
-    image = torch.zeros(2, 3, config.image_height_px, config.image_width_px)
+    image = torch.zeros(2, 3, *config.size_px)
     intrinsics = torch.tensor([config.reference_intrinsics] * 2)
     batch = torch.export.Dim("batch", min=1)
     with warnings.catch_warnings():

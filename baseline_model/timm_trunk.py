@@ -37,11 +37,10 @@ class TimmPathway(Normalised):
         self.trunk = create(self.name, out_indices=self.indices)
         self.former_weights = drop_unused(self.trunk)
         self.channels: tuple[int, ...] = tuple(self.trunk.feature_info.channels())
-        size_px = config.image_height_px, config.image_width_px
         try:
-            self.lattices = measured_lattices(self.trunk, *size_px)
+            self.lattices = measured_lattices(self.trunk, *config.size_px)
         except UnevenError as error:
-            raise InputError(f"model.backbone: {_symmetric(self.name, *size_px) or error}") from None
+            raise InputError(f"model.backbone: {_symmetric(self.name, *config.size_px) or error}") from None
 
     def forward(
         self, image: Float[Tensor, "b 3 h w"], rays: Float[Tensor, "b 2 h w"] | None = None

@@ -83,9 +83,8 @@ def plan_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, o
 def train_on(config: TrainConfig, train_samples: Samples, val_samples: Samples, out_dir: Path) -> Path:
     """Train and validate on any samples."""
     process = start_process(config)
-    size_px = (config.model.image_height_px, config.model.image_width_px)
     about: dict[str, Any] = {
-        "train": {"n_images": len(train_samples), "focal_px": [*focal_lengths(train_samples, size_px)]},
+        "train": {"n_images": len(train_samples), "focal_px": [*focal_lengths(train_samples, config.model.size_px)]},
         "val": {"n_images": len(val_samples)},
         "torch": str(torch.__version__),
     }
@@ -196,8 +195,7 @@ def _blame(task: nn.Module, augmented: AugmentedBatch, done: float) -> str:
 def _validate(trainee: TrainingRun, samples: Samples) -> EvaluationReport | None:
     if trainee.process.rank != 0:
         return None
-    model = trainee.config.model
-    detector = Detector(trainee.average.model, (model.image_height_px, model.image_width_px))
+    detector = Detector(trainee.average.model, trainee.config.model.size_px)
     found = detector.in_samples(samples, trainee.config.batch, trainee.config.workers)
     return score(found, MetricConfig(alternatives=(), bootstraps=0))
 

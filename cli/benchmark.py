@@ -8,7 +8,7 @@ import click
 
 from .generate import progress
 from .networks import WEIGHTS, CheckpointPath, need_torch
-from .options import RENDERERS, JobCommand, given, job_options, json_option, progress_bar
+from .options import RENDERERS, JobCommand, given, job_options, json_option, progress_bar, refuse_together
 
 
 @click.command(cls=JobCommand)
@@ -48,8 +48,7 @@ def benchmark(
     from synth3dlanes.production.benchmarks import load_benchmark
     from synth3dlanes.production.job import make
 
-    if checkpoint is not None and predictions is not None:
-        raise click.UsageError("--checkpoint and --predictions cannot be used together")
+    refuse_together("checkpoint", "predictions")
     found = load_benchmark(source)
     document: dict[str, Any] = {"benchmark": Path(source).stem, "splits": {}}
     for split in found.splits if is_training else ["test"]:

@@ -47,14 +47,12 @@ OF_NETWORKS = ("checkpoint", "own_model", "device", "threshold", "frame", "plots
     "--threshold",
     type=FiniteRange(0, 1),
     default=0.5,
-    show_default=True,
     help="Confidence at which errors are measured; AP does not depend on it.",
 )
 @click.option(
     "--frame",
     type=click.Choice(["camera", "road_raw"]),
     default="camera",
-    show_default=True,
     help="Pose that maps predictions to the road: from the labels (camera) or predicted (road_raw).",
 )
 @click.option(

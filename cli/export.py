@@ -9,7 +9,7 @@ import click
 
 from synth3dlanes.system.errors import InputError
 
-from .options import READERS, json_option, progress_bar, workers_option
+from .options import json_option, progress_bar, workers_option
 
 if TYPE_CHECKING:
     from synth3dlanes.formats.export import ExportSummary
@@ -64,7 +64,7 @@ def _formats(incomplete: str) -> list[str]:
     help="Cameras of a rig, separated by commas. Default: those that look ahead; all for formats that take images as "
     "they are.",
 )
-@workers_option(READERS)
+@workers_option
 @json_option
 def export(
     source: str,

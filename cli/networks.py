@@ -26,7 +26,7 @@ SHIPPED = {
 }
 WEIGHTS = "|".join(SHIPPED)
 INTRINSICS = "FX,FY,CX,CY|FILE"
-device_option = click.option("--device", default="auto", show_default=True, help="Device to run on: auto, cpu or cuda.")
+device_option = click.option("--device", default="auto", help="Device to run on: auto, cpu or cuda.")
 
 
 class CheckpointPath(click.ParamType):

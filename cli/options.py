@@ -265,14 +265,13 @@ split_option = click.option(
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 RENDERERS = "Worker processes. auto: one per core and GB of memory that may be used, or up to four per GPU."
-READERS = "one per core, fewer for few samples."
-
-
-def workers_option(auto: str) -> Callable[[Command], Command]:
-    """`--workers`, with what it is by default in words."""
-    return click.option(
-        "--workers", metavar="N|auto", type=Workers(), default="auto", help=f"Worker processes. auto: {auto}"
-    )
+workers_option = click.option(
+    "--workers",
+    metavar="N|auto",
+    type=Workers(),
+    default="auto",
+    help="Worker processes. auto: one per core, fewer for few samples.",
+)
 
 
 def output_console(*, stderr: bool = False, soft_wrap: bool = False) -> "OutputConsole":

@@ -29,7 +29,6 @@ def is_checkpoint(what: str) -> bool:
 @click.option(
     "--out",
     default="predictions",
-    show_default=True,
     type=click.Path(file_okay=False, path_type=Path),
     help="Output folder.",
 )
@@ -43,14 +42,12 @@ def is_checkpoint(what: str) -> bool:
     "--threshold",
     type=FiniteRange(0, 1),
     default=0.5,
-    show_default=True,
     help="Least confidence of the lanes in the pictures; the file has all.",
 )
 @click.option(
     "--overlays",
     type=click.IntRange(min=0),
     default=16,
-    show_default=True,
     help="Number of images, or with --video of clips, to draw.",
 )
 @click.option("--video", is_flag=True, help="Draw the clips of a split as videos, NAME.lanes.mp4, as of a video file.")

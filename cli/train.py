@@ -64,7 +64,6 @@ out_option = click.option(
     "row",
     type=click.Choice(ROW_NAMES),
     default="full",
-    show_default=True,
     help="Variant to train: a row of the paper's Table 1, or improved (docs/baseline.md).",
 )
 @click.option("--epochs", type=float, help="Passes over the training images.")
@@ -128,12 +127,11 @@ def train(
     "--model",
     type=click.Choice(MODEL_NAMES),
     default="compact",
-    show_default=True,
     help="Network to use (docs/baseline.md).",
 )
 @click.option("--row", "rows", multiple=True, type=click.Choice(ROW_NAMES), help="Train only this variant; repeatable.")
 @click.option("--sizes", metavar="N,N,...", help="Train one network per training set size instead: a learning curve.")
-@click.option("--test", default="test", show_default=True, help="Split to test on.")
+@click.option("--test", default="test", help="Split to test on.")
 @changes_option
 def ablation(
     data: str, out: Path, model: str, rows: tuple[str, ...], sizes: str | None, test: str, changes: tuple[str, ...]

@@ -6,7 +6,6 @@ from typing import Any
 import click
 
 from .options import (
-    READERS,
     JobCommand,
     given,
     job_options,
@@ -21,7 +20,7 @@ from .options import (
 
 @click.command(cls=JobCommand)
 @click.argument("folder", metavar="DIR")
-@workers_option(READERS)
+@workers_option
 @click.option("--limit", metavar="N", type=click.IntRange(min=0), help="Check only N samples of each split.")
 @click.option(
     "--rerender",

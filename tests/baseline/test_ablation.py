@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from synth3dlanes_baseline import checkpoint, evaluate, sources
-from synth3dlanes_baseline.ablation import learning_curve
+from synth3dlanes_baseline import checkpoint
+from synth3dlanes_baseline.ablation import ablation, learning_curve
 from synth3dlanes_baseline.curves import Pose
 from synth3dlanes_baseline.data import img_from_cam
 from synth3dlanes_baseline.lanes import Detection, Prediction
@@ -15,20 +15,15 @@ from scripts.real_labels import HEIGHT_M, INTRINSICS, labels_on_plane
 from synth3dlanes.formats.tusimple import ROWS_PX, TusimpleFrame
 from synth3dlanes.geometry.frames import project
 from synth3dlanes.system.errors import InputError
+from tests.baseline import roads
 
 SIZES = {"train": 4, "val": 2, "test": 3}
 FEW = {"batch": 2, "epochs": 1.0, "device": "cpu"}
 
 
 @pytest.fixture
-def drawn_splits(roads, monkeypatch):
-    """`DIR/train` and its like, drawn in memory."""
-    from synth3dlanes_baseline import ablation
-
-    splits = {name: roads.samples(np.random.default_rng(n), n, (160, 120)) for name, n in SIZES.items()}
-    monkeypatch.setattr(sources, "has_split", lambda folder, split: True)
-    for module in (ablation, evaluate, sources):
-        monkeypatch.setattr(module, "open_split", lambda path: splits[str(path).rpartition("/")[2]])
+def drawn_splits(behind_splits):
+    behind_splits({name: roads.samples(np.random.default_rng(n), n, (160, 120)) for name, n in SIZES.items()})
 
 
 def _steps(folder):
@@ -37,8 +32,6 @@ def _steps(folder):
 
 @pytest.mark.thorough
 def test_rows_stand_beside_the_papers_and_are_trained_once(drawn_splits, tmp_path):
-    from synth3dlanes_baseline.ablation import ablation
-
     reports = ablation("d", tmp_path, "tiny", ("full", "top_view"), FEW)
     assert set(reports) == {"full", "flat_ground:plane", "flat_ground:horizon", "top_view"}
     table = (tmp_path / "table.txt").read_text()
@@ -84,7 +77,7 @@ def test_lines_of_an_image_become_the_lanes_of_the_plane_that_makes_them_paralle
 
 
 @pytest.mark.parametrize("share", [0.97, 1.02])
-def test_an_error_of_scale_is_what_the_image_does_not_show(roads, share):
+def test_an_error_of_scale_is_what_the_image_does_not_show(share):
     labels = roads.labels([lambda y_m, x_m=x_m: (x_m + 4e-4 * y_m**2, 1e-4 * y_m**2) for x_m in (0.0, 3.6)])
     lanes = tuple(Detection(lane.kind, 0.9, lane.xyz_cam * share) for lane in labels.lanes)
     pose = Pose(labels.camera.pitch_rad, labels.camera.height_m * share)

@@ -18,6 +18,7 @@ from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.params.params import load_params
 from synth3dlanes.truth.ground_truth import ground_truth
+from tests.baseline import roads
 
 
 def _encode(labels, **changes):
@@ -30,7 +31,7 @@ def _line(x_m, slope=0.0):
     return lambda y: (x_m + slope * (y - 20.0), 0.0 * y)
 
 
-def test_a_lane_goes_to_the_anchor_nearest_at_twenty_metres(roads):
+def test_a_lane_goes_to_the_anchor_nearest_at_twenty_metres():
     # At 5 m this lane is nearest to the anchor at -0.64, at 20 m to the one at 1.92.
     targets, _ = _encode(roads.labels([_line(2.0, slope=0.15)]))
     (at,) = torch.nonzero(targets.assigned).tolist()
@@ -38,7 +39,7 @@ def test_a_lane_goes_to_the_anchor_nearest_at_twenty_metres(roads):
     assert targets.x_m[0, 0, 9].tolist() == pytest.approx([0.08 + 0.15 * (y - 20) for y in (5, 20, 40, 60, 80, 100)])
 
 
-def test_two_paths_of_a_split_share_an_anchor_in_order(roads):
+def test_two_paths_of_a_split_share_an_anchor_in_order():
     def stem_then_right(y):
         return 0.1 + np.maximum(y - 30, 0) * 0.1, 0.0 * y
 
@@ -49,7 +50,7 @@ def test_two_paths_of_a_split_share_an_anchor_in_order(roads):
         assert status[0].tolist() == [1, 1]
 
 
-def test_a_third_centerline_is_dropped_and_only_the_leftmost_delimiter_stays(roads):
+def test_a_third_centerline_is_dropped_and_only_the_leftmost_delimiter_stays():
     lanes = [_line(0.1, slope) for slope in (0.05, -0.05, 0.0)]
     targets, status = _encode(roads.labels(lanes, [_line(0.5, 0.03), _line(0.1)]))
     assert status[0].tolist() == [DROPPED, KEPT, KEPT, DROPPED, KEPT]
@@ -57,7 +58,7 @@ def test_a_third_centerline_is_dropped_and_only_the_leftmost_delimiter_stays(roa
     assert targets.x_m[0, 2, 8, 1] == pytest.approx(0.1 - 0.64, abs=1e-4)
 
 
-def test_knots_beyond_the_lane_or_hidden_by_ground_are_masked(roads):
+def test_knots_beyond_the_lane_or_hidden_by_ground_are_masked():
     long, short = _line(0.0), (_line(4.0), 8.0, 55.0)
     targets, _ = _encode(roads.labels([long, short], hidden=(45.0, 90.0)))
     assert targets.visible[0, 0, 7].tolist() == [True, True, True, False, False, True]
@@ -67,7 +68,7 @@ def test_knots_beyond_the_lane_or_hidden_by_ground_are_masked(roads):
     assert targets.visible[0, 0, short_anchor].tolist() == [False, True, True, False, False, False]
 
 
-def test_ignored_lanes_are_neither_positive_nor_negative(roads):
+def test_ignored_lanes_are_neither_positive_nor_negative():
     # Crosses Y_ref but too little of it is seen; the second starts behind Y_ref; the third is outside the top view.
     labels = roads.labels([_line(0.1), (_line(4.0), 30.0, 110.0), _line(10.5)], hidden=(10.0, 200.0))
     targets, status = _encode(labels)
@@ -77,7 +78,7 @@ def test_ignored_lanes_are_neither_positive_nor_negative(roads):
     assert unscored == [[0, 0, 8], [0, 1, 8]]
 
 
-def test_training_and_metric_ignore_the_same_lanes(roads):
+def test_training_and_metric_ignore_the_same_lanes():
     rng = np.random.default_rng(7)
     for _ in range(200):
         lanes = [(_line(rng.uniform(-13, 13), rng.uniform(-0.2, 0.2)), rng.uniform(0, 30), 110.0) for _ in range(4)]
@@ -89,7 +90,7 @@ def test_training_and_metric_ignore_the_same_lanes(roads):
         assert [s != IGNORED for s in status[0].tolist()] == usable
 
 
-def test_curves_are_sampled_alike_in_numpy_and_torch(roads):
+def test_curves_are_sampled_alike_in_numpy_and_torch():
     rng = np.random.default_rng(17)
     y_m = np.concatenate([rng.uniform(-5, 120, 60), np.arange(0.0, 111.0, 10.0)])
     n_seen = 0
@@ -109,7 +110,7 @@ def test_curves_are_sampled_alike_in_numpy_and_torch(roads):
     assert 500 < n_seen < 1800
 
 
-def test_mirrored_scene_gives_mirrored_targets(roads):
+def test_mirrored_scene_gives_mirrored_targets():
     rng = np.random.default_rng(11)
     for _ in range(50):
         x_m, slopes, bends = rng.uniform(-9, 9, 4), rng.uniform(-0.1, 0.1, 4), rng.uniform(-2e-3, 2e-3, 4)
@@ -132,7 +133,7 @@ def test_mirrored_scene_gives_mirrored_targets(roads):
 
 
 @pytest.mark.parametrize(("knots", "near_cm"), [("paper", 4.0), ("ten", 0.5)])
-def test_encode_then_decode_is_the_identity_within_the_splines_error(roads, knots, near_cm):
+def test_encode_then_decode_is_the_identity_within_the_splines_error(knots, near_cm):
     rng = np.random.default_rng(13)
     model = NANO.model_copy(update={"knots_y_m": PAPER_KNOTS_M if knots == "paper" else TEN_KNOTS_M})
     statistics = statistics_of([roads.random(rng) for _ in range(60)], model)
@@ -164,12 +165,9 @@ def test_horizon_targets_are_the_labels_own_and_put_the_host_lanes_farthest_poin
         assert transform(road_from_cam(pose), foot_cam)[0, 2] == pytest.approx(0.0, abs=1e-6)
         n_tilted += abs(pose.pitch_rad - plane.pitch_rad) > math.radians(1.0)
     assert n_tilted >= 5
-
-
-def test_labels_without_a_horizon_give_the_tangent_plane(roads):
-    labels = roads.labels([lambda y: (0.0 * y, 0.03 * y)])
-    assert labels.horizon is None
-    assert target_pose(labels, "horizon") == plane_pose(labels)
+    without = roads.labels([lambda y: (0.0 * y, 0.03 * y)])
+    assert without.horizon is None
+    assert target_pose(without, "horizon") == plane_pose(without)
 
 
 def test_a_lane_that_two_anchors_predict_is_kept_once_and_lanes_beside_each_other_both():

@@ -4,7 +4,6 @@ import pytest
 from synth3dlanes_baseline.config import (
     ABLATIONS,
     MODELS,
-    PAPER_KNOTS_M,
     TrainConfig,
     overrides_from,
     parse,
@@ -22,17 +21,6 @@ def test_every_model_and_row_makes_a_run_that_survives_json():
     for row in ABLATIONS:
         assert train_config("compact", {"batch": 8}, row).batch == 8
     assert train_config("compact", ablation="improved") == train_config("improved")
-
-
-def test_paper_keeps_the_papers_recipe():
-    config = train_config("paper")
-    assert (config.optimizer, config.schedule) == ("adam", "cyclic")
-    assert (config.learning_rate, config.min_learning_rate) == (5e-4, 1e-6)
-    assert (config.loss.detection, config.loss.geometry, config.loss.pose) == (1.0, 1.0, 1.0)
-    assert config.model.knots_y_m == PAPER_KNOTS_M == (5.0, 20.0, 40.0, 60.0, 80.0, 100.0)
-    failed = train_config("paper", ablation="no_supervision")
-    assert failed.model.grid_gradient
-    assert failed.loss.pose == 0
 
 
 def test_overrides_name_every_problem():

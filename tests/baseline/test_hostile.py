@@ -83,7 +83,7 @@ def test_checkpoints_whose_settings_lie(tmp_path_factory, stored, data):
     refused_or_read(lambda: detect(path), str(path), "checkpoint: expected weights", error=Synth3dlanesError)
 
 
-@pytest.mark.parametrize("name", ["config", "about", "model", "resume", "version"])
+@pytest.mark.parametrize("name", ["config", "about", "model", "resume", "version", "format"])
 @pytest.mark.parametrize("value", [..., 2, "x", [], ["x"], {"train": 3}, {"train": {"focal_px": [1, -1, 1]}}, {"a": 1}])
 def test_checkpoints_that_lie(tmp_path, stored, name, value):
     """A file as torch writes it; what is in it is not as it should be."""

@@ -20,6 +20,7 @@ from synth3dlanes.figures.colors import KINDS
 from synth3dlanes.geometry.frames import project, transform
 from synth3dlanes.imaging.video import mp4, open_video
 from synth3dlanes.system.errors import FormatError, InputError, Synth3dlanesError
+from tests.baseline import roads
 
 RATE_HZ = 10.0
 
@@ -30,7 +31,7 @@ def network():
 
 
 @pytest.fixture(scope="module")
-def drawn(roads):
+def drawn():
     return roads.samples(np.random.default_rng(4), 5, (320, 240))
 
 
@@ -165,7 +166,7 @@ def test_noise_shrinks_as_the_theory_of_exponential_means_says():
     assert np.std(x_m[50:]) == pytest.approx(0.1 * np.sqrt(share / (2 - share)), rel=0.1)
 
 
-def test_known_motion_is_made_up_for(roads):
+def test_known_motion_is_made_up_for():
     """A host that turns and drives past straight lanes: with its motion, their means are themselves."""
     label = roads.labels([lambda y: (0 * y, 0 * y)])
     in_world = lane(1.0).xyz_cam

@@ -20,12 +20,13 @@ from synth3dlanes_baseline.progress import TrainingLog
 
 from synth3dlanes.imaging.video import mp4
 from synth3dlanes.system.errors import LinkError
+from tests.baseline import roads
 from tests.power_cut import survive
 from tests.small_files import withstands
 from tests.thorough import first
 
 
-def writers(out: Path, roads):
+def writers(out: Path):
     labels = roads.labels([lambda y: (0 * y, 0 * y)])
     prediction = roads.as_prediction(labels)
     image = CameraImage("0", np.zeros((360, 480, 3), np.uint8), intrinsics_of(labels), labels)
@@ -58,11 +59,11 @@ NAMES = [
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("is_hard", [False, True])
-def test_a_link_in_the_way_stays_and_what_it_points_to(tmp_path, roads, name, is_hard):
+def test_a_link_in_the_way_stays_and_what_it_points_to(tmp_path, name, is_hard):
     out, document = tmp_path / "out", tmp_path / "thesis.tex"
     out.mkdir()
     document.write_text("years of work")
-    write = writers(out, roads)[name]
+    write = writers(out)[name]
     if name == "tensorboard":
         pytest.importorskip("tensorboard")
         (out / name).symlink_to(tmp_path)
@@ -81,15 +82,15 @@ def test_a_link_in_the_way_stays_and_what_it_points_to(tmp_path, roads, name, is
     assert not [path for path in out.iterdir() if path.suffix == ".tmp"]
 
 
-def test_what_killed_runs_left_of_a_checkpoint_goes(tmp_path, roads):
+def test_what_killed_runs_left_of_a_checkpoint_goes(tmp_path):
     (tmp_path / ".last.pt.0123456789abcdef.tmp").write_text("half")
     (tmp_path / "last.pt.tmp").symlink_to(tmp_path / "elsewhere")
-    writers(tmp_path, roads)["last.pt"]()
+    writers(tmp_path)["last.pt"]()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["last.pt", "last.pt.tmp"]
 
 
 @pytest.fixture(scope="module")
-def source(roads, tmp_path_factory):
+def source(tmp_path_factory):
     """Drawn pictures, in a folder and as a video."""
     folder = tmp_path_factory.mktemp("source")
     (folder / "pictures").mkdir()

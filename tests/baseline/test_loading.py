@@ -21,6 +21,7 @@ from synth3dlanes_baseline.loading import (
 from synth3dlanes_baseline.workers import ahead
 
 from synth3dlanes.system.errors import FormatError
+from tests.baseline import roads
 
 CPU = torch.device("cpu")
 
@@ -61,7 +62,7 @@ class Counted:
 
 
 @pytest.fixture
-def drawn(roads):
+def drawn():
     return roads.samples(np.random.default_rng(3), 10, (160, 120))
 
 
@@ -105,12 +106,17 @@ def test_images_kept_on_the_device_make_the_same_batches(drawn, tmp_path, worker
         assert counted.counts("whole") == [1] * 10, "each image is decoded once"
 
 
-def test_two_processes_read_disjoint_samples_that_are_together_those_of_one(drawn, tmp_path):
-    alone = _batches(drawn, tmp_path)
-    pair = [_batches(drawn, tmp_path, process=Process(rank, 2, CPU)) for rank in range(2)]
+def test_processes_share_the_batches_of_one_which_have_all_samples_in_every_epoch(drawn, tmp_path):
+    alone, *pair = (
+        _batches(drawn, tmp_path, n_steps=6, process=process)
+        for process in (Process(0, 1, CPU), Process(0, 2, CPU), Process(1, 2, CPU))
+    )
     for whole, first, second in zip(alone, *pair, strict=True):
         assert not set(first.keys) & set(second.keys)
         assert {*first.keys, *second.keys} == set(whole.keys)
+    orders = [[key for batch in alone[at : at + 3] for key in batch.keys][:10] for at in (0, 3)]
+    assert orders[0] != orders[1]
+    assert sorted(orders[0]) == sorted(orders[1]) == [sample.key for sample in drawn], "every epoch has all samples"
 
 
 def test_what_is_kept_is_read_once(drawn, tmp_path):

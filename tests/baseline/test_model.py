@@ -17,12 +17,14 @@ from synth3dlanes_baseline.data import annotation_of, pack
 from synth3dlanes_baseline.loading import Example, collate
 from synth3dlanes_baseline.loss import ALONG, loss
 from synth3dlanes_baseline.model import LaneNet, Output
-from synth3dlanes_baseline.projection import ImageMaps, top_from_road
+from synth3dlanes_baseline.projection import ImageMaps, invert_rigid, road_from_cam
 
+from synth3dlanes.geometry import frames
 from synth3dlanes.geometry.frames import invert, project, transform
+from tests.baseline import roads
 
 
-def _batch(roads, n=2, size_px=(160, 120), seed=0):
+def _batch(n=2, size_px=(160, 120), seed=0):
     def example(sample):
         annotation = annotation_of(sample.key, sample.labels, (size_px[1], size_px[0]), "plane")
         return Example(np.asarray(sample.image), annotation)
@@ -32,16 +34,14 @@ def _batch(roads, n=2, size_px=(160, 120), seed=0):
 
 
 def _targets(batch, config):
-    from synth3dlanes_baseline.projection import road_from_cam
-
     return encode(batch.curves, road_from_cam(batch.target_pose), config)[0]
 
 
 @pytest.mark.parametrize(
     "row", ["full", "image_view", "top_view", "early_ipm", "late_ipm", "horizon", "fixed_position", "no_supervision"]
 )
-def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, row):
-    batch = _batch(roads)
+def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(row):
+    batch = _batch()
     torch.manual_seed(0)
     model = LaneNet(train_config("tiny", ablation=row).model).eval()
     torch.manual_seed(0)
@@ -58,8 +58,6 @@ def test_every_ablation_gives_39_values_per_anchor_from_the_same_start(roads, ro
 
 @pytest.mark.parametrize("name", ["paper", "tiny"])
 def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(name):
-    from synth3dlanes.geometry.frames import road_from_cam
-
     config = train_config(name, ablation="image_view").model
     model = LaneNet(config)
     rows, columns = config.image_height_px // 16, config.image_width_px // 16
@@ -67,7 +65,7 @@ def test_anchors_of_the_image_view_read_the_columns_where_they_meet_the_road(nam
     image, intrinsics = torch.zeros(1, 3, 16, 16), torch.tensor([config.reference_intrinsics])
     seen = model._top_features(image, ImageMaps([u_px] * 4, [], torch.eye(4)[None], intrinsics))
     fx, fy, cx, cy = config.reference_intrinsics
-    pose = road_from_cam(config.fixed_height_m, math.radians(config.fixed_pitch_deg))
+    pose = frames.road_from_cam(config.fixed_height_m, math.radians(config.fixed_pitch_deg))
     points_road = np.array([[x_m, Y_REF_M, 0.0] for x_m in model.anchors_m.tolist()])
     img_from_cam = np.array([[fx, cx, 0], [0, cy, -fy], [0, 1.0, 0]])
     expected = project(img_from_cam, transform(invert(pose), points_road))[:, 0]
@@ -117,8 +115,8 @@ def test_paper_has_the_sizes_of_the_notes():
     assert LaneNet(PAPER.model_copy(update={"variant": "image_view"})).anchors_m.shape == (30,)
 
 
-def test_the_network_starts_at_the_mean_pose_and_a_low_confidence(roads):
-    batch = _batch(roads)
+def test_the_network_starts_at_the_mean_pose_and_a_low_confidence():
+    batch = _batch()
     with torch.no_grad():
         output = LaneNet(TINY).eval()(batch.image, batch.intrinsics)
     assert torch.rad2deg(output.pose[:, 0]).tolist() == pytest.approx([2.5, 2.5])
@@ -126,8 +124,8 @@ def test_the_network_starts_at_the_mean_pose_and_a_low_confidence(roads):
     assert output.logit.sigmoid().mean() == pytest.approx(0.05, abs=0.02)
 
 
-def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
-    batch = _batch(roads)
+def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient():
+    batch = _batch()
     for has_gradient in (False, True):
         torch.manual_seed(1)
         model = LaneNet(TINY.model_copy(update={"grid_gradient": has_gradient}))
@@ -136,8 +134,8 @@ def test_lane_loss_reaches_the_pose_only_through_a_grid_with_gradient(roads):
         assert (gradient is not None and bool(gradient.abs().sum() > 0)) == has_gradient
 
 
-def test_loss_of_perfect_output_is_only_the_confidence(roads):
-    batch = _batch(roads)
+def test_loss_of_perfect_output_is_only_the_confidence():
+    batch = _batch()
     targets = _targets(batch, TINY)
     terms = _loss(_output(targets, batch), targets, batch.target_pose, LossConfig())
     assert terms["geometry"].abs().max() == 0
@@ -180,9 +178,7 @@ def test_the_image_term_is_what_the_camera_sees():
     assert "image" not in _loss(_output(targets, None), targets, pose, LossConfig())
 
 
-def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
-    from synth3dlanes_baseline.projection import road_from_cam
-
+def test_hidden_knots_and_ignored_lanes_get_no_gradient():
     labels = roads.labels([lambda y: (0.1, 0 * y), (lambda y: (4.1, 0 * y), 0.0, 15.0), lambda y: (10.6, 0 * y)],
                           hidden=(50.0, 200.0))  # fmt: skip
     pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
@@ -196,8 +192,8 @@ def test_hidden_knots_and_ignored_lanes_get_no_gradient(roads):
     assert bool((logit.grad != 0).all()), "these ignored lanes pass no anchor within 0.64 m at Y_ref"
 
 
-def test_unlabelled_kinds_enter_no_term(roads):
-    batch = _batch(roads)
+def test_unlabelled_kinds_enter_no_term():
+    batch = _batch()
     targets = _targets(batch, TINY)
     logit = torch.zeros_like(targets.x_m[..., 0]).requires_grad_()
     x_m = torch.zeros_like(targets.x_m).requires_grad_()
@@ -208,8 +204,8 @@ def test_unlabelled_kinds_enter_no_term(roads):
     assert logit.grad[:, 2].abs().min() > 0
 
 
-def test_flip_twice_is_the_identity_and_once_mirrors_the_targets(roads):
-    batch = _batch(roads, n=4)
+def test_flip_twice_is_the_identity_and_once_mirrors_the_targets():
+    batch = _batch(n=4)
     chosen = torch.tensor([True, False, True, True])
     once, twice = flip(batch, chosen), flip(flip(batch, chosen), chosen)
     assert twice.image.equal(batch.image)
@@ -223,10 +219,8 @@ def test_flip_twice_is_the_identity_and_once_mirrors_the_targets(roads):
 
 
 @pytest.mark.parametrize(("pitch_deg", "yaw_deg"), [(1.5, 0.0), (0.0, 4.0), (-1.0, -3.0)])
-def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, yaw_deg):
-    from synth3dlanes_baseline.projection import road_from_cam
-
-    batch = _batch(roads, n=1, size_px=(480, 360))
+def test_virtual_rotation_moves_picture_and_labels_together(pitch_deg, yaw_deg):
+    batch = _batch(n=1, size_px=(480, 360))
     point_cam = torch.tensor([[1.0, 18.0, -0.8]])
     curves = batch.curves._replace(xyz_cam=point_cam.expand(batch.curves.xyz_cam.shape).clone())
     batch = batch._replace(image=_spot(_pixel(batch.intrinsics, point_cam)), curves=curves)
@@ -247,8 +241,8 @@ def test_virtual_rotation_moves_picture_and_labels_together(roads, pitch_deg, ya
     assert math.degrees(float(turned.plane_pose[0, 0] - batch.plane_pose[0, 0])) == pytest.approx(pitch_deg, abs=1e-4)
 
 
-def test_augmentation_of_a_step_repeats(roads):
-    batch = _batch(roads)
+def test_augmentation_of_a_step_repeats():
+    batch = _batch()
     first, second, other = (
         augment(batch, OUR_AUGMENTATION, generator_for(3, step, 0, torch.device("cpu"))) for step in (7, 7, 8)
     )
@@ -256,8 +250,8 @@ def test_augmentation_of_a_step_repeats(roads):
     assert not first.batch.image.equal(other.batch.image)
 
 
-def test_differences_between_cameras_change_colours_and_edges_alone(roads):
-    batch = _batch(roads)
+def test_differences_between_cameras_change_colours_and_edges_alone():
+    batch = _batch()
     image, twice = batch.image, torch.ones(2)
     gray = saturate(image, torch.full((len(image),), -1.0))
     assert torch.allclose(gray, image.mean(1, keepdim=True).expand_as(image), atol=1e-6)
@@ -280,21 +274,7 @@ def test_differences_between_cameras_change_colours_and_edges_alone(roads):
         assert getattr(tinted, name).equal(getattr(batch, name))
 
 
-def test_a_top_view_moved_right_sees_lanes_further_left(roads):
-    from synth3dlanes_baseline.projection import road_from_cam
-
-    labels = roads.labels([lambda y: (1.0, 0 * y)])
-    pose = torch.tensor([[labels.camera.pitch_rad, labels.camera.height_m]])
-    moved = top_from_road(torch.zeros(1), torch.tensor([0.5])) @ road_from_cam(pose)
-    targets, _ = encode(pack([annotation_of("", labels, (360, 480), "plane")]), moved, TINY)
-    anchor = int(torch.nonzero(targets.assigned)[0, 2])
-    x_m = targets.x_m[0, 0, anchor] + (anchor - 7.5) * 1.28
-    assert x_m.tolist() == pytest.approx([0.5] * 6, abs=1e-4)
-
-
 def _loss(output, targets, pose, config):
-    from synth3dlanes_baseline.projection import invert_rigid, road_from_cam
-
     return loss(output, targets, pose, invert_rigid(road_from_cam(pose)), TINY, config)
 
 

@@ -17,6 +17,7 @@ from synth3dlanes_baseline.sources import focal_lengths
 from synth3dlanes_baseline.tusimple import columns_of
 
 from synth3dlanes.system.errors import FormatError, InputError
+from tests.baseline import roads
 
 SIZE_PX = (360, 480)
 ONE_CAMERA = FocalLengths(415.7, 415.7, 1.0)
@@ -84,7 +85,7 @@ def test_pictures_like_those_of_training_are_only_resized(trained):
     assert intrinsics == pytest.approx((415.7, 415.7, 235.0, 185.0))
 
 
-def test_focal_lengths_of_training_are_measured_in_pixels_of_the_network(roads):
+def test_focal_lengths_of_training_are_measured_in_pixels_of_the_network():
     samples = roads.samples(np.random.default_rng(1), 3, (640, 360))
     # conftest: f = 415.7 px at a width of 480 px, so 554.3 px at 640x360, resized by 3/4 and 1.
     assert focal_lengths(samples, SIZE_PX) == pytest.approx((415.7, 415.7, 4 / 3))
@@ -214,7 +215,7 @@ def test_centre_lines_alone_are_refused_in_a_line(tmp_path):
         evaluate_predictions(tmp_path / "p.jsonl", open_photographs(tmp_path), KITTI)
 
 
-def test_a_checkpoint_knows_the_focal_lengths_it_was_trained_on_and_every_image_is_seen_so(roads, tmp_path):
+def test_a_checkpoint_knows_the_focal_lengths_it_was_trained_on_and_every_image_is_seen_so(tmp_path):
     torch.manual_seed(0)
     config = train_config("tiny")
     about = {"train": {"n_images": 1, "focal_px": [60.0, 70.0, 1.0]}}

@@ -14,12 +14,13 @@ import pytest
 import torch
 from click.testing import CliRunner
 from PIL import Image
-from synth3dlanes_baseline import ablation, checkpoint, evaluate, onnx_export, photographs, predict, sources, train
+from synth3dlanes_baseline import checkpoint, evaluate, onnx_export, photographs, predict, train
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_cli.benchmark import _score
 from synth3dlanes_cli.main import main
 
 from synth3dlanes.system.errors import FormatError, InputError
+from tests.baseline import roads
 from tests.thorough import first
 
 CPU = torch.device("cpu")
@@ -118,7 +119,7 @@ READERS = {
 
 
 @pytest.fixture
-def folder(in_tmp_path, roads, monkeypatch):
+def folder(in_tmp_path, behind_splits, monkeypatch):
     """A folder with a module that tells of its import, a photograph, and drawn samples behind every split."""
     (in_tmp_path / "planted").mkdir()
     for name in ("__init__", "nets"):
@@ -129,9 +130,7 @@ def folder(in_tmp_path, roads, monkeypatch):
     (in_tmp_path / "photos").mkdir()
     Image.new("RGB", (160, 120)).save(in_tmp_path / "photo.jpg")
     Image.new("RGB", (160, 120)).save(in_tmp_path / "photos/a.jpg")
-    samples = roads.samples(np.random.default_rng(4), 2, (160, 120))
-    for module in (evaluate, sources, ablation):
-        monkeypatch.setattr(module, "open_split", lambda path: samples)
+    samples = behind_splits(roads.samples(np.random.default_rng(4), 2, (160, 120)))
     monkeypatch.setattr(train, "_splits", lambda config, dirs: (samples, samples))
     monkeypatch.setattr(photographs, "open_tusimple", lambda source: photographs.LaneAreas((), ()))
     happened.clear()

@@ -15,7 +15,7 @@ import pytest
 import torch
 from PIL import Image
 from synth3dlanes_baseline import checkpoint as checkpoints
-from synth3dlanes_baseline import evaluate, onnx_decode, onnx_export, sources, statistics
+from synth3dlanes_baseline import onnx_decode, onnx_export
 from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.data import CameraImage, img_from_cam, intrinsics_of
 from synth3dlanes_baseline.devices import choose_device
@@ -33,6 +33,7 @@ from synth3dlanes_baseline.statistics import describe_targets
 from synth3dlanes.figures.colors import KINDS
 from synth3dlanes.geometry.frames import project
 from synth3dlanes.system.errors import FormatError, InputError
+from tests.baseline import roads
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +59,9 @@ def detected(checkpoint, source, out, *intrinsics, **options) -> PredictionSumma
 
 
 @pytest.fixture
-def split(roads, tmp_path, monkeypatch):
+def split(behind_splits):
     """A split of drawn pictures behind the name DIR/test."""
-    samples = roads.samples(np.random.default_rng(4), 5, (160, 120))
-    for module in (evaluate, sources, statistics):
-        monkeypatch.setattr(module, "open_split", lambda path: samples)
-    return samples
+    return behind_splits(roads.samples(np.random.default_rng(4), 5, (160, 120)))
 
 
 def test_without_a_checkpoint_photographs_get_the_weights_streets_and_splits_nano(split, tmp_path, monkeypatch):
@@ -90,7 +88,7 @@ def test_a_predictions_file_scores_as_the_checkpoint_does(checkpoint, split, tmp
         assert picture.width > 600
 
 
-def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_path):
+def test_the_truth_written_as_predictions_reads_as_perfect(split, tmp_path):
     path = tmp_path / "p.jsonl"
     write_predictions(path, (roads.as_prediction(sample.labels, sample.key) for sample in split))
     report = evaluate_predictions(path, "DIR/test")
@@ -113,15 +111,8 @@ def test_the_truth_written_as_predictions_reads_as_perfect(roads, split, tmp_pat
 @pytest.mark.parametrize(
     ("line", "problem"),
     [
-        ("{", "p.jsonl:1: expected JSON"),
-        ('{"key": "00000000"}', "p.jsonl:1: lanes: missing"),
         ('{"key": "9", "lanes": []}', "expected keys such as '00000000', got '9'"),
         ('{"key": "00000000", "lanes": []}\n{"key": "00000000", "lanes": []}', "each key once"),
-        (
-            '{"key": "0", "lanes": [{"kind": "x", "score": 1, "xyz_cam": []}]}',
-            r"lanes\.0\.kind: expected 'centerline' or",
-        ),
-        ('{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0, 1]]}]}', r"xyz_cam\.0\.2: missing"),
         (
             '{"key": "0", "lanes": [{"kind": "delimiter", "score": 1, "xyz_cam": [[0,1,2],[0,2,3]],'
             ' "visibility": [1]}]}',
@@ -178,7 +169,7 @@ def test_no_picture_replaces_an_image_or_another_picture(checkpoint, split, tmp_
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"predictions.jsonl", *drawn}
 
 
-def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill(roads):
+def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill():
     flat = roads.labels([lambda y: (0.002 * y**2, 0 * y)])
     hill = roads.labels([lambda y: (0 * y + 3.0, 1e-4 * y**2)])
     for labels, low, high in ((flat, 0.0, 0.1), (hill, 5.0, np.inf)):
@@ -272,7 +263,7 @@ def test_the_decoder_of_onnx_outputs_needs_numpy_alone():
     assert modules - set(sys.stdlib_module_names) - {"collections.abc"} == {"numpy"}
 
 
-def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, split, tmp_path):
+def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, split, tmp_path):
     improved = _untrained(tmp_path / "best.pt", "improved")
     read = list(read_predictions(detected(improved, "DIR/test", tmp_path / "out", n_overlays=0).path))
     lanes = [lane for prediction in read for lane in prediction.lanes]
@@ -302,7 +293,7 @@ def test_visibility_is_written_and_read_and_changes_no_score(checkpoint, roads, 
         assert evaluate_predictions(tmp_path / name, "DIR/test").kinds["centerline"].ap == pytest.approx(1.0)
 
 
-def test_lanes_are_drawn_as_far_as_they_are_visible(roads):
+def test_lanes_are_drawn_as_far_as_they_are_visible():
     prediction = roads.as_prediction(roads.labels([lambda y: (0 * y, 0 * y)]))
     camera = np.array([[200.0, 240, 0], [0, 180, -200], [0, 1, 0]])
     (whole,) = _lines(prediction, None, camera, 0.5)
@@ -318,7 +309,7 @@ def test_lanes_are_drawn_as_far_as_they_are_visible(roads):
 
 
 @pytest.mark.parametrize(("size_px", "is_beside"), [((1640, 590), False), ((1280, 960), True), ((720, 1280), True)])
-def test_pictures_follow_the_shape_of_the_image_and_one_has_its_size(roads, tmp_path, size_px, is_beside):
+def test_pictures_follow_the_shape_of_the_image_and_one_has_its_size(tmp_path, size_px, is_beside):
     """The lines have the colours of labels' overlays: a label of each kind is hollow, a detection full in it."""
     labels = roads.labels([lambda y: (0 * y - 1, 0 * y), lambda y: (0 * y + 2, 0 * y)])
     lanes = (labels.lanes[0], dataclasses.replace(labels.lanes[1], kind="delimiter"))

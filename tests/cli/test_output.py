@@ -84,15 +84,12 @@ def test_the_word_that_was_meant(word: str, known: list[str], meant: str | None)
     assert did_you_mean(word, known) == (f"; did you mean {meant}?" if meant else "")
 
 
-@pytest.mark.parametrize(("text", "number"), [("1e3", 1000), ("3E5", 300000), ("2.0e2", 200), ("7", 7), ("1e+2", 100)])
-def test_counts_as_people_write_them(text: str, number: int) -> None:
-    assert CountRange(1).convert(text, None, None) == number
-
-
-@pytest.mark.parametrize("text", ["1.5e3", "1e-3", "0e3", "1e", "e3", "x", "-1e3", "1e99", "nan"])
-def test_what_is_no_count_is_refused(text: str) -> None:
-    with pytest.raises(click.BadParameter):
-        CountRange(1).convert(text, None, None)
+def test_counts_as_people_write_them() -> None:
+    written = {"1e3": 1000, "3E5": 300000, "2.0e2": 200, "7": 7, "1e+2": 100, "300_000": 300000}
+    assert {text: CountRange(1).convert(text, None, None) for text in written} == written
+    for text in ("1.5e3", "1e-3", "0e3", "1e", "e3", "x", "-1e3", "1e99", "nan"):
+        with pytest.raises(click.BadParameter):
+            CountRange(1).convert(text, None, None)
 
 
 @pytest.mark.parametrize(("quiet", "lines"), [(False, ["1/2", "2/2"]), (True, [])])

@@ -17,10 +17,8 @@ from click.testing import Result
 
 from synth3dlanes.dataset.address import translate_store_errors
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.production.plan import Plan
-from synth3dlanes.production.run import generate
 from synth3dlanes.system.errors import FormatError, InputError, OutageError, Synth3dlanesError
-from tests import fake_samples, store_server
+from tests import store_server
 from tests.thorough import first
 
 Run = Callable[..., Result]
@@ -50,28 +48,6 @@ def files_at(store: s3fs.S3FileSystem, place: str) -> dict[str, bytes]:
 def files_in(folder: Path) -> dict[str, bytes]:
     found = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
-
-
-def test_generate_continues_in_a_store_and_makes_the_same_bytes(store: s3fs.S3FileSystem, tmp_path: Path) -> None:
-    def go(out: str, n: int) -> int:
-        plan = Plan(out, n, fake_samples.recipe(), workers=1, shard_size=4, maker=fake_samples.make)
-        report = generate(plan, events.append)
-        assert (report.exit_code, report.done, report.asked) == (0, n, n)
-        return report.made
-
-    events: list = []
-    assert go(str(tmp_path / "here"), 6) == 6
-    url = "s3://lanes/generated"
-    assert [go(url, n) for n in (3, 6, 6)] == [3, 3, 0]
-    assert [(event.done, event.asked) for event in events if event.kind == "sample"][-3:] == [(4, 6), (5, 6), (6, 6)]
-    made = {name: data for name, data in files_at(store, "lanes/generated").items() if not name.startswith("logs/")}
-    expected = {name: data for name, data in files_in(tmp_path / "here").items() if not name.startswith("logs/")}
-    assert made == expected
-    # A shard without its index is not there: whatever stopped its upload, it is made again.
-    store.rm_file("lanes/generated/train/00001.parquet")
-    store.pipe_file("lanes/generated/train/00001.tar", b"half a tar")
-    assert go(url, 6) == 2
-    assert store.cat_file("lanes/generated/train/00001.tar") == expected["train/00001.tar"]
 
 
 def test_every_command_that_reads_reads_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
@@ -138,13 +114,6 @@ def test_a_store_that_refuses_is_named(
         assert (result.exit_code, result.stdout) == (1 if fault == "no server" else 2, ""), result.output
         assert result.stderr.startswith(place)
         assert result.stderr.count("\n") == 1
-
-
-def test_an_address_that_nothing_opens_is_named(run: Run, folder: Path) -> None:
-    for command in (("info", "lake://a/b"), ("merge", folder, "--out", "lake://a/b")):
-        result = run(*command)
-        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
-        assert result.stderr.startswith("lake://a/b: expected a folder or an address that fsspec can open")
 
 
 class Plain(SimpleHTTPRequestHandler):

@@ -12,7 +12,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from synth3dlanes.production.workers import Limits, Outcome, Pool
 from synth3dlanes.scene.settings import DEVICES, Device, RenderSettings, choose_device
-from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.errors import DiskFullError, InputError, WorkerError
 from tests import fake_samples
 
 CPU = Device("cpu", "AMD EPYC")
@@ -43,17 +43,12 @@ def test_auto_takes_the_best_and_a_name_takes_that_or_fails(found, best):
             assert all(device.name in str(error.value) for device in found)
 
 
-def test_each_gpu_has_a_mask_of_its_own():
-    assert masks("cpu", TWO_NVIDIA, {}) == [{}]
-    assert masks("cuda", TWO_NVIDIA, {}) == [{"CUDA_VISIBLE_DEVICES": "0"}, {"CUDA_VISIBLE_DEVICES": "1"}]
-    assert masks("optix", TWO_NVIDIA, {}) == masks("cuda", TWO_NVIDIA, {})
+def test_each_gpu_has_a_mask_of_its_own_and_that_of_a_scheduler_is_divided_not_widened():
+    assert masks("cpu", TWO_NVIDIA, {}) == masks("metal", [Device("metal", "M2")], {}) == [{}]
     assert masks("hip", RADEON, {}) == [{"HIP_VISIBLE_DEVICES": "0"}]
-    assert masks("metal", [Device("metal", "M2")], {}) == [{}]
-
-
-def test_a_mask_from_a_scheduler_is_divided_not_widened():
-    given = {"CUDA_VISIBLE_DEVICES": "5,GPU-8f3c"}
-    assert [mask["CUDA_VISIBLE_DEVICES"] for mask in masks("optix", TWO_NVIDIA, given)] == ["5", "GPU-8f3c"]
+    for kind in ("cuda", "optix"):
+        for given, numbers in (({}, ("0", "1")), ({"CUDA_VISIBLE_DEVICES": "5,GPU-8f3c"}, ("5", "GPU-8f3c"))):
+            assert masks(kind, TWO_NVIDIA, given) == [{"CUDA_VISIBLE_DEVICES": number} for number in numbers]
 
 
 def test_workers_fill_cores_or_gpus():
@@ -75,15 +70,9 @@ def test_workers_take_turns_with_the_gpus():
 
 
 def test_what_became_of_a_task_is_an_error_by_name():
-    from synth3dlanes.system.errors import DiskFullError, WorkerError
-
     assert Outcome("a", "done", 7).result("x") == 7
-    for status, kind in (
-        ("full", DiskFullError),
-        ("failed", WorkerError),
-        ("killed", WorkerError),
-        ("broken", WorkerError),
-    ):
+    kinds = {"full": DiskFullError, "failed": WorkerError, "killed": WorkerError, "broken": WorkerError}
+    for status, kind in kinds.items():
         with pytest.raises(kind) as caught:
             Outcome("a", status, reason="why", stderr="last words").result("x")
         assert (str(caught.value), caught.value.__notes__) == ("x: why", ["last words"])

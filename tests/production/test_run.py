@@ -316,20 +316,6 @@ def test_what_killed_writers_left_in_a_folder_goes_when_it_is_claimed(tmp_path, 
     assert contents(tmp_path) == whole
 
 
-@pytest.mark.fresh
-def test_a_vanished_folder_is_named(tmp_path):
-    out = tmp_path / "out"
-
-    def tell(event):
-        if event.kind == "sample" and event.done == 3:
-            out.rename(tmp_path / "elsewhere")  # at once: a tree removed file by file meets files that workers add
-
-    report = generate(plan(out, workers=2), tell)
-    assert report.exit_code == 1
-    assert str(out) in report.problem
-    assert "No such file" in report.problem
-
-
 def test_a_python_without_blender_is_told_which_one(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingPackageError, match=r"Python 3\.11 .*pip install 'bpy==4\.5\.\*'"):

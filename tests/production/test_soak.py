@@ -150,27 +150,6 @@ def test_a_read_only_folder_is_named(tmp_path):
             go(plan(folder / "out", 10))
 
 
-def test_a_folder_that_vanishes_during_a_join_is_named_and_its_shards_are_not_blamed(tmp_path, whole, monkeypatch):
-    out, read = tmp_path / "out", write.read_bounded
-
-    def read_and_move_the_folder(path, n_bytes):
-        data = read(path, n_bytes)
-        if path.suffix == ".parquet" and out.exists():
-            out.rename(tmp_path / "moved")
-        return data
-
-    monkeypatch.setattr(write, "read_bounded", read_and_move_the_folder)
-    report = go(plan(out))
-    assert report.exit_code == 1
-    assert str(out) in report.problem
-    assert "remove" not in report.problem
-    monkeypatch.undo()
-    shutil.rmtree(out, ignore_errors=True)
-    (tmp_path / "moved").rename(out)
-    assert go(plan(out)).exit_code == 0
-    soak.check(out, N, whole)
-
-
 @pytest.mark.thorough
 def test_a_store_keeps_what_an_interrupted_run_has_made(tmp_path):
     url = f"file://{tmp_path}/store"
@@ -216,17 +195,35 @@ def test_a_disk_with_no_more_files_makes_the_run_wait_until_there_may_be_some(tm
         assert soak.files(disk / "out") == {name: whole[name] for name in shards}
 
 
-@pytest.mark.thorough
-def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole):
-    out = tmp_path / "out"
+@pytest.mark.parametrize(
+    ("moment", "told"), [("while samples are made", "No such file"), ("during a join", "the folder is gone")]
+)
+def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole, monkeypatch, moment, told):
+    """It goes at once: a tree that is removed file by file meets files that workers add."""
+    out, read = tmp_path / "out", write.read_bounded
 
-    def tell(event):
-        if event.kind == "sample" and event.done == 25:
+    def vanish():
+        if out.exists():
             out.rename(tmp_path / "moved")
 
+    def tell(event):
+        if moment == "while samples are made" and event.kind == "sample" and event.done == 25:
+            vanish()
+
+    def read_and_vanish(path, n_bytes):
+        data = read(path, n_bytes)
+        if path.suffix == ".parquet":
+            vanish()
+        return data
+
+    if moment == "during a join":
+        monkeypatch.setattr(write, "read_bounded", read_and_vanish)
     report = generate(plan(out), tell)
     assert report.exit_code == 1
     assert str(out) in report.problem
+    assert told in report.problem
+    assert "remove" not in report.problem, "its shards are not blamed"
+    monkeypatch.undo()
     shutil.rmtree(out, ignore_errors=True)
     (tmp_path / "moved").rename(out)
     assert go(plan(out)).exit_code == 0

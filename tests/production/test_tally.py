@@ -5,6 +5,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from synth3dlanes.dataset import stores
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.production.forecast import forecast, patience_s, seconds_per_sample
@@ -20,32 +22,34 @@ def told(asked: int = 10, missing: range = range(4, 10), log=None) -> tuple[RunT
     return RunTally(asked, missing, events.append, log), events
 
 
-def test_samples_count_once_however_often_they_are_told_of():
+@pytest.mark.parametrize(
+    ("tells", "counts", "expected"),
+    [
+        # A sample counts once, however often it is told of, and not if it was there before.
+        ([("sample", 4), ("sample", 5), ("sample", 5), ("sample", 2)], [(5, 0), (6, 0), (6, 0), (6, 0)], {"made": 3}),
+        # A lost one is missing until it is made again.
+        ([("sample", 4), ("lost", 4), ("sample", 4)], [(5, 0), (4, 0), (5, 0)], {"made": 1, "done": 5}),
+        # Those set aside fail the run, unless they are made after all.
+        (
+            [(kind, index) for index in (7, 8) for kind in ("restart", "set_aside")] + [("sample", 7)],
+            [(4, 0), (4, 1), (4, 1), (4, 2), (5, 1)],
+            {"set_aside": (8,), "restarts": 2, "exit_code": 1},
+        ),
+        # A recount goes by what is there.
+        ([("sample", 4), ("missing", [8, 9])], [(5, 0)], {"made": 4, "done": 8, "exit_code": 0}),
+    ],
+)
+def test_what_is_counted(tells, counts, expected):
     tally, events = told()
-    for index in (4, 5, 5, 2):
-        tally.tell("sample", "", index=index)
-    assert [event.done for event in events] == [5, 6, 6, 6]
-    assert tally.report().made == 3
-
-
-def test_a_lost_sample_is_missing_until_it_is_made_again():
-    tally, events = told()
-    tally.tell("sample", "", index=4)
-    tally.tell("shard", "", shard=0, lost=[4])
-    assert [event.done for event in events] == [5, 4]
-    tally.tell("sample", "", index=4)
-    assert (tally.report().made, tally.report().done) == (1, 5)
-
-
-def test_set_aside_samples_fail_the_run_unless_they_are_made_after_all():
-    tally, events = told()
-    for index in (7, 8):
-        tally.tell("restart", "", index=index)
-        tally.tell("set_aside", "", index=index)
-    tally.tell("sample", "", index=7)
-    report = tally.report()
-    assert (report.set_aside, report.restarts, report.exit_code) == ((8,), 2, 1)
-    assert [event.set_aside for event in events] == [0, 1, 1, 2, 1]
+    for kind, index in tells:
+        if kind == "lost":
+            tally.tell("shard", "", shard=0, lost=[index])
+        elif kind == "missing":
+            tally.recount(index)
+        else:
+            tally.tell(kind, "", index=index)
+    assert [(event.done, event.set_aside) for event in events] == counts
+    assert {name: getattr(tally.report(), name) for name in expected} == expected
 
 
 def test_exit_codes_and_stopping():
@@ -55,25 +59,6 @@ def test_exit_codes_and_stopping():
     assert (tally.is_stopping, tally.report().exit_code) == (True, 130)
     tally.problem = "no room"
     assert tally.report().exit_code == 1
-
-
-def test_a_recount_goes_by_what_is_there():
-    tally, _ = told()
-    tally.tell("sample", "", index=4)
-    tally.recount([8, 9])
-    assert (tally.report().made, tally.report().done) == (4, 8)
-
-
-def test_the_log_holds_every_event_also_that_of_a_store(tmp_path):
-    for name, place in (("here", tmp_path / "here"), ("store", (tmp_path / "store").as_uri())):
-        (tmp_path / name).mkdir()
-        with Destination(place).log("run.jsonl") as log:
-            tally, events = told(log=log)
-            tally.tell("start", "")
-            tally.tell("sample", "", index=4)
-            tally.tell("end", "complete")
-        lines = (tmp_path / name / "logs" / "run.jsonl").read_text().splitlines()
-        assert [json.loads(line)["kind"] for line in lines] == [event.kind for event in events]
 
 
 def test_a_log_that_cannot_be_saved_is_one_line_at_the_end(tmp_path, monkeypatch):
@@ -93,7 +78,9 @@ def test_a_log_that_cannot_be_saved_is_one_line_at_the_end(tmp_path, monkeypatch
     # The next run's last save takes it along.
     with Destination((tmp_path / "store").as_uri()).log("next.jsonl") as log:
         assert log.save(is_last=True) == ""
-    assert {path.name for path in (tmp_path / "store/logs").iterdir()} == {"run.jsonl", "next.jsonl"}
+    logs = {path.name: path.read_text().splitlines() for path in (tmp_path / "store/logs").iterdir()}
+    assert logs.keys() == {"run.jsonl", "next.jsonl"}
+    assert [json.loads(line)["kind"] for line in logs["run.jsonl"]] == ["start", "shard", "shard", "end"]
 
 
 LARGE = ("camera.width_px=7680", "camera.height_px=4320")
