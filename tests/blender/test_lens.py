@@ -1,16 +1,13 @@
 """Renders through lenses: what every pixel shows is what the lens's own ray of it meets."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 pytest.importorskip("bpy")
 
-from synth3dlanes.dataset.rectify import bent_pixels, rectified_image, remap
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.lens import PINHOLE, Lens
+from synth3dlanes.geometry.lens import Lens
 from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.scene.things import SEMANTIC_IDS
@@ -74,34 +71,6 @@ def test_every_pixel_shows_what_its_ray_meets(shot):
     points_cam = camera.points(np.column_stack([u, v]) + 0.5, picture.passes["depth"][v, u].astype(float))
     points_world = transform(camera.world_from_cam, points_cam)
     assert np.abs(points_world[near][:, 2]).max() < 0.03
-
-
-@pytest.mark.thorough
-@pytest.mark.render
-def test_rectified_it_is_the_picture_of_the_pinhole(shot):
-    scene, _ = shot
-    flat = scene.model_copy(update={"camera": scene.camera.model_copy(update={"lens": PINHOLE, "roll_rad": 0.0})})
-    picture, pinhole = (take_picture(resolve(one), replace(SETTINGS, samples=4)) for one in (scene, flat))
-    labels = pinhole.labels.camera
-    rows, columns = np.indices(pinhole.image.shape[:2]) + 0.5
-    uv = bent_pixels(picture.labels.camera, labels.img_from_cam, np.stack([columns, rows], axis=-1))
-    size = np.array([scene.camera.width_px, scene.camera.height_px])
-    with np.errstate(invalid="ignore"):
-        shown = ((uv > 1) & (uv < size - 1)).all(axis=-1)
-    assert shown.mean() > 0.8
-
-    def psnr_db(places):
-        off = (remap(picture.image, places).astype(float) - pinhole.image)[shown]
-        return 10 * np.log10(255**2 / (off**2).mean())
-
-    np.testing.assert_array_equal(remap(picture.image, uv), rectified_image(picture.image, picture.labels.camera))
-    # Noise limits it; half a pixel aside costs 0.7 dB.
-    assert psnr_db(uv) > 30
-    for aside in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)):
-        assert psnr_db(uv + aside) < psnr_db(uv) - 0.4
-    u, v = np.floor(uv[shown]).astype(int).T
-    for name in ("semantic", "instance"):
-        assert (picture.passes[name][v, u] == pinhole.passes[name][shown]).mean() > 0.98
 
 
 @pytest.mark.render

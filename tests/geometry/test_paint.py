@@ -22,13 +22,6 @@ from tests.scenes import changed, seen_on_flat_ground
 from tests.thorough import first
 
 
-def painted_share(world, name, low=-40, high=90):
-    """Painted metres of a straight road's line per metre, by the ends of its faces."""
-    mesh = world.paint(world.view)[name]
-    y = world.network.stations(mesh.uv_m[mesh.faces][:, :, 1])
-    return (np.clip(y.max(axis=1), low, high) - np.clip(y.min(axis=1), low, high)).sum() / (high - low)
-
-
 def painted_at(world, mesh, x_m, at_m):
     """Where a straight flat road has paint x_m to the right of its middle, by the faces of a line."""
     x = seen_on_flat_ground(world, mesh.vertices_world)[mesh.faces][:, :, 0].T
@@ -77,18 +70,6 @@ def test_the_stripes_of_a_mixed_pair_are_never_dots_and_lose_the_same_stretches(
     assert not (dashed & ~solid).any()
     _, n = clusters(dashed)
     assert n < 20, "a dash is one piece, not four dots"
-
-
-@pytest.mark.thorough
-def test_missing_paint_is_the_share_asked_for_in_stretches_that_stay_where_they_are():
-    shares = []
-    for seed in range(40):
-        scene = changed(markings={"missing": 0.4}).model_copy(update={"seed": seed})
-        shares += [painted_share(resolve(scene), name) for name in ("main_line_0", "main_line_3")]
-    assert np.mean(shares) == pytest.approx(0.6, abs=0.02)
-    assert len(np.unique(np.round(shares, 3))) > 40, "every line of every scene has its own gaps"
-    near, far = (resolve(changed(markings={"missing": 0.4}, camera={"y_m": y})) for y in (-60, -20))
-    assert painted_share(near, "main_line_0", 0, 90) == pytest.approx(painted_share(far, "main_line_0", 0, 90))
 
 
 def test_paint_of_an_exit_lies_over_the_other_roads_pavement_in_a_hollow():

@@ -134,20 +134,6 @@ def test_links_through_a_junction_and_who_yields() -> None:
     }  # fmt: skip
 
 
-def test_a_direct_junction_links_roads_without_another_between_them() -> None:
-    junction = (
-        '<junction id="9" type="direct"><connection id="0" incomingRoad="1" linkedRoad="2" contactPoint="start">'
-        '<laneLink from="-2" to="-1"/></connection></junction>'
-    )
-    parts = [
-        road(plan(LINE), section(lane(-1), lane(-2)), "1", link=link(after="9")),
-        road(plan(LINE, start=(50.0, -3.5, 0.0)), section(lane(-1)), "2", link=link(before="9")),
-    ]
-    found = read(*parts, junction)
-    assert set(found.links) == {("1.0.-2", "2.0.-1")}
-    assert found.junctions == ()
-
-
 def test_what_is_left_out_is_counted_in_one_line() -> None:
     crossing = '<junction id="9" type="virtual"/>'
     lanes = section(lane(1, PLAIN.replace("solid", "zigzag")), lane(-1, kind="mystery"))
