@@ -209,41 +209,34 @@ def test_a_file_that_changed_after_the_check_is_noticed(folder: Path, library: L
 def bad(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FolderCheck]:
     """A folder in which everything is wrong, each in its own way."""
     root = tmp_path_factory.mktemp("bad")
-    for kind in ("cars", "trees", "roads", "terrains", "skies"):
+    for kind in ("cars", "trees", "roads", "terrains", "skies", "pedestrians"):
         (root / kind).mkdir()
-    for name, size_m, z_m in (
-        ("centimetres", (180, 420, 150), 75),
-        ("sideways", (4.2, 1.8, 1.5), 0.75),
-        ("hovering", (1.8, 4.2, 1.5), 0.95),
-        ("clay", (1.8, 4.2, 1.5), 0.75),
-        ("photo", (1.8, 4.2, 1.5), 0.75),
+    for kind, name, size_m, z_m in (
+        ("cars", "centimetres", (180, 420, 150), 75),
+        ("cars", "sideways", (4.2, 1.8, 1.5), 0.75),
+        ("cars", "hovering", (1.8, 4.2, 1.5), 0.95),
+        ("cars", "clay", (1.8, 4.2, 1.5), 0.75),
+        ("cars", "photo", (1.8, 4.2, 1.5), 0.75),
+        ("trees", "floating", (0.2, 0.2, 3), 2.5),
+        ("pedestrians", "giant", (0.4, 0.3, 170), 85),
+        ("pedestrians", "flying", (0.4, 0.3, 1.7), 1.25),
+        ("pedestrians", "stiff", (0.4, 0.3, 1.7), 0.85),
+        ("pedestrians", "lame", (0.4, 0.3, 1.7), 0.85),
+        ("pedestrians", "lame.2", (0.4, 0.3, 1.7), 0.85),
     ):
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        coat = example.material("paint", (1, 1, 1))
+        coat = example.material({"cars": "paint", "trees": "bark", "pedestrians": "upper"}[kind], (1, 1, 1))
         example.box("body", size_m, (0, 0, z_m), coat)
         if name == "clay":
             bpy.context.object.modifiers.new("fine", "SUBSURF").levels = 7
         if name == "photo":
             Image.new("RGB", (8, 8)).save(root / "decal.png")
             coat.node_tree.nodes.new("ShaderNodeTexImage").image = bpy.data.images.load(str(root / "decal.png"))
-        bpy.data.libraries.write(str(root / "cars" / f"{name}.blend"), {bpy.context.object})
+        bpy.data.libraries.write(str(root / kind / f"{name}.blend"), {bpy.context.object})
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.data.libraries.write(str(root / "cars" / "empty.blend"), {bpy.data.objects.new("nothing", None)})
     (root / "cars" / "broken.glb").write_text("glTF")
     (root / "cars" / "broken.fbx").write_text("")
-    example.box("trunk", (0.2, 0.2, 3), (0, 0, 2.5), example.material("bark", (0, 0, 0)))
-    bpy.data.libraries.write(str(root / "trees" / "floating.blend"), {bpy.context.object})
-    (root / "pedestrians").mkdir()
-    for name, height_m, low_m in (
-        ("giant", 170, 0),
-        ("flying", 1.7, 0.4),
-        ("stiff", 1.7, 0),
-        ("lame", 1.7, 0),
-        ("lame.2", 1.7, 0),
-    ):
-        bpy.ops.wm.read_factory_settings(use_empty=True)
-        example.box("body", (0.4, 0.3, height_m), (0, 0, low_m + height_m / 2), example.material("upper", (1, 1, 1)))
-        bpy.data.libraries.write(str(root / "pedestrians" / f"{name}.blend"), {bpy.context.object})
     example.texture(root / "roads", "small_", (1, 1, 1), 128)
     example.texture(root / "roads", "half_", (1, 1, 1), 256)
     (root / "roads" / "half_roughness.png").rename(root / "roads" / "half_ruoghness.png")

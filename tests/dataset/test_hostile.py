@@ -200,34 +200,21 @@ def test_a_data_set_whose_index_lies(tmp_path_factory, small, data):
     column = data.draw(
         st.sampled_from(["key", "index", "image_offset", "image_size", "scene_offset", "labels_size", "n_lanes"])
     )
-    at = table.column_names.index(column)
-    values = table[column].to_pylist()
-    kind = data.draw(st.sampled_from(["number", "type", "rows", "drop", "twice", "null"]))
-    if kind == "number" and column != "key":
-        values[1] = data.draw(st.sampled_from([-1, 0, 1, 511, 513, 2**31, 2**62, BIG, -BIG, values[1] + 512]))
-        table = table.set_column(at, column, pa.array(values, pa.int64()))
-    elif kind == "number":
-        values[1] = data.draw(st.sampled_from(["", "1", "00000009", "../../x", "\0", "x" * 100_000]))
-        table = table.set_column(at, column, pa.array(values))
-    elif kind == "type":
-        other = data.draw(st.sampled_from(["text", "list", "float", "bool", "binary", "struct"]))
-        kinds = {
-            "text": pa.array([str(value) for value in values]),
-            "list": pa.array([[value] for value in values]),
-            "float": pa.array([float("nan")] * len(values)),
-            "bool": pa.array([True] * len(values)),
-            "binary": pa.array([b"\xff\xfe"] * len(values)),
-            "struct": pa.array([{"a": 1}] * len(values)),
-        }
-        table = table.set_column(at, column, kinds[other])
-    elif kind == "rows":
-        table = pa.concat_tables([table] * data.draw(st.integers(2, 3))) if data.draw(st.booleans()) else table[:0]
-    elif kind == "drop":
-        table = table.drop_columns([column])
-    elif kind == "twice":
-        table = table.append_column(column, table[column])
-    else:
-        values[1] = None
-        table = table.set_column(at, column, pa.array(values, table[column].type))
-    pq.write_table(table, path)
+    values, n = table[column].to_pylist(), len(table)
+    numbers = [-1, 0, 1, 511, 513, 2**31, 2**62, BIG, -BIG]
+    wrong = data.draw(
+        st.sampled_from(["", "1", "00000009", "../../x", "\0", "x" * 100_000] if column == "key" else numbers)
+    )
+    columns = [
+        *[pa.array([values[0], wrong, *values[2:]])] * 3,
+        *(pa.array(map(kind, values)) for kind in (str, lambda value: [value], bool, lambda _: float("nan"))),
+        *(pa.array([other] * n) for other in (b"\xff\xfe", {"a": 1})),
+        pa.array([values[0], None, *values[2:]], table[column].type),
+    ]
+    tables = [
+        *(table.set_column(table.column_names.index(column), column, values) for values in columns),
+        *(table[:0], pa.concat_tables([table] * 2), pa.concat_tables([table] * 3), table.drop_columns([column])),
+        table.append_column(column, table[column]),
+    ]
+    pq.write_table(tables[data.draw(st.integers(0, len(tables) - 1))], path)
     use(root)
