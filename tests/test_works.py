@@ -9,13 +9,12 @@ import shapely
 from scipy.spatial import cKDTree
 
 from synth3dlanes.dataset.columns import numbers_of
-from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene, world_in_shot
+from synth3dlanes.draw.sample import Scenes, draw_world, world_in_shot
 from synth3dlanes.formats.lanelet_map import lanelets_of
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import SINGLE, Shots
 from synth3dlanes.production.recipe import take_picture
-from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.assets.catalogue import CARS, THINGS
 from synth3dlanes.scene.scene import PaperRoad, Scene, to_json
 from synth3dlanes.scene.settings import RenderSettings
@@ -24,7 +23,7 @@ from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.placement import car_place
 from synth3dlanes.world.world import World, resolve
 from tests.scenes import FLAT
-from tests.test_ground_truth import plan_middle, right_of
+from tests.test_ground_truth import drawn_both_ways, plan_middle, right_of
 from tests.thorough import first
 from tests.town_checks import bodies, thing_bodies
 
@@ -286,47 +285,11 @@ def test_rendered_paint_is_where_the_labels_have_the_temporary_lines() -> None:
     assert not ids[rows[inside], columns[inside]].any()
 
 
-TWO_WAY = ["trees.n=0", "road.n_oncoming=[1, 3]", "road.median_m={0: 1, 2: 1, 6: 1}", "road.n_lanes=[1, 3]"]
-
-
-def drawn_both_ways(index, *changes, split="train"):
-    return sample_scene(Scenes(load_params("realistic", [*TWO_WAY, *changes]), 4711, split), index)
-
-
-def both(scene):
-    return json.loads(scene_file.to_json(scene)), json.loads(label_file.to_json(ground_truth(scene)))
-
-
 def plan_line(scene, offset_m):
     """World polyline at an offset to the right of the main road's middle in the plan, which the flips mirror."""
     road, main = scene["road"], plan_middle(scene["road"])
     flips = [-1 if road["flip_longitudinal"] else 1, -1 if road["flip_lateral"] else 1]
     return (main + offset_m * right_of(main)) * flips
-
-
-def off(lane, labels, line):
-    """Largest distance of a lane's points from a polyline, seen from above."""
-    world_from_cam = np.array(labels["camera"]["world_from_cam"])
-    points = np.array(lane["xyz_cam"]) @ world_from_cam[:3, :3].T + world_from_cam[:3, 3]
-    inside = np.abs(points[:, 1]) < 90
-    return cKDTree(line).query(points[inside, :2])[0].max(initial=0)
-
-
-@pytest.mark.parametrize("index", first(4, range(30)))
-def test_oncoming_lanes_lie_beyond_the_median_on_the_side_opposite_the_exit(index):
-    scene, labels = both(drawn_both_ways(index, "cars.n=0"))
-    r = scene["road"]
-    n, w, count, median = r["n_lanes"], r["lane_width_m"], r["n_oncoming"], r.get("median_m", 0)
-    lanes = {lane["id"]: lane for lane in labels["lanes"]}
-    for k in range(1, count + 1):
-        name = f"oncoming_{k if r['flip_longitudinal'] else count + 1 - k}"
-        inwards = n / 2 * w + median  # from the middle of the host's lanes to the first oncoming one
-        assert off(lanes[name], labels, plan_line(scene, -(inwards + (k - 0.5) * w))) < 0.02, (name, k)
-        assert lanes[name]["direction"] == "oncoming"
-    lines = sorted(lane["id"] for lane in labels["lanes"] if lane["id"].startswith("oncoming_line"))
-    assert len(lines) == (count + 1 if median else count), "without a median one line divides both directions"
-    same = [lane for lane in labels["lanes"] if not lane["id"].startswith("oncoming")]
-    assert {lane["direction"] for lane in same} == {"same"}
 
 
 @pytest.mark.parametrize("flip", [False, True])
