@@ -30,16 +30,14 @@ def constant(value: float) -> tuple[Polynomial, ...]:
     return (Polynomial(s_m=0.0, a=value),)
 
 
-def two_way(walkways: bool = True, middle: str = "dashed") -> tuple[MapLane, ...]:
-    """A lane in each direction with a line between them, edge lines, kerbs and walkways."""
-    lanes = [
-        MapLane(number=0, kind="none", marks=(MapMark(kind=middle),)),
+def two_way() -> tuple[MapLane, ...]:
+    """A lane in each direction with a dashed line between them, edge lines, kerbs and walkways."""
+    return (
+        MapLane(number=0, kind="none", marks=(MapMark(kind="dashed"),)),
         *(MapLane(number=n, kind="driving", widths=constant(WIDTH_M), marks=(MapMark(kind="solid"),)) for n in (1, -1)),
         *(MapLane(number=2 * n, kind="shoulder", widths=constant(0.4)) for n in (1, -1)),
-    ]
-    if walkways:
-        lanes += [MapLane(number=3 * n, kind="walkway", widths=constant(2.0)) for n in (1, -1)]
-    return tuple(lanes)
+        *(MapLane(number=3 * n, kind="walkway", widths=constant(2.0)) for n in (1, -1)),
+    )
 
 
 # Arms of a junction at the origin by name: the heading (unit x, y) from the junction outwards, and its angle.

@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 import threading
-import tomllib
 from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -64,21 +63,6 @@ def test_every_parameter_has_its_meaning_in_the_reference_preset() -> None:
 
     keys = {(group, key) for group, values in forms(load_params("appendix_i")).items() for key in values}
     assert set(preset_comments()) == keys
-
-
-def test_every_package_is_installed() -> None:
-    """A folder with code that pyproject.toml forgets would be missing from the wheel alone."""
-    tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    folders = {tool["package-dir"].get(name, name.replace(".", "/")) for name in tool["packages"]}
-    for top in ("synth3dlanes", "cli", "baseline_model", "params", "blender_assets"):
-        found = {path.parent.relative_to(ROOT).as_posix() for path in (ROOT / top).rglob("*.py")}
-        assert found <= folders
-    beside_code = {path for path in (ROOT / "synth3dlanes").rglob("*.*") if path.suffix not in (".py", ".pyc")}
-    data = {name: patterns for name, patterns in tool["package-data"].items() if name not in tool["package-dir"]}
-    folders_of = {name: ROOT / name.replace(".", "/") for name in data}
-    assert beside_code == {
-        p for name, patterns in data.items() for glob in patterns for p in folders_of[name].glob(glob)
-    }
 
 
 def anchors(page: Path) -> set[str]:

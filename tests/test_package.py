@@ -25,6 +25,16 @@ print(*sorted({"bpy", "torch"} & set(sys.modules)))
 """
 
 
+# The folders of the checkout by the names under which they are installed.
+PACKAGES = {
+    "synth3dlanes": "synth3dlanes",
+    "synth3dlanes_cli": "cli",
+    "synth3dlanes_baseline": "baseline_model",
+    "synth3dlanes/_params": "params",
+    "synth3dlanes/_assets": "blender_assets",
+}
+
+
 def output(words: list[str | Path], folder: Path) -> str:
     """What a program prints in a folder, where nothing leads to the checkout."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
@@ -90,6 +100,10 @@ def test_the_wheel_has_packages_of_our_names_alone(wheel: Path) -> None:
     assert "\nLicense-Expression: MIT\n" in metadata
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert not [name for name in names if "__pycache__" in name]
+    for installed, folder in PACKAGES.items():
+        files = [path for path in (ROOT / folder).rglob("*.*") if "__pycache__" not in path.parts]
+        needed = [path for path in files if folder == "synth3dlanes" or path.suffix in (".py", ".yaml")]
+        assert {f"{installed}/{path.relative_to(ROOT / folder)}" for path in needed} - {*names} == set()
 
 
 def test_commands_run(python: Path, tmp_path: Path) -> None:

@@ -226,22 +226,14 @@ def test_cyclists_keep_right_of_cars_and_motorcyclists_in_lanes() -> None:
     assert min(found.values()) > 1
 
 
-def test_motorcyclists_of_streets_touch_nothing_and_ride_in_the_middle_of_lanes() -> None:
-    shots = Shots(frames=9, fps=4.0)
+def test_motorcyclists_of_streets_ride_in_the_middle_of_lanes() -> None:
     params = load_params("streets", ("riders.motorcyclists=6", "cars.n=12", "trees.n=0"))
-    ridden = 0
     for index in range(2):
-        world = draw_world(Scenes(params, 8, shots=shots), index)
-        ridden += len(world.scene.things)
+        world = draw_world(Scenes(params, 8), index)
         middles = [curve for curve in world.network.curves if curve.kind == "centerline"]
         along = shapely.multilinestrings([curve.xy_world(np.arange(-250.0, 250.0, 0.5)) for curve in middles])
-        assert max(along.distance(shapely.Point(pose[:2, 3])) for pose in world.view.world_from_things) < 0.41
-        for frame in range(0, shots.frames, 2):
-            now = world_in_shot(Scenes(params, 8, shots=shots), world, shots.place(frame))
-            things = thing_bodies(now)
-            pairs = shapely.STRtree([*things, *bodies(now)]).query(things, predicate="intersects").T.tolist()
-            assert [(i, j) for i, j in pairs if i != j] == []
-    assert ridden > 3
+        away_m = [along.distance(shapely.Point(pose[:2, 3])) for pose in world.view.world_from_things]
+        assert 0 < max(away_m) < 0.41
 
 
 def test_riders_keep_off_roads_below_others() -> None:

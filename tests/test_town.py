@@ -14,9 +14,10 @@ from synth3dlanes.params.shots import Shots
 from synth3dlanes.scene.scene import Scene, from_json, to_json
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.truth.ground_truth import ground_truth, label
+from synth3dlanes.world.motion import car_at
 from synth3dlanes.world.world import World
 from tests.thorough import first
-from tests.town_checks import SIDEWAYS, bodies, line_stations, map_problems, order_problems, standing_problems, touching
+from tests.town_checks import SIDEWAYS, bodies, map_problems, order_problems, standing_problems, touching
 
 TOWN = load_params("town")
 CLIP = Shots(frames=16, fps=5.0)
@@ -185,18 +186,18 @@ def clip_problems(world: World):  # type: ignore[no-untyped-def]
 
 
 def _lanes(world: World) -> list[tuple[str, float, float]]:
-    from synth3dlanes.world.motion import car_at
-
-    found = []
-    for car in world.scene.cars:
-        now = car_at(world.network, car, world.scene.shot.time_s)
-        found.append((now.lane, now.s_m, world.scene.assets.car_models[car.model - 1].length_m * car.scale))
+    """The lane and the station of each car, and its length."""
+    scene, found = world.scene, []
+    for car in scene.cars:
+        now = car_at(world.network, car, scene.shot.time_s)
+        found.append((now.lane, now.s_m, scene.assets.car_models[car.model - 1].length_m * car.scale))
     return found
 
 
 def _reds(scene: Scene, lanes: list[list[tuple[str, float, float]]]):  # type: ignore[no-untyped-def]
-    lines = line_stations(scene)
+    assert scene.map is not None
     signals = {lane: signal for signal in scene.roadside.signals for lane in signal.lanes}
+    lines = {at.lane: at.s_m for at in scene.map.paint if at.lane in signals and at.kind == "stop_line"}
     for frame, (before, now) in enumerate(itertools.pairwise(lanes)):
         for i, ((lane, s_m, length_m), (after, now_m, _)) in enumerate(zip(before, now, strict=True)):
             if lane not in lines or after != lane:

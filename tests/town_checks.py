@@ -159,10 +159,3 @@ def standing_problems(world: World) -> Iterator[str]:
         paved = shapely.intersection(world.ground.paved.pavement, everything).area  # type: ignore[union-attr]
         if paved > 0.01:
             yield f"buildings on {paved:.2f} m2 of pavement"
-
-
-def line_stations(scene: Scene) -> dict[str, float]:
-    """Where traffic waits for signals, by the lanes that these govern."""
-    assert scene.map is not None, "towns have maps"
-    governed = {lane for signal in scene.roadside.signals for lane in signal.lanes}
-    return {at.lane: at.s_m for at in scene.map.paint if at.lane in governed and at.kind == "stop_line"}
