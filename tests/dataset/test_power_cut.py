@@ -33,11 +33,6 @@ def generated(root: Path, indices: range = range(8)) -> Path:
     return root
 
 
-def grown(out: Path) -> None:
-    generated(out, range(5))
-    generated(out)
-
-
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two parts of a data set; each has a whole shard, and they share one."""
@@ -46,8 +41,7 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 COMMANDS: dict[str, Callable[[Path, Path, Path], object]] = {
-    "generate": lambda a, b, out: generated(out),
-    "generate more": lambda a, b, out: grown(out),
+    "generate, then more": lambda a, b, out: [generated(out, range(5)), generated(out)],
     "merge": lambda a, b, out: merge([str(a), str(b)], str(out)),
     "split": lambda a, b, out: split_dataset(Reader(f"{a}/train"), {"train": 3, "val": 1}, 0, str(out)),
     "a named file": lambda a, b, out: files.write(out / "gallery.png", bytes(100_000)),

@@ -23,6 +23,7 @@ from tests.scenes import FLAT, changed
 from tests.validate.examining import findings
 
 GRAY = (0.3, 0.3, 0.3)
+LAMP = Post(kind="lamp", road="main", side="right", s_m=0.0, aside_m=1.2, height_m=8.0)
 DENSE = [
     "roadside.outer={guardrail: 1, concrete: 1, noise_wall: 1, kerb: 1, walkway: 1}",
     "roadside.inner=guardrail",
@@ -37,16 +38,6 @@ DENSE = [
     "roadside.power_line={left: 1, right: 1}",
     "trees.n=150",
 ]
-
-
-def rail(kind="guardrail", road="main", side="right", aside_m=0.5, height_m=0.8, from_m=-90.0, to_m=90.0):
-    return Rail(
-        kind=kind, road=road, side=side, from_m=from_m, to_m=to_m, aside_m=aside_m, height_m=height_m, color=GRAY
-    )
-
-
-def post(kind="lamp", side="right", s_m=0.0, aside_m=1.2, height_m=8.0, **more):
-    return Post(kind=kind, road="main", side=side, s_m=s_m, aside_m=aside_m, height_m=height_m, **more)
 
 
 def with_roadside(scene: Scene, **parts) -> Scene:
@@ -120,7 +111,9 @@ def test_feet_are_on_the_ground_and_bodies_reach_into_it(worlds):
 
 
 def test_lamp_heads_are_over_the_road_and_on_both_sides_of_a_median():
-    world = resolve(with_roadside(FLAT, posts=(post(), post(side="median", aside_m=0.0, s_m=20.0))))
+    world = resolve(
+        with_roadside(FLAT, posts=(LAMP, LAMP.model_copy(update={"side": "median", "aside_m": 0.0, "s_m": 20.0})))
+    )
     one, left, right = world.site.street_lamps[
         np.argsort(world.site.street_lamps[:, 1] * 1000 + world.site.street_lamps[:, 0])
     ]
@@ -142,8 +135,19 @@ def test_faces_are_in_their_boxes_and_the_check_finds_what_stands_on_a_road(worl
             assert inside(owned, middles, np.full(len(middles), i)).all(), (world.scene.index, i, body.kind)
     on_road = with_roadside(
         changed(FLAT, road={"topology": 2}),
-        rails=(rail(aside_m=0.5, from_m=-50.0, to_m=60.0),),
-        posts=(post(aside_m=-2.0),),
+        rails=(
+            Rail(
+                kind="guardrail",
+                road="main",
+                side="right",
+                from_m=-50.0,
+                to_m=60.0,
+                aside_m=0.5,
+                height_m=0.8,
+                color=GRAY,
+            ),
+        ),
+        posts=(LAMP.model_copy(update={"aside_m": -2.0}),),
         buildings=(
             Building(kind="house", x_m=2, y_m=0, yaw_rad=0, width_m=8, length_m=9, height_m=4, color=GRAY, roof=GRAY),
         ),

@@ -16,7 +16,7 @@ from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.world.height_map import cells_road, height_map
 from synth3dlanes.world.horizon import BEGIN_M
 from synth3dlanes.world.visibility import TOLERANCE_M, _behind_crests, seen_over_ground
-from synth3dlanes.world.world import World, resolve
+from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
 
 
@@ -78,17 +78,13 @@ def test_a_crest_hides_the_same_whatever_its_direction_even_all_around(seed, fir
     assert _behind_crests(eye, to, [crest]).tolist() == [is_below(eye, way, crest) for way in to]
 
 
-def map_of(scene):
-    world = resolve(scene)
-    return height_map(world.ground, world.view.world_from_road)
-
-
 def test_lane_points_lie_on_the_map():
     scene = changed(
         terrain={"gaussians": (hill(20, 0, 8, 50), hill(-40, -60, -9, 60))},
         road={"topology": 2, "offset_p50_m": 4, "ramp_slope": 4},
     )
-    heights = map_of(scene)
+    world = resolve(scene)
+    heights = height_map(world.ground, world.view.world_from_road)
     read = RegularGridInterpolator(
         (0.2 + 0.4 * np.arange(200), -9.9 + 0.2 * np.arange(100)), heights[::-1], bounds_error=False
     )
@@ -118,15 +114,11 @@ HILLS = (hill(30, 60, 9, 40), hill(30, -60, 9, 40), hill(-20, 0, -6, 35))
 BENDS = {"offset_m50_m": 4.0, "offset_p50_m": 4.0, "offset_m100_m": 5.0, "offset_p100_m": 5.0}
 
 
-def same_both_ways(**parts) -> World:
-    """A host at the middle of a scene that a mirror of y leaves unchanged."""
-    parts = {"terrain": {"gaussians": HILLS}, "road": BENDS, "shot": {"behind_m": 110.0}} | parts
-    return resolve(changed(**parts | {"camera": {"y_m": 0.0, "pitch_rad": 0.02} | parts.get("camera", {})}))
-
-
 def test_every_surface_is_its_own_mirror():
-    """Nearer than the background beyond every label, which is not the same both ways."""
-    world = same_both_ways(markings={"dash_fraction": 1.0})
+    """Of a scene that a mirror of y leaves unchanged, with the host in the middle; nearer than the background beyond
+    every label, which is not the same both ways."""
+    parts = {"terrain": {"gaussians": HILLS}, "road": BENDS, "shot": {"behind_m": 110.0}}
+    world = resolve(changed(**parts, camera={"y_m": 0.0, "pitch_rad": 0.02}, markings={"dash_fraction": 1.0}))
     paint, terrain = list(world.paint(world.view).values()), world.site.surfaces.terrain.vertices_world
     places = [mesh.vertices_world[mesh.faces].mean(axis=1) for mesh in [*world.site.surfaces.pavement, *paint]]
     # Below pavement the terrain is cut along simplified lines.

@@ -37,12 +37,7 @@ def changed(change: Callable[[int, DriveFrame], DriveFrame]) -> Drive:
     return replace(drive, frames=[change(number, frame) for number, frame in enumerate(drive.frames)])
 
 
-def at(place: list[float]) -> np.ndarray:
-    pose = hill.pose(0).copy()
-    pose[:3, 3] = place
-    return pose
-
-
+FAR = np.pad([[3e5], [3e5]], ((0, 2), (3, 0)))
 LIFTED = {
     "a scan without points": lambda n, frame: emptied(frame) if n == 1 else frame,
     "a frame without a scan": lambda n, frame: replace(frame, load_scan=None) if n == 2 else frame,
@@ -63,7 +58,7 @@ REFUSED = {
     ),
     "the host stands": (lambda n, frame: replace(frame, world_from_host=hill.pose(0)), "expected a host that moves"),
     "a pose is far away": (
-        lambda n, frame: replace(frame, world_from_host=at([3e5, 3e5, 0.0])) if n == 3 else frame,
+        lambda n, frame: replace(frame, world_from_host=hill.pose(0) + FAR) if n == 3 else frame,
         "expected",
     ),
 }
