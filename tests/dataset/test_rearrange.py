@@ -150,12 +150,8 @@ def test_samples_are_spread_over_all_splits(tmp_path):
     make(tmp_path / "a", [0, 1, 2, 3, 4, 5])
     make(tmp_path / "a", [0, 1], n=2, split="val")
     found = readers(str(tmp_path / "a"))
-    assert [(one.url[-5:], i) for one, i in evenly_spaced(found, 4)] == [
-        ("train", 0),
-        ("train", 2),
-        ("train", 4),
-        ("a/val", 0),
-    ]
+    spread = [("train", 0), ("train", 2), ("train", 4), ("a/val", 0)]
+    assert [(one.url[-5:], i) for one, i in evenly_spaced(found, 4)] == spread
     assert len(evenly_spaced(found, 100)) == 8
 
 

@@ -119,6 +119,11 @@ def without_line(number: int):
     return lambda text: "".join(line for at, line in enumerate(text.splitlines(True)) if at != number)
 
 
+def times(factors: np.ndarray):
+    """Each row of numbers, times these."""
+    return lambda text: "\n".join(made.words(np.array(line.split(), float) * factors) for line in text.splitlines())
+
+
 FAULTS = {
     "a pose is missing": ("poses/07.txt", without_line(3), r"07\.txt: expected a pose for each of 8 times, got 7"),
     "times go back": (
@@ -129,16 +134,12 @@ FAULTS = {
     "a time is missing": ("sequences/07/times.txt", without_line(7), r"000007\.png: expected the number of one of 7"),
     "an axis is mirrored": (
         "poses/07.txt",
-        lambda text: "\n".join(
-            " ".join([f"{-float(word)}" for word in line.split()[:4]] + line.split()[4:]) for line in text.splitlines()
-        ),
+        times(np.repeat([-1, 1], [4, 8])),
         r"07\.txt:1: expected a rotation, got a mirror: one axis points the other way",
     ),
     "a pose is scaled": (
         "poses/07.txt",
-        lambda text: "\n".join(
-            " ".join(f"{1000 * float(word)}" for word in line.split()) for line in text.splitlines()
-        ),
+        times(np.full(12, 1000)),
         r"expected a rotation, got a matrix that is none \(its scale is 1000\)",
     ),
     "a pose is no number": ("poses/07.txt", lambda text: text.replace("e", "x", 1), r"07\.txt:1: expected 12 numbers"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from synth3dlanes.roads.line_forms import Chain, Cubic, Spiral
+from synth3dlanes.scene.scene import Car
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.world.motion import car_at
 from synth3dlanes.world.world import resolve
@@ -142,10 +143,14 @@ def test_a_car_is_at_the_lengths_of_its_track_and_never_drives_back():
         expected = [np.interp(start_m + length_m, lengths_m, line[:, k]) for k in (0, 1, 2)]
         np.testing.assert_allclose(places[-1], expected, atol=0.01)
     assert (places[2] == places[3]).all(), "it waits"
+
+    def along_m(at: Car) -> float:
+        return network.car_way(at)[1] + {"east.0.1": 0, "east_south.0.-1": 120, "south.0.-1": 142}[at.lane]
+
     driven = [car_at(network, car, float(t)) for t in np.arange(0, 10, 0.25)]
-    along = [
-        network.car_way(at)[1] + {"east.0.1": 0, "east_south.0.-1": 120, "south.0.-1": 142}[at.lane] for at in driven
-    ]
-    assert (np.diff(along) >= -1e-6).all()
+    assert (np.diff([along_m(at) for at in driven]) >= -1e-6).all()
+    for time_s in (1.0, 3.0, 8.0):
+        before_m, after_m = (along_m(car_at(network, car, time_s + step_s)) for step_s in (-0.01, 0.01))
+        assert car_at(network, car, time_s).speed_m_s == pytest.approx((after_m - before_m) / 0.02, rel=0.01)
     assert [at.lane for at in driven][-1] == "south.0.-1"
     assert all(at.speed_m_s == 0 for at in driven[17:24]), "with no speed"
