@@ -72,4 +72,4 @@ bench-rows: .venv/ready  ## measure every row of docs/bench.json anew, on a quie
 	$(BIN)/python -m scripts.bench
 
 soak: .venv/ready  ## 50 SIGKILLs here and 50 on a Ray cluster of two nodes; the same bytes in the end
-	$(BIN)/python -m tests.soak --kills 50
+	SYNTH3DLANES_TEST_KILLS=50 $(BIN)/pytest -m "" -k test_kills tests/production/test_soak.py

@@ -1,10 +1,9 @@
-"""Kill and kill again: `python -m tests.soak --kills 50` (make soak). What is left must be what nobody disturbed.
+"""Kill and kill again (production/test_soak.py, and with more kills `make soak`): the bytes are those of no kill.
 
 Samples are fake ones, which take 0.15 s; everything around them is real. SIGKILL meets workers and whole runs at
 random moments; with Ray, one of two nodes as well.
 """
 
-import argparse
 import os
 import socket
 import subprocess
@@ -165,30 +164,3 @@ def check(out: Path, n: int, expected: dict[str, bytes]) -> None:
     """Exactly n samples, in order, in the same bytes, and nothing beside them."""
     assert [sample.key for sample in Reader(str(out / "train"))] == [f"{i:08d}" for i in range(n)]
     assert files(out) == expected
-
-
-def main() -> None:
-    """Both executors, one after the other."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--n", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="soak-") as folder:
-        expected = undisturbed(Path(folder, "whole"), options.n)
-        start = time.monotonic()
-        done = soak(Path(folder, "local"), options.n, options.kills, options.seed)
-        check(Path(folder, "local"), options.n, expected)
-        print(f"local: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201
-        start = time.monotonic()
-        with cluster() as nodes:
-            done = soak(Path(folder, "ray"), options.n, options.kills, options.seed, nodes)
-        check(Path(folder, "ray"), options.n, expected)
-        print(f"ray: {done} kills, {options.n} samples, same bytes, {time.monotonic() - start:.0f} s")  # noqa: T201
-
-
-if __name__ == "__main__":
-    # Workers must find the makers under the module's own name, not as __main__.
-    from tests.soak import main as main_of_module
-
-    main_of_module()

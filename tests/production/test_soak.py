@@ -19,7 +19,8 @@ from synth3dlanes.system.errors import InputError
 from tests import fake_samples, soak
 from tests.thorough import first
 
-N, KILLS = 60, 5
+KILLS = int(os.environ.get("SYNTH3DLANES_TEST_KILLS", "5"))
+N = 20 + 8 * KILLS
 needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="the extra `cluster` is not installed")
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount file systems")
 
@@ -39,6 +40,7 @@ def whole(tmp_path_factory) -> dict[str, bytes]:
 
 
 @pytest.mark.thorough
+@pytest.mark.timeout(120 * KILLS)
 def test_kills_on_this_machine(tmp_path, whole):
     assert soak.soak(tmp_path / "out", N, KILLS, seed=1) == KILLS
     soak.check(tmp_path / "out", N, whole)
@@ -46,7 +48,7 @@ def test_kills_on_this_machine(tmp_path, whole):
 
 @needs_ray
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(180 * KILLS)
 def test_kills_and_a_lost_node_on_ray(tmp_path, whole):
     with soak.cluster() as cluster:
         assert soak.soak(tmp_path / "out", N, KILLS, 2, cluster) >= KILLS
