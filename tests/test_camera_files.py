@@ -26,7 +26,7 @@ from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.truth.ground_truth import ground_truth
 from synth3dlanes.validate.run import validate
 from synth3dlanes.world.camera import rays_of_pixels
-from tests.dataset.test_hostile import mutated, refused_or_read
+from tests.hostile import mutated, refused_or_read
 from tests.scenes import FLAT
 
 OWN = "width_px: 640\nheight_px: 480\n"

@@ -32,7 +32,7 @@ from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.system.columnar import DAMAGED, TableBounds, read_arrow, read_parquet
 from synth3dlanes.system.errors import FormatError, InputError, Synth3dlanesError
 from synth3dlanes.system.yaml_text import MAX_BYTES, read_yaml, text_of, value_of
-from tests.hostile import HOSTILE, LEAKED, damaged, edited_json, files, refused_or_read
+from tests.hostile import HOSTILE, LEAKED, damaged, files, mutated, refused_or_read
 
 READERS = {
     "streets.yaml": load_params, "cameras/kitti_raw.yaml": load_camera, "rigs/nuscenes.yaml": load_rig,
@@ -76,14 +76,7 @@ def test_settings(tmp_path_factory, name, data):
 SCORES = json.dumps({"source": "nowhere/test", "samples": [{"key": "00000001"}, {"key": "00000002"}]})
 
 
-@st.composite
-def scores(draw):
-    """A result of `evaluate --json` with a value edited, damaged bytes, or another document."""
-    other = draw(st.sampled_from(HOSTILE)).encode()
-    return draw(st.sampled_from([draw(edited_json(SCORES)), draw(damaged(SCORES.encode())), other]))
-
-
-@given(scores())
+@given(st.one_of(mutated(SCORES.encode(), is_json=True), st.sampled_from(HOSTILE).map(str.encode)))
 @files
 def test_given_scenes(tmp_path_factory, data):
     path: Path = tmp_path_factory.getbasetemp() / "scores.json"
@@ -287,19 +280,16 @@ def test_tables_are_read_as_pyarrow_reads_them(
     rng: np.random.Generator, compression: str, version: str, page_bytes: int
 ) -> None:
     words = np.array(["", "a", "night"])[rng.integers(0, 3, 500)]
-    table = pa.table({"key": words, "x": rng.random(500), "n": rng.integers(0, 9, 500), "is": rng.random(500) > 0.5})
-    table = table.append_column("gaps", pa.array([None if n else 1.0 for n in rng.integers(0, 2, 500)]))
-    stream = io.BytesIO()
-    pq.write_table(
-        table, stream, compression=compression, data_page_version=version, data_page_size=page_bytes, row_group_size=150
-    )
-    assert read_parquet(stream.getvalue(), "t", BOUNDS).equals(table)
-    assert read_parquet(stream.getvalue(), "t", BOUNDS, ["x", "key", "none"]).equals(table.select(["x", "key"]))
-    stream = io.BytesIO()
-    feather.write_feather(
-        table, stream, compression={"snappy": "lz4", "none": "uncompressed"}.get(compression, compression), chunksize=77
-    )
-    assert read_arrow(stream.getvalue(), "t", BOUNDS, ["key", "x", "none"]).equals(table.select(["key", "x"]))
+    columns = {"key": words, "x": rng.random(500), "n": rng.integers(0, 9, 500), "is": rng.random(500) > 0.5}
+    columns["gaps"] = pa.array([None if n else 1.0 for n in rng.integers(0, 2, 500)])
+    table = pa.table(columns)
+    pages = {"data_page_version": version, "data_page_size": page_bytes, "row_group_size": 150}
+    data = parquet(columns, compression=compression, **pages)
+    assert read_parquet(data, "t", BOUNDS).equals(table)
+    assert read_parquet(data, "t", BOUNDS, ["x", "key", "none"]).equals(table.select(["x", "key"]))
+    of_arrow = {"snappy": "lz4", "none": "uncompressed"}.get(compression, compression)
+    data = arrow(columns, compression=of_arrow, chunksize=77)
+    assert read_arrow(data, "t", BOUNDS, ["key", "x", "none"]).equals(table.select(["key", "x"]))
 
 
 def test_damaged_tables_raise_what_readers_translate(rng: np.random.Generator) -> None:

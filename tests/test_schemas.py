@@ -22,14 +22,11 @@ from synth3dlanes.params.lidar_files import load_lidar
 from synth3dlanes.params.params import load_params, preset_names
 from synth3dlanes.params.rig_files import load_rig
 from synth3dlanes.params.shots import SINGLE, Shots, clips
-from synth3dlanes.production.recipe import take_picture
 from synth3dlanes.scene import scene as scene_file
 from synth3dlanes.scene.assets.catalogue import CARS, Assets
 from synth3dlanes.scene.scene import Scene
-from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth
-from synth3dlanes.world.world import resolve
 from tests.scenes import changed
 from tests.signals import signals_scene
 from tests.thorough import presets
@@ -124,15 +121,6 @@ def test_scenes_and_labels_of_older_versions(name: str) -> None:
     del document["camera"]["roll_rad"]
     LABELS.validate(document)
     assert label_file.from_json(json.dumps(document), name).lanes[0].color is None
-
-
-@pytest.mark.render
-def test_labels_of_a_rendered_sample() -> None:
-    picture = take_picture(resolve(drawn("tiny")), RenderSettings(samples=1))
-    document = json.loads(label_file.to_json(picture.labels))
-    assert document["lanes"][0]["object_visible"] is not None
-    assert document["car_visible_fraction"]
-    LABELS.validate(document)
 
 
 def small() -> Labels:

@@ -137,22 +137,17 @@ def test_steps_follow_the_way_and_rest_is_at_standstill():
     assert (at_rest, poses) == (0, list(range(1, 9)))
 
 
-# Modules and folders that name kinds of things, by the reason.
-NAMING = {
-    "the table, and lists of scenes": (
-        "params/groups.py",
-        *(f"scene/{name}.py" for name in ("assets/catalogue", "instance_ids", "roadside", "scene", "things")),
-    ),
-    "who draws it": ("draw/",),
-    "its shape and place": (
-        *(f"world/{name}.py" for name in ("bonnet", "buildings", "crossings", "elements", "placement")),
-        *(f"world/{name}.py" for name in ("posts", "rails", "signals", "solids", "world")),
-    ),
-    "its paint and models": (
-        *(f"blender/{name}.py" for name in ("check_assets", "load_assets", "materials", "user_models")),
-    ),
-    "its own measure": ("validate/",),
-}
+# Modules and folders that may name kinds of things: the table and lists of scenes, who draws and judges a kind, and its
+# shape, place, paint and models.
+NAMING = (
+    "params/groups.py",
+    "draw/",
+    "validate/",
+    *(f"scene/{name}.py" for name in ("assets/catalogue", "instance_ids", "roadside", "scene", "things")),
+    *(f"world/{name}.py" for name in ("bonnet", "buildings", "crossings", "elements", "placement")),
+    *(f"world/{name}.py" for name in ("posts", "rails", "signals", "solids", "world")),
+    *(f"blender/{name}.py" for name in ("check_assets", "load_assets", "materials", "user_models")),
+)
 # There the words are those of other formats, unless a kind is looked up or a category compared. Of scenes, too.
 FOREIGN, SHARED = ("formats/", "roads/maps/"), {"host", "kerb", "bridge"}
 LOOKED_UP = {"SEMANTIC_IDS", "FIRST_OF", "instance_id", "numbers_of", "most_of"}
@@ -180,19 +175,19 @@ def test_modules_that_name_a_kind_of_thing_are_its_makers():
     """Kinds, their categories of labels and their series of ids, but for the ground and lines on it."""
     rows = [kind for kind in KINDS if kind.series not in ("", "delimiter")]
     of_things = {name for kind in rows for name in (kind.name, kind.series, *(of.category for of in kind.objects))}
-    allowed, used, wrong = [name for names in NAMING.values() for name in names], set(), {}
+    used, wrong = set(), {}
     for package in ("synth3dlanes", "cli", "baseline_model"):
         for path in (ROOT / package).rglob("*.py"):
             name, code = path.relative_to(ROOT / package).as_posix(), path.read_text()
             if not any(f'"{word}"' in code for word in of_things):
                 continue
             named = {*names_in(ast.parse(code), of_things, of_things if name.startswith(FOREIGN) else SHARED)}
-            reasons = [start for start in allowed if named and name.startswith(start)]
-            used.update(reasons)
-            if named and not reasons:
+            makers = [start for start in NAMING if named and name.startswith(start)]
+            used.update(makers)
+            if named and not makers:
                 wrong[name] = named
     assert wrong == {}, "replace them by a property of the row"
-    assert {*allowed} == used, "no longer needed in NAMING"
+    assert {*NAMING} == used, "no longer needed in NAMING"
 
 
 # Data sets on disk have these.
