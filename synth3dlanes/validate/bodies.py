@@ -207,17 +207,13 @@ def _meet(
     return np.asarray(enters <= leaves)
 
 
-def before(world: World, points_world: Points3) -> Hits:
-    """Before which points an object or the bonnet is, as the camera sees them."""
-    return meet(_of_view(world), world.view.eye_world, points_world)
-
-
 def before_or_shading(world: World, points_world: Points3) -> Hits:
-    """The same, and which points may lie in the shadow of an object."""
-    light = world.scene.light
+    """Before which points an object or the bonnet is, as the camera sees them, and which may lie in the shadow of
+    one."""
+    light, bodies = world.scene.light, _of_view(world)
     up = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
     to_sun = MAX_SHADOW_M * np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad), up])
-    return before(world, points_world) | meet(_of_view(world), points_world, points_world + to_sun)
+    return meet(bodies, world.view.eye_world, points_world) | meet(bodies, points_world, points_world + to_sun)
 
 
 def _of_view(world: World) -> Boxes:

@@ -14,7 +14,7 @@ from synth3dlanes.validate.picture import check_alignment, check_appearance, che
 from synth3dlanes.validate.points import check_points
 from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.seen import check_lidar, check_seen
-from synth3dlanes.validate.things import check_cars, check_counts, check_elements
+from synth3dlanes.validate.things import check_cars
 
 
 class Check(NamedTuple):
@@ -44,7 +44,8 @@ ALWAYS = _needs("row image aim")
 CHECKS = (
     Check("index", _row, "index columns that do not match their sample", frozenset({"row"})),
     Check("form", check_form, "lanes that turn back or jump, masks that do not fit the camera", frozenset()),
-    Check("labels", check_labels, "labels that are not those of the scene"),
+    Check("labels", check_labels, "labels that are not those of the scene; with `instance`, labels of objects, signals "
+          "and signs that count other pixels than their ids show, with `lidar` other points"),
     Check("bonnet", check_bonnet, "a bonnet of the host that is not in the picture", _needs("semantic")),
     Check("roadside", partial(check_seen, "roadside"), "rails, posts and buildings on a pavement"),
     Check("frame", check_frame, "black, white or pink images", frozenset({"image"})),
@@ -55,7 +56,8 @@ CHECKS = (
           "hidden; depth in another unit", _needs("aim")),
     Check("height", partial(check_seen, "height"), "a height map that is too high or low, or some cells off",
           _needs("height")),
-    Check("ridges", check_ridges, "paint in the image that is not where its delimiter is", _needs("aim image")),
+    Check("ridges", check_ridges, "paint in the image that is not where its delimiter is; in photographs of a drive, "
+          "paint that is aside of all its lines", frozenset({"aim", "image"})),
     Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
     Check("colours", check_colours, "swapped colour channels", _needs("aim image")),
     Check("appearance", check_appearance, "by clear daylight: gray pictures, swapped or turned colours, black parts, "
@@ -77,9 +79,6 @@ CHECKS = (
     Check("ids", partial(check_seen, "ids"), "cars, people, trees, structures and lines elsewhere than their ids say, "
           "and lines without paint", _needs("aim depth")),
     Check("cars", check_cars, "a `visible_fraction` that does not match the object's pixels", _needs("aim instance")),
-    Check("counts", check_counts, "labels of objects, signals and signs that count other pixels or points than their "
-          "ids show"),
-    Check("elements", check_elements, "signals in another state than their lights show"),
     Check("moving", instant, "from picture to picture of a clip, rig or drive: lines that are elsewhere, objects that "
           "do not move as the velocities of their labels say, or that cameras have in different places", frozenset()),
 )  # fmt: skip

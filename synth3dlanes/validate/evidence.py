@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -17,7 +17,7 @@ from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.bodies import BODIES, Boxes
 from synth3dlanes.validate.faces import NEAR_M, NearestFaces, pavement_of
 from synth3dlanes.validate.integrity import Entry
-from synth3dlanes.validate.paint import WorldPaint, beyond_symbols, is_single
+from synth3dlanes.validate.paint import Painted, WorldPaint, is_single, painted_symbols
 from synth3dlanes.world.world import World
 
 # At most this many pixels of a kind are used, evenly spread over the image.
@@ -101,11 +101,6 @@ class Seen:
         on = (np.abs(way_m) < MAX_FLOAT_M) & (self.pavement.up_world[:, 2] > LEVEL)
         return replace(self.at(on), points_world=self.points_world[on] + way_m[on, None] * sight[on])
 
-    @cached_property
-    def beyond_symbols_m(self) -> Float[np.ndarray, "m n"]:
-        """Distances of points on the road outside the paint of each symbol, negative inside."""
-        return beyond_symbols(self.world, self.xy_world)
-
     def number(self, kind: str) -> Int[np.ndarray, " n"]:
         """The number of the thing of a kind that each point is of; -1 of none, and without instance ids."""
         if "instance" not in self.ids:
@@ -163,6 +158,13 @@ class Evidence:
     def paint(self) -> WorldPaint:
         """The paint of the scene's lines."""
         return WorldPaint(self.world)
+
+    @cached_property
+    def painted(self) -> dict[str, list[Painted]]:
+        """What is painted, by kinds of instance ids: lines in the order of the labels, then those that these lack."""
+        ids = dict.fromkeys([*(lane.id for lane in self.labels.lanes if lane.kind == "delimiter"), *self.paint.ids])
+        lines = [Painted("the line", id_, partial(self.paint.beyond_m, id_)) for id_ in ids]
+        return {"delimiter": lines, "symbol": painted_symbols(self.world)}
 
     @cached_property
     def is_single(self) -> dict[str, Bool[np.ndarray, " n"]]:

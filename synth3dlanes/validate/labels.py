@@ -1,15 +1,19 @@
-"""Check labels by themselves and against the recomputed labels of their scene. No pixels."""
+"""Check labels by themselves and against the recomputed labels of their scene, with what ids of pixels and points tell
+of objects."""
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from synth3dlanes.geometry.frames import road_from_cam, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, to_json
+from synth3dlanes.labels.object_labels import as_seen
 from synth3dlanes.scene.scene import Scene
+from synth3dlanes.truth.object_truth import with_pixel_shares
 from synth3dlanes.validate.evidence import BORDER_PX, Evidence, inside_px
 from synth3dlanes.validate.findings import Finding, Tolerance, differences, some
 
@@ -28,9 +32,11 @@ ROUNDED = Tolerance(
     },
     share=1e-6,
 )
-# What needs a rendered scene, and has checks of its own.
-RENDERED = ("object_visible", "car_visible_fraction", "visible_fraction", "seen_box_px", "lidar_points")
+# What ids tell of the same sample is exact.
+COUNTED = ROUNDED._replace(by_key={**ROUNDED.by_key, "seen_box_px": 0, "lidar_points": 0, "visible_fraction": 0.002})
 GROUPS = ("lanes", "symbols", "objects", "traffic_elements")
+# What needs a rendered scene, and has checks of its own.
+RENDERED = ("object_visible", "car_visible_fraction")
 # The most that a line of a map moves aside from one point to the next by a bend: 1.1 m for a line 7 m beside an arc of
 # 3 m.
 MAX_JUMP_M = 1.5
@@ -85,7 +91,10 @@ def check_form(evidence: Evidence) -> Iterator[Finding]:
 def check_labels(evidence: Evidence) -> Iterator[Finding]:
     """Findings where labels are not those that are computed anew of their scene: by lane and symbol, by object, and
     others."""
-    expected, found = (_document(labels) for labels in (evidence.truth, evidence.labels))
+    of_pixels = () if "instance" in evidence.passes else ("seen_box_px", "visible_fraction")
+    of_points = () if evidence.sweep else ("lidar_points",)
+    unknown = {"objects": ("visible_fraction", *of_pixels, *of_points), "traffic_elements": of_pixels}
+    expected, found = (_document(labels, unknown) for labels in (_counted(evidence), evidence.labels))
     for group in GROUPS:
         true, own = (document.pop(group, None) for document in (expected, found))
         names = [[str(item.get("id", item.get("kind"))) for item in part or ()] for part in (true, own)]
@@ -95,7 +104,7 @@ def check_labels(evidence: Evidence) -> Iterator[Finding]:
             yield Finding("", f"{group}: expected {len(names[0])} as in the scene, {got}")
             continue
         for i, pair in enumerate(zip(true or (), own or (), strict=True)):
-            lines = list(differences(*pair, tolerance=ROUNDED))
+            lines = list(differences(*pair, tolerance=COUNTED))
             if lines:
                 lane = {"lanes": names[0][i], "symbols": f"symbol {i}"}.get(group, "")
                 yield Finding(lane, some(lines) if lane else f"{group}.{names[0][i]}: {some(lines)}")
@@ -104,11 +113,23 @@ def check_labels(evidence: Evidence) -> Iterator[Finding]:
         yield Finding("", some(lines))
 
 
-def _document(labels: Labels) -> dict[str, Any]:
-    """The JSON form of labels without what needs a rendered scene."""
+def _counted(evidence: Evidence) -> Labels:
+    """The labels of the scene, and what ids of pixels and of points tell of its objects and traffic elements."""
+    truth, instance = evidence.truth, evidence.passes.get("instance", np.zeros((0, 0), dtype=int))
+    points = None if evidence.returns is None else evidence.returns.instance
+    elements = as_seen(truth.traffic_elements or (), instance)
+    if "instance" in evidence.passes:
+        elements = with_pixel_shares(elements, evidence.world.site, evidence.camera, instance)
+    return replace(truth, objects=as_seen(truth.objects or (), instance, points), traffic_elements=elements)
+
+
+def _document(labels: Labels, unknown: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """The JSON form of labels without what is unknown of each group."""
     document: dict[str, Any] = json.loads(to_json(labels))
-    for part in (document, *(item for group in GROUPS for item in document[group] or ())):
-        for key in RENDERED:
+    parts = [(document, RENDERED)]
+    parts += [(item, unknown.get(group, RENDERED)) for group in GROUPS for item in document[group] or ()]
+    for part, keys in parts:
+        for key in keys:
             part.pop(key, None)
     return document
 

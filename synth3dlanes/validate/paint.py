@@ -5,11 +5,14 @@ Points are projected to their station on the road, so that a line whose label is
 where the paint has dashes.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
+from shapely.geometry.base import BaseGeometry
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane, Marking, PaintColor
@@ -224,15 +227,31 @@ def _merged(stretches: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
     return np.column_stack([ordered[first, 0], ordered[np.roll(first, -1), 1]])
 
 
-def beyond_symbols(world: World, xy_world: Points2) -> Float[np.ndarray, "m n"]:
-    """Distance of points outside the paint of each symbol, seen from above; negative inside."""
-    found = np.full((len(world.symbol_shapes), len(xy_world)), np.inf)
-    for beyond_m, form in zip(found, world.symbol_shapes, strict=True):
+class Painted(NamedTuple):
+    """A line or a symbol: its words, the lane to name, and how far points are outside its paint, seen from above;
+    negative inside."""
+
+    whose: str
+    lane: str
+    beyond_m: Callable[[Points2], Scalars]
+
+
+def painted_symbols(world: World) -> list[Painted]:
+    """The symbols on the road, by their outlines."""
+    found = []
+    for i, form in enumerate(world.symbol_shapes):
         outlines = [form.places_world(dense(polygon, SIDE_M))[:, :2] for polygon in form.polygons]
         paint = shapely.union_all(shapely.make_valid([shapely.Polygon(outline) for outline in outlines]))
-        low, high = np.reshape(paint.bounds, (2, 2))
-        near = ((xy_world > low - NEAR_M) & (xy_world < high + NEAR_M)).all(axis=1)
-        points = np.asarray(shapely.points(xy_world[near]))
-        inside = shapely.intersects_xy(paint, xy_world[near])
-        beyond_m[near] = np.where(inside, -1, 1) * shapely.distance(paint.boundary, points)
+        found.append(Painted(f"symbol {i}", "", partial(_beyond_outline, paint)))
     return found
+
+
+def _beyond_outline(paint: BaseGeometry, xy_world: Points2) -> Scalars:
+    low, high = np.reshape(paint.bounds, (2, 2))
+    near, beyond_m = (
+        ((xy_world > low - NEAR_M) & (xy_world < high + NEAR_M)).all(axis=1),
+        np.full(len(xy_world), np.inf),
+    )
+    signs = np.where(shapely.intersects_xy(paint, xy_world[near]), -1, 1)
+    beyond_m[near] = signs * shapely.distance(paint.boundary, np.asarray(shapely.points(xy_world[near])))
+    return beyond_m

@@ -23,15 +23,15 @@ from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.scene.instance_ids import numbers_of
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes
-from synth3dlanes.validate.bodies import FAR_M, before, before_or_shading, meet
+from synth3dlanes.validate.bodies import before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
 from synth3dlanes.world.visibility import seen_over_ground
 
 # Largest share of white pixels, and least mean brightness. A bright sky in fog may fill half the image, unclipped.
 MAX_CLIPPED, MIN_MEAN = 0.5, 8.0
-# Blender shows missing textures in pink. Cars may be pink, ground is not.
-MAX_PINK_OF_GROUND, MAX_PINK = 0.02, 0.5
+# Blender shows missing textures in pink, which ground is not.
+MAX_PINK = 0.02
 GROUND = ("terrain", "road", "shoulder", "marking")
 
 # Sampled places: metres ahead of the camera, metres beside the pavement, and least distance from any pavement.
@@ -63,42 +63,36 @@ def _judged(
 
 
 def check_frame(evidence: Evidence) -> Iterator[Result]:
-    """Findings about exposure and textures."""
-    image, passes = evidence.picture, evidence.passes
-    red, green, blue = np.moveaxis(image, -1, 0)
-    white = float((np.minimum(np.minimum(red, green), blue) == 255).mean())
+    """Findings about exposure."""
+    image = evidence.picture
+    white = float((image.min(axis=2) == 255).mean())
     mean = float(image.mean())
     yield from _judged("picture.mean", mean, "a picture, got black (mean {:.1f} of 255)", MIN_MEAN)
     yield from _judged("picture.white", white, "a picture, got {:.0%} of it white", most=MAX_CLIPPED)
-    pink = (np.minimum(red, blue) > 100) & (np.minimum(red, blue) // 2 > green)
-    limit = MAX_PINK
-    if "semantic" in passes:
-        pink = pink[np.isin(passes["semantic"], [SEMANTIC_IDS[name] for name in GROUND])]
-        limit = MAX_PINK_OF_GROUND
-    share = float(pink.mean()) if pink.size else 0.0
-    if share > limit and "semantic" not in passes and evidence.known_world is not None:
-        far = evidence.world.view.eye_world + FAR_M * evidence.rays_world(*np.nonzero(pink))
-        share -= float(before(evidence.world, far).sum()) / pink.size
-    yield from _judged("picture.pink", share, "textures, got {:.0%} of the ground pink", most=limit)
 
 
 def check_colours(evidence: Evidence) -> Iterator[Result]:
-    """Finding if terrain is bluer than it is red."""
+    """Findings if ground is pink, or terrain bluer than it is red."""
     image, passes, scene = evidence.picture, evidence.passes, evidence.scene
-    if scene.assets.terrains or scene.weather.snow or scene.light.sun_zenith_rad > LOWEST_SUN_RAD:
-        return
     if "semantic" in passes:
-        is_terrain = passes["semantic"] == SEMANTIC_IDS["terrain"]
-        pixels = image[is_terrain & (passes["depth"] < TERRAIN_WITHIN_M) if "depth" in passes else is_terrain]
+        ground, terrain = (
+            np.isin(passes["semantic"], [SEMANTIC_IDS[name] for name in of]) for of in (GROUND, GROUND[:1])
+        )
+        near = passes["depth"] < TERRAIN_WITHIN_M if "depth" in passes else terrain
+        of_ground, pixels = image[ground], image[terrain & near]
     else:
         column, row = _terrain_img(evidence).astype(int).T
-        pixels = image[row, column]
-    if len(pixels) < MIN_PLACES:
-        return
-    red, _, blue = pixels.astype(float).T
-    warmth = float(np.percentile(red - blue, WARMEST))
-    words = "red, green and blue in this order, got terrain with {:+.0f} of red over blue"
-    yield from _judged("picture.warmth", warmth, words, MIN_WARMTH)
+        of_ground = pixels = image[row, column]
+    if len(of_ground) >= MIN_PLACES:
+        red, green, blue = of_ground.T
+        pink = float(((np.minimum(red, blue) > 100) & (np.minimum(red, blue) // 2 > green)).mean())
+        yield from _judged("picture.pink", pink, "textures, got {:.0%} of the ground pink", most=MAX_PINK)
+    is_told = not (scene.assets.terrains or scene.weather.snow) and scene.light.sun_zenith_rad <= LOWEST_SUN_RAD
+    if len(pixels) >= MIN_PLACES and is_told:
+        red, _, blue = pixels.astype(float).T
+        warmth = float(np.percentile(red - blue, WARMEST))
+        words = "red, green and blue in this order, got terrain with {:+.0f} of red over blue"
+        yield from _judged("picture.warmth", warmth, words, MIN_WARMTH)
 
 
 def check_sharpness(evidence: Evidence) -> Iterator[Result]:
@@ -223,11 +217,10 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     levels = np.arange(256) / 255
     linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)[evidence.picture]
     yield from _terrain(evidence, linear, _lit(linear[road]))
-    if "instance" not in evidence.passes:
-        return
-    yield from _leaves(evidence, linear, _lit(linear[road]))
-    if evidence.paint.is_dry:
-        yield from _paint(evidence, linear)
+    if "instance" in evidence.passes:
+        yield from _leaves(evidence, linear, _lit(linear[road]))
+        if evidence.paint.is_dry:
+            yield from _paint(evidence, linear)
 
 
 def _lit(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:

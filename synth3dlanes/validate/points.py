@@ -1,8 +1,7 @@
-"""Check the passes against the labels' points: the rendered surface at them, and occlusion.
+"""Check the labels' points against the passes: what hides them. That they are on the ground, rows of `seen` say.
 
-A point and the pixel that shows it must lie on the faces of the ground. A pixel's pass value is one sample at its
-centre, so a point's visibility is judged from the sixteen pixels around it: where these disagree, an edge is less than
-two pixels away and the point is skipped.
+A pixel's pass value is one sample at its centre, so a point's visibility is judged from the sixteen pixels around it:
+where these disagree, an edge is less than two pixels away and the point is skipped.
 """
 
 from collections.abc import Iterator
@@ -11,22 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
-from synth3dlanes.scene.things import KINDS, SEMANTIC_IDS
+from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes, Points2
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.faces import ground_of
-from synth3dlanes.validate.findings import PROOF_M, Bounded, Finding, Result, counted
+from synth3dlanes.validate.findings import Bounded, Finding, Result, counted
 from synth3dlanes.validate.paint import Strip
+from synth3dlanes.validate.seen import MAX_SHARE, OBJECTS_IDS, check_seen
 
-# Label faults affect whole lines: a line fails if more than this share of its points, and more than two points, are
-# off; single points may be at the foot of a car. How far a point, or the point of a pixel, may be from the ground.
-MAX_SHARE, MAX_SINGLE, MAX_OFF_M = 0.1, 2, 0.02
 # Masks may differ from the passes where a line of sight grazes a crest or a twig: at up to 5 points of a line in 1,350
 # scenes.
 MAX_GRAZING = 5
-OBJECTS = [kind.semantic_id for kind in KINDS if kind.series and not kind.is_ground]
 # A mask moved along its line by one point must have MIN_MOVED more wrong points and MOVED times as many as unmoved.
 MIN_MOVED, MOVED = 3, 2
 # Pixels whose depths differ by a larger factor show two surfaces.
@@ -57,9 +51,7 @@ class Sight(NamedTuple):
 
 def check_points(evidence: Evidence) -> Iterator[Result]:
     """Findings about lines, of depth at them, and of masks that the available passes (depth, semantic) contradict."""
-    yield from _on_ground(evidence)
-    if "depth" in evidence.passes:
-        yield from _depth_at_lines(evidence)
+    yield from check_seen("points", evidence)
     if not {"depth", "semantic"} <= evidence.has:
         return
     moved = np.zeros(3, dtype=int)
@@ -88,45 +80,6 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
         yield Finding("", f"object_visible: expected what the passes show, {got}")
 
 
-def _on_ground(evidence: Evidence) -> Iterator[Result]:
-    """Findings about lines whose visible points are not on the faces of the ground, where these are near."""
-    lanes, world_from_cam = evidence.labels.lanes, evidence.camera.world_from_cam
-    asked = [lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M) for lane in lanes]
-    # The end of a map's road, on which an outer line lies, may be a kerb.
-    inner = [lane.kind == "centerline" or (lane.left is not None and lane.right is not None) for lane in lanes]
-    asked = [at & (lane.connector is None or is_in) for lane, at, is_in in zip(lanes, asked, inner, strict=True)]
-    points_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, asked, strict=True)])
-    above_m = np.abs(ground_of(evidence.world).nearest(transform(world_from_cam, points_cam)).above_m)
-    ends = np.cumsum([np.count_nonzero(at) for at in asked])[:-1]
-    for lane, off_m in zip(lanes, np.split(above_m, ends), strict=True):
-        off_m = off_m[np.isfinite(off_m)]
-        by = f"{np.median(off_m) if len(off_m) else 0:.3g} in the median"
-        reason = f"expected points within {MAX_OFF_M} m of the ground, got {{wrong}} of {{n}} off, by {by}"
-        yield from counted("points.ground_m", off_m > MAX_OFF_M, reason, MAX_SINGLE, MAX_SHARE, lane.id)
-
-
-def _depth_at_lines(evidence: Evidence) -> Iterator[Result]:
-    """A finding if pixels at the visible points of centre lines, which have no paint, do not lie on the ground."""
-    passes, camera = evidence.passes, evidence.camera
-    depth_m = passes["depth"]
-    at_lines = np.zeros(depth_m.shape, dtype=bool)
-    for lane in evidence.labels.lanes:
-        if lane.kind == "centerline":
-            near = lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M)
-            uv = camera.project(lane.xyz_cam[near])
-            columns, rows = np.clip(uv.astype(int), 0, [camera.width_px - 1, camera.height_px - 1]).T
-            four_m = depth_m[around(uv, depth_m.shape, 1)]
-            smooth = four_m.max(axis=0) < SMOOTH * four_m.min(axis=0)
-            at_lines[rows[smooth], columns[smooth]] = True
-    if "semantic" in passes:
-        at_lines &= ~np.isin(passes["semantic"], OBJECTS)
-    seen = evidence.seen(at_lines)
-    above_m = ground_of(evidence.world).nearest(seen.points_world).above_m
-    wrong = ~(np.abs(above_m) <= MAX_OFF_M)
-    reason = f"depth: expected pixels at lines within {MAX_OFF_M} m of the ground, got {{wrong}} of {{n}} elsewhere"
-    yield from counted("points.depth_m", wrong, reason, MAX_SINGLE, MAX_SHARE)
-
-
 def _behind_narrow(evidence: Evidence, lane: Lane, uv: Points2) -> Bool[np.ndarray, " n"]:
     """Which points of a lane may be behind an object that is narrower than pixels tell, as a far cone beside a line is:
     it may hide a point and be at no pixel's centre."""
@@ -142,11 +95,11 @@ def _behind_narrow(evidence: Evidence, lane: Lane, uv: Points2) -> Bool[np.ndarr
 def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: Passes) -> Sight:
     """What the passes show of a lane's points. A point counts as visible only if a pixel shows a surface at its depth:
     a crest may hide it between two rows."""
-    rows, columns = around(uv, passes["depth"].shape, 2)
+    rows, columns = _around(uv, passes["depth"].shape)
     depth = passes["depth"][rows, columns]
     own_depth = _own_depth(camera, strip, rows, columns)
     nearer = depth < NEARER * own_depth - NEARER_M
-    objects = np.isin(passes["semantic"][rows, columns], OBJECTS)
+    objects = np.isin(passes["semantic"][rows, columns], OBJECTS_IDS)
     y_m, away_m = strip.points_cam[:, 1], np.linalg.norm(strip.points_cam, axis=1)
     shows_kerbs = (y_m < KERBS_M) & (away_m < KERBS_M_A_PX * camera.img_from_cam[0, 0])
     shown = ((depth < SMOOTH * y_m) & (depth > y_m / SMOOTH)).any(axis=0)
@@ -177,10 +130,10 @@ def _own_depth(camera: CameraLabel, strip: Strip, rows: Squares, columns: Square
     return np.where((depth > 0) & (depth < y_m), depth, y_m)
 
 
-def around(uv: Points2, shape: tuple[int, ...], reach: int) -> tuple[Squares, Squares]:
-    """Rows and columns of the square with sides of 2 x reach pixels around each pixel position, row by row (arbitrary
-    for positions outside the image)."""
+def _around(uv: Points2, shape: tuple[int, ...]) -> tuple[Squares, Squares]:
+    """Rows and columns of the sixteen pixels around each pixel position, row by row (arbitrary for positions outside
+    the image)."""
     sizes = np.array([shape[1], shape[0]])
     j, i = np.floor(np.clip(np.nan_to_num(uv - 0.5), 0, sizes - 2)).astype(int).T
-    dy, dx = (steps.ravel()[:, None] for steps in np.mgrid[1 - reach : reach + 1, 1 - reach : reach + 1])
+    dy, dx = (steps.ravel()[:, None] for steps in np.mgrid[-1:3, -1:3])
     return np.clip(i + dy, 0, shape[0] - 1), np.clip(j + dx, 0, shape[1] - 1)

@@ -8,6 +8,9 @@ a puddle or of a new surface does so on one. An image with hardly any line in pl
 lines are clearest together at an offset was shifted or stretched. On a wet road lines without contrast are not asked
 for. Images whose paint may not show (`WorldPaint.shows`) are skipped, and those with snow, which lies on the edges of
 the road.
+
+Of a photograph without a scene nobody knows which lines are dashed, hidden or worn. Only what shows is judged: where
+most of its clear lines together have their paint.
 """
 
 from collections.abc import Iterator, Sequence
@@ -64,6 +67,12 @@ MOVES_PX, STRETCHES, MAX_OF_MEDIAN = np.arange(-12, 13) / 2, np.arange(-10, 11) 
 # Less than MIN_MOVE_M on the road is within two steps of the profiles, however many pixels of a large image it is.
 MIN_CLEAR, MIN_MOVE_PX, MIN_MOVE_M = 0.95, 2.25, 0.04
 
+# In photographs: the width of paint, in metres, and the most levels by which one profile counts. Paint is found aside
+# if its strength is highest beyond FAR_M, and within CLOSE_M below this share of that. Of 85 pictures of a motorway,
+# with lines by hand, 51 show two clear lines: none of these is blamed, and 41 and 34 are with their lines 0.5 m to the
+# right or to the left.
+PAINT_M, MOST_LEVELS, CLOSE_M, FAR_M, ON_LABELS = 0.15, 60.0, 0.1, 0.2, 0.5
+
 OFFSETS_M = np.arange(-REACH_M, REACH_M + PROFILE_STEP_M / 2, PROFILE_STEP_M)
 PLACES_M = OFFSETS_M[np.abs(OFFSETS_M) <= SEARCH_M + PROFILE_STEP_M / 2]
 
@@ -100,6 +109,9 @@ class LineProfiles(NamedTuple):
 
 def check_ridges(evidence: Evidence) -> Iterator[Result]:
     """Findings about lines and the whole image."""
+    if evidence.known_world is None:
+        yield from _of_photograph(evidence)
+        return
     paint = evidence.paint
     if not paint.shows or evidence.scene.weather.snow:
         return
@@ -117,6 +129,28 @@ def check_ridges(evidence: Evidence) -> Iterator[Result]:
         reason = f"image: expected paint under its delimiters, got it under {in_place} of {n} profiles"
         yield from judged("ridges.in_place", in_place / n, reason, MIN_SHARE)
         yield from check_move(lines, evidence.luma.shape[1])
+
+
+def _of_photograph(evidence: Evidence) -> Iterator[Result]:
+    """A finding if the clear lines of a picture without a scene have their paint aside of the labels, all alike."""
+    camera, found = evidence.camera, []
+    for lane in evidence.labels.lanes:
+        points_cam = _every_pixel(camera, lane)
+        if lane.kind == "delimiter" and len(points_cam) >= MIN_PROFILES:
+            across_cam = np.cross(np.gradient(points_cam, axis=0), camera.road_from_cam[2, :3])
+            across_cam /= np.linalg.norm(across_cam, axis=1, keepdims=True)
+            profiles = _profiles(camera, points_cam, across_cam, evidence.luma)
+            over = _over(profiles[np.isfinite(profiles).all(axis=1)], PAINT_M, (0.0,)).min(axis=0)
+            # Dashes are a part of a line: the mean has them, the median may not.
+            found.append(np.clip(over, 0, MOST_LEVELS).mean(axis=0) if len(over) >= MIN_PROFILES else np.zeros(1))
+    clear = [strength for strength in found if strength.max() >= FAINT]
+    if len(clear) > 1:
+        strength = np.sum(clear, axis=0)
+        aside_m, here = PLACES_M[strength.argmax()], strength[np.abs(PLACES_M) <= CLOSE_M].max()
+        agree = sum(abs(PLACES_M[line.argmax()] - aside_m) <= CLOSE_M for line in clear)
+        share = float(here / strength.max()) if abs(aside_m) > FAR_M and agree > 1 else 1.0
+        reason = f"image: expected the paint of its lines where these are, got it {aside_m:+.2f} m aside"
+        yield from judged("ridges.photograph", share, reason, ON_LABELS)
 
 
 def _lines(evidence: Evidence, lanes: Sequence[Lane]) -> Iterator[LineProfiles]:

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.scene.instance_ids import numbers_of, thing_of
 from synth3dlanes.scene.roadside import Building, Crossing
+from synth3dlanes.scene.things import KINDS as SEMANTIC_KINDS
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.validate.bodies import BODIES, OBJECTS, cores, inside, meet
@@ -37,6 +38,9 @@ from synth3dlanes.world.world import World
 # Range of pavement and terrain, and how far they may be from their faces: in 108 samples one point in 4,000 of a sample
 # is farther, at the most.
 RANGE_M, HILLS_M, MAX_OFF_M = 110.0, 120.0, 0.002
+# How far a labelled point, or what depth has there, may be from the ground. Faults of labels affect whole lines: one
+# fails if more than this share of its points, and more than two, are off; single ones may be at the foot of a car.
+MAX_POINT_M, MAX_SHARE, MAX_SINGLE = 0.02, 0.1, 2
 # Limit of the normals' median error, as a chord; they are smoothed over faces, in the median by up to 0.004.
 MAX_TURN = 0.02
 # Terrain this far inside the pavement's edge penetrates the road.
@@ -67,11 +71,14 @@ ROOM_M, LOW_M = 0.05, 0.5
 # are farther from the ground.
 MAP_STEP, MAX_MAP_M, MAP_SHARE = 7, 0.002, 0.005
 
+# Semantic ids of what stands on the ground.
+OBJECTS_IDS = [kind.semantic_id for kind in SEMANTIC_KINDS if kind.series and not kind.is_ground]
 PAVEMENT = ("road", "shoulder")
 # Semantic ids of what the faces of the pavement are made of.
 KINDS = np.zeros(3, dtype=int)
 KINDS[[ROAD, SHOULDER, MEDIAN]] = [SEMANTIC_IDS[name] for name in (*PAVEMENT, "terrain")]
 PAINTED = (*PAVEMENT, "marking", "symbol")
+ANY_OF = {"delimiter": "a line", "symbol": "a symbol"}
 _IDS_TOO = frozenset({"depth", "semantic", "instance"})
 
 
@@ -128,6 +135,8 @@ def check_seen(check: str, evidence: Evidence) -> Iterator[Result]:
 
 
 def _is_of(row: SeenRow, ids: Mapping[str, Integer[np.ndarray, "*n"]]) -> Bool[np.ndarray, "*n"]:
+    if not row.classes:
+        return np.ones(ids["semantic"].shape, dtype=bool)
     if row.kind and "instance" in ids:
         return np.asarray(numbers_of(row.kind, ids["instance"]) >= 0)
     return np.isin(ids["semantic"], [SEMANTIC_IDS[name] for name in row.classes])
@@ -161,15 +170,47 @@ def check_lidar(evidence: Evidence) -> Iterator[Result]:
     yield from disagreement("lidar", swept.ids["semantic"], swept.ids["instance"])
     for row in ROWS:
         if row.of_beams is not None:
-            within_m = np.inf if row.kind in BODIES else PROOF_M
+            within_m = np.inf if row.kind in BODIES or not row.classes else PROOF_M
             yield from _judge(row, evidence, swept.at(_is_of(row, swept.ids) & (swept.range_m < within_m)))
-    through = meet(cores(evidence.world), swept.eye_world, swept.points_world)
-    yield from counted(
-        "lidar.through", through, "lidar: expected beams to end at cars, got {wrong} of {n} behind", SINGLE
-    )
 
 
 # -- parts: how far points are from where the world has them
+
+
+def _on_ground(evidence: Evidence, _: None) -> Iterator[PartSeen]:
+    """The visible points of lines near the camera; the end of a map's road, on which an outer line lies, may be a
+    kerb."""
+    lanes, world_from_cam = evidence.labels.lanes, evidence.camera.world_from_cam
+    asked = [
+        lane.visible
+        & evidence.is_single[lane.id]
+        & (lane.xyz_cam[:, 1] < PROOF_M)
+        & (lane.connector is None or lane.kind == "centerline" or None not in (lane.left, lane.right))
+        for lane in lanes
+    ]
+    points_cam = np.concatenate([lane.xyz_cam[at] for lane, at in zip(lanes, asked, strict=True)])
+    above_m = ground_of(evidence.world).nearest(transform(world_from_cam, points_cam)).above_m
+    for lane, of in zip(lanes, np.split(above_m, np.cumsum([at.sum() for at in asked])[:-1]), strict=True):
+        yield PartSeen("", of[np.isfinite(of)], lane.id)
+
+
+def _at_lines(evidence: Evidence, _: None) -> Iterator[PartSeen]:
+    """What depth has at the visible points of centre lines, which have no paint, but for objects before them."""
+    camera, passes = evidence.camera, evidence.passes
+    at = np.zeros(passes["depth"].shape, dtype=bool)
+    for lane in evidence.labels.lanes:
+        if lane.kind == "centerline":
+            near = lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M)
+            uv = camera.project(lane.xyz_cam[near])
+            at[tuple(np.clip(uv.astype(int), 0, [camera.width_px - 1, camera.height_px - 1]).T[::-1])] = True
+    if "semantic" in passes:
+        at &= ~np.isin(passes["semantic"], OBJECTS_IDS)
+    yield PartSeen("", ground_of(evidence.world).nearest(evidence.seen(at).points_world).above_m)
+
+
+def _through_cars(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
+    through = meet(cores(evidence.world), seen.eye_world, seen.points_world)
+    yield PartSeen("", np.where(through, np.inf, 0))
 
 
 def _surface(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
@@ -245,20 +286,19 @@ def _faces(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
         yield PartSeen(name, np.where(found, 0, np.inf))
 
 
-def _paint(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    """Outside the paint of their line, or of any line without instance ids; lines beyond the labels are unnamed."""
-    paint = evidence.paint
-    on = seen.on_road
-    labelled = [lane.id for lane in evidence.labels.lanes if lane.kind == "delimiter"]
-    own, has_ids = on.number("delimiter"), "instance" in on.ids
-    beyond_m = np.full(len(on), np.inf)
-    for i, id_ in enumerate([*labelled, *(id_ for id_ in paint.ids if id_ not in labelled)]):
-        at = own == i if has_ids else np.ones(len(on), dtype=bool)
-        beyond_m[at] = np.minimum(beyond_m[at], paint.beyond_m(id_, on.xy_world[at]))
-    beyond_m = np.maximum(beyond_m, 0)
-    for i, id_ in enumerate(labelled if has_ids else []):
-        yield PartSeen("the line", beyond_m[own == i], id_)
-    yield PartSeen("a line", beyond_m[(own < 0) | (own >= len(labelled))])
+def _strays(kind: str, evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
+    """Outside the paint of their line or symbol, or of any of the kind where ids tell none that labels name."""
+    on, painted = seen.on_road, evidence.painted[kind]
+    n_named = sum(lane.kind == kind for lane in evidence.labels.lanes) if kind == "delimiter" else len(painted)
+    own = on.number(kind)
+    own[own >= n_named] = -1
+    for i in np.unique(own).tolist():
+        some, xy_world = painted if i < 0 else painted[i : i + 1], on.xy_world[own == i]
+        beyond_m = np.full(len(xy_world), np.inf)
+        for item in some:
+            beyond_m = np.minimum(beyond_m, item.beyond_m(xy_world))
+        whose, lane = (ANY_OF[kind], "") if i < 0 else some[0][:2]
+        yield PartSeen(whose, np.maximum(beyond_m, 0), lane)
 
 
 def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
@@ -281,24 +321,15 @@ def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
             yield PartSeen("the line", np.where(is_bare[at], np.inf, 0)[beyond_m < -MAX_BEYOND_M], lane.id)
 
 
-def _strays(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    """Pixels outside their symbol's paint, or that of any without instance ids; a scene may have none."""
-    on = seen.on_road
-    shown, of_each = on.ids["semantic"] == SEMANTIC_IDS["symbol"], on.beyond_symbols_m
-    own, of_any = on.number("symbol"), of_each.min(axis=0, initial=np.inf)
-    for i in np.unique(own[shown]).tolist():
-        beyond_m = of_any if i < 0 else of_each[i] if i < len(of_each) else np.full(len(on), np.inf)
-        yield PartSeen(f"symbol {i}" if i >= 0 else "symbols", np.maximum(beyond_m, 0)[shown & (own == i)])
-
-
 def _gaps(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     """Ground inside a symbol that does not show it."""
     on = seen.on_road
     margin_m = np.where(on.ids["semantic"] == SEMANTIC_IDS["marking"], LINE_M, MARGIN_M)
     is_symbol = on.ids["semantic"] == SEMANTIC_IDS["symbol"]
-    for i, beyond_m in enumerate(on.beyond_symbols_m):
+    for i, (whose, _, beyond) in enumerate(evidence.painted["symbol"]):
+        beyond_m = beyond(on.xy_world)
         shown = on.number("symbol") == i if "instance" in on.ids else is_symbol
-        yield PartSeen(f"symbol {i}", np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
+        yield PartSeen(whose, np.where(shown | (beyond_m > -margin_m), 0, np.inf)[beyond_m < -MARGIN_M])
 
 
 def _stands(
@@ -391,6 +422,17 @@ ROWS = (
         most=MAX_MAP_M, share=MAP_SHARE, layer="height", needs=frozenset({"height"}),
     ),
     SeenRow(
+        "lidar", "lidar.through", (), _through_cars, "beams to end at cars", most=0, of_beams=SINGLE,
+    ),
+    SeenRow(
+        "points", "points.ground_m", (), _on_ground, f"points within {MAX_POINT_M} m of the ground",
+        most=MAX_POINT_M, share=MAX_SHARE, single=MAX_SINGLE, layer="labels", needs=frozenset(),
+    ),
+    SeenRow(
+        "points", "points.depth_m", (), _at_lines, f"pixels at lines within {MAX_POINT_M} m of the ground",
+        most=MAX_POINT_M, share=MAX_SHARE, single=MAX_SINGLE, layer="depth", needs=frozenset({"depth"}),
+    ),
+    SeenRow(
         "pavement", "pavement.surface", PAVEMENT, _surface, f"{{whose}} within {MAX_OFF_M} m of the scene's",
         most=MAX_OFF_M, share=0.001, layer="passes", within_m=RANGE_M, n=15_000, of_beams=BEAMS,
     ),
@@ -412,7 +454,7 @@ ROWS = (
         most=INSIDE_M, layer="passes", within_m=THROUGH_RANGE_M, n=15_000,
     ),
     SeenRow(
-        "ids", "ids.paint", ("marking",), _paint, "paint where {whose} is painted",
+        "ids", "ids.paint", ("marking",), partial(_strays, "delimiter"), "paint where {whose} is painted",
         most=MAX_BEYOND_M, share=0.02, kind="delimiter", within_m=PROOF_M, of_beams=SINGLE,
     ),
     SeenRow(
@@ -435,8 +477,8 @@ ROWS = (
         most=0, share=0.05, layer="semantic", needs=_IDS_TOO,
     ),
     SeenRow(
-        "symbols", "symbols.strays", PAINTED, _strays, "{what} of {whose} within its paint",
-        most=MARGIN_M, share=0.05, within_m=PROOF_M,
+        "symbols", "symbols.strays", ("symbol",), partial(_strays, "symbol"), "{what} of {whose} within its paint",
+        most=MARGIN_M, share=0.05, kind="symbol", within_m=PROOF_M,
     ),
     SeenRow(
         "symbols", "symbols.gaps", PAINTED, _gaps, "{what} of {whose} in all of its paint",

@@ -64,7 +64,7 @@ def test_validate_says_what_it_could_not_ask_of_a_drive(made: tuple[Path, LiftRe
     report = validate(made[0], 1, None, lambda done, total: None)
     assert not report.problems
     asked = {name: check["samples"] for name, check in report.document()["checks"].items()}
-    assert {name for name, n in asked.items() if n} == {"index", "form", "frame", "moving"}
+    assert {name for name, n in asked.items() if n} == {"index", "form", "frame", "ridges", "moving"}
     assert all("scene" in check["lacks"] for name, check in report.document()["checks"].items() if not asked[name])
     console = Console(width=200, record=True)
     console.print(report.text())

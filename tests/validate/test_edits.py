@@ -55,7 +55,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def dataset(clean: Path, tmp_path: Path, only: Callable[..., None]) -> Path:
     """A copy, judged by what compares documents."""
-    only("index", "form", "labels", "counts")
+    only("index", "form", "labels")
     return Path(shutil.copytree(clean, tmp_path / "data"))
 
 

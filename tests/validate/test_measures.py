@@ -101,6 +101,23 @@ def test_bright_and_dark_paint_is_found_in_place_and_aside():
         assert len({finding.lane for finding in named}) == len(named) >= 2
 
 
+@pytest.mark.parametrize(("aside_m", "is_found"), [(0.0, False), (0.1, False), (0.5, True), (-0.5, True)])
+def test_a_photograph_tells_of_lines_that_are_half_a_metre_beside_their_paint(aside_m, is_found):
+    """Without a scene; dashes, noise, and a line that has no paint at all."""
+    scene = changed(markings={"dash_fraction": 1.0})
+    image = painted_picture(scene, aside_m, 150.0, 12)
+    gaps = np.mod(np.nan_to_num(flat_road_places(scene)[1]), 9) > 4
+    image[gaps] = 90
+    first, *others = seen(ground_truth(scene)).lanes
+    bare = replace(first, xyz_cam=first.xyz_cam + np.array([1.3, 0, 0]))
+    labels = replace(seen(ground_truth(scene)), lanes=(bare, *others))
+    found = reasons(Evidence(None, labels, image), "ridges")
+    assert (
+        found == f"image: expected the paint of its lines where these are, got it {aside_m:+.2f} m aside"
+    ) == is_found
+    assert is_found or not found
+
+
 def test_a_double_line_is_judged_by_both_its_stripes_also_by_a_rolled_camera():
     scene = changed(
         markings={"dash_fraction": 1.0, "left_double": True, "width_m": 0.2},
@@ -203,7 +220,7 @@ def test_black_white_and_pink_pictures_are_faults():
     assert findings(sample, "frame") == []
     road = np.full((40, 60), SEMANTIC_IDS["road"], np.uint8)
     for color, words in (((0, 0, 0), "black"), ((255, 255, 255), "white"), ((250, 30, 240), "pink")):
-        (finding,) = findings(picture_of(scene, np.full_like(gray, color), semantic=road), "frame")
+        (finding,) = findings(picture_of(scene, np.full_like(gray, color), semantic=road), "frame", "colours")
         assert words in finding.reason
 
 
@@ -321,7 +338,7 @@ def test_depth_of_the_near_road_is_that_of_its_mesh(change, words):
 def test_depth_in_another_unit_is_off_at_every_point():
     depth_m = flat_road_depth(FLAT)
     found = reasons(picture_of(FLAT, depth=depth_m * np.float32(1000)), "points")
-    assert re.fullmatch(r"depth: expected pixels at lines .* got (\d+) of \1 elsewhere", found)
+    assert re.fullmatch(r"depth: expected pixels at lines .* got (\d+) of \1 places elsewhere", found)
     assert findings(picture_of(FLAT, depth=depth_m), "points") == []
 
 

@@ -82,7 +82,7 @@ def test_a_symbol_elsewhere_is_found(crossing: Shot, number: int, by_m: float, w
     symbols[number] = SYMBOLS[number].model_copy(update={"s_m": SYMBOLS[number].s_m + by_m})
     moved = crossing.scene.model_copy(update={"symbols": tuple(symbols)})
     passes = {name: pixels for name, pixels in crossing.passes.items() if name not in without}
-    name = "symbols" if without else f"symbol {number}"
+    name = "a symbol" if without else f"symbol {number}"
     assert any(f"pixels of {name} within" in text for text in texts(crossing._replace(passes=passes), moved))
 
 
@@ -101,7 +101,7 @@ def test_a_symbol_of_another_lane_or_kind_is_found(crossing: Shot) -> None:
 
 def test_pixels_of_a_symbol_that_is_missing_or_not_in_the_scene_are_found(crossing: Shot) -> None:
     bare = crossing.scene.model_copy(update={"symbols": ()})
-    assert any("pixels of symbol 0 within its paint" in text for text in texts(crossing, bare))
+    assert any("pixels of a symbol within its paint" in text for text in texts(crossing, bare))
     is_first = crossing.passes["instance"] == instance_id("symbol", 0)
     ids = {
         "semantic": np.where(is_first, SEMANTIC_IDS["road"], crossing.passes["semantic"]),
