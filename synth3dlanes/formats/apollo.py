@@ -22,7 +22,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.formats.comparing import Comparison, ExportView, OurLine, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead, sifted
 from synth3dlanes.formats.reading import ForeignLane, ForeignSample, LabelLines, first_lines, labels_of, read_image
 from synth3dlanes.formats.scoring import EVERY, GEN_LANENET, Line3d, LinePair, line_score, lines_by, predicted, rates
 from synth3dlanes.formats.sidecar import Sidecars
@@ -129,12 +129,12 @@ def apollo_from_cv(points_cv: Float[np.ndarray, "n 3"], camera: CameraLabel) -> 
 
 
 def _kept(labels: Labels, kind: LaneKind, most: int, dropped: Counter[str]) -> tuple[LaneAhead, ...]:
-    near = []
-    for line in lines_ahead(labels, CAMERA, kind):
-        if line.visible.sum() >= 2 and not _is_evaluated(apollo_from_cv(line.points_cv[line.visible], labels.camera)):
-            dropped["its visible part is never within 10 m beside the camera's axis, 3 to 102 m ahead"] += 1
-        else:
-            near.append(line)
+    def is_kept(line: LaneAhead) -> bool:
+        points_apollo = apollo_from_cv(line.points_cv[line.visible], labels.camera)
+        return len(points_apollo) < 2 or _is_evaluated(points_apollo)
+
+    reason = "its visible part is never within 10 m beside the camera's axis, 3 to 102 m ahead"
+    near = sifted(lines_ahead(labels, CAMERA, kind), is_kept, dropped, reason)
     return keep_lines(near, dropped, most, f"beyond the {most} nearest (cap of LATR, PersFormer, Anchor3DLane)")
 
 

@@ -32,7 +32,7 @@ from synth3dlanes.formats.segments import (
     most_shared,
     png,
 )
-from synth3dlanes.formats.writing import PARTS, FrameAnnotation
+from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.labels.labels import Lane
 from synth3dlanes.labels.object_labels import ObjectLabel, object_document
 from synth3dlanes.scene.instance_ids import thing_of
@@ -105,7 +105,7 @@ def write(frame: SampleFrame) -> FrameAnnotation:
             instances.append({"image_id": frame.number, **info, "segmentation": runs, **more})
     about = {"id": frame.number, "file_name": image.removeprefix("images/"), "width": width_px, "height": height_px}
     panoptic = {"image_id": frame.number, "file_name": f"{name}.png", "segments_info": infos}
-    parts = [part for part in PARTS if frame.serves_as(part)]
+    parts = frame.served
     return FrameAnnotation(
         image,
         len(instances),

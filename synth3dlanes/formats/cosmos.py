@@ -19,7 +19,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, get_args
@@ -42,6 +42,7 @@ from synth3dlanes.formats.comparing import (
     distances,
 )
 from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, middle_of, symbol_problems
+from synth3dlanes.formats.cosmos_lens import LIMIT_PX, fitted
 from synth3dlanes.formats.cosmos_videos import (
     CATEGORIES,
     DRAWN,
@@ -52,13 +53,12 @@ from synth3dlanes.formats.cosmos_videos import (
     nearness_span,
     scenario,
 )
-from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, of_parts
 from synth3dlanes.formats.lane_map import Boundary
 from synth3dlanes.formats.reading import json_object, pose_of, read_file
 from synth3dlanes.formats.writing import (
-    CV_FROM_CAM,
-    PARTS,
     FrameAnnotation,
+    host_from_flu,
     objects_of,
     with_flu_axes,
     world_from_vehicle,
@@ -89,41 +89,32 @@ _BOX = {"center": POINT, "dimensions": POINT, "orientation": QUATERNION, "catego
 _PLACE = {"category": pa.string(), "location": _POINTS}
 
 
-def _schema(name: str, key: pa.DataType, fields: dict[str, pa.DataType]) -> pa.Schema:
-    return pa.schema({"key": key, name: pa.struct(list(fields.items())), "version": pa.uint64()})
-
-
-TABLES = {
-    "calibration_estimate": _schema(
-        "calibration_estimate", _TIME_KEY, {"name": pa.string(), "rig_json": pa.string()}
-    ),
-    "egomotion_estimate": _schema(
-        "egomotion_estimate", _TIME_KEY, {"name": pa.string(), "location": POINT, "orientation": QUATERNION}
-    ),
-    "obstacle": _schema(
-        "obstacle",
-        _TIME_KEY,
-        {
-            "trackline_id": pa.string(), "center": POINT, "size": POINT, "orientation": QUATERNION,
-            "category": pa.string(),
-        },
-    ),
-    "lane": _schema(
-        "lane",
-        _MAP_KEY,
-        {
-            "left_rail": _POINTS, "right_rail": _POINTS, "left_edge_styles": _TEXTS, "right_edge_styles": _TEXTS,
-            "left_edge_colors": _TEXTS, "right_edge_colors": _TEXTS,
-        },
-    ),
-    "lane_line": _schema("lane_line", _MAP_KEY, {"line_rail": _POINTS, "styles": _TEXTS, "colors": _TEXTS}),
-    "road_boundary": _schema("road_boundary", _MAP_KEY, _PLACE),
-    "crosswalk": _schema("crosswalk", _MAP_KEY, _PLACE),
-    "road_marking": _schema("road_marking", _MAP_KEY, _PLACE),
-    "wait_line": _schema("wait_line", _MAP_KEY, {**_PLACE, "is_implicit": pa.bool_()}),
-    "traffic_light": _schema("traffic_light", _MAP_KEY, _BOX),
-    "traffic_sign": _schema("traffic_sign", _MAP_KEY, _BOX),
+_FIELDS = {
+    "calibration_estimate": {"name": pa.string(), "rig_json": pa.string()},
+    "egomotion_estimate": {"name": pa.string(), "location": POINT, "orientation": QUATERNION},
+    "obstacle": {
+        "trackline_id": pa.string(), "center": POINT, "size": POINT, "orientation": QUATERNION, "category": pa.string()
+    },
+    "lane": {
+        "left_rail": _POINTS, "right_rail": _POINTS, "left_edge_styles": _TEXTS, "right_edge_styles": _TEXTS,
+        "left_edge_colors": _TEXTS, "right_edge_colors": _TEXTS,
+    },
+    "lane_line": {"line_rail": _POINTS, "styles": _TEXTS, "colors": _TEXTS},
+    **dict.fromkeys(("road_boundary", "crosswalk", "road_marking"), _PLACE),
+    "wait_line": {**_PLACE, "is_implicit": pa.bool_()},
+    **dict.fromkeys(("traffic_light", "traffic_sign"), _BOX),
 }  # fmt: skip
+MOVING = ("calibration_estimate", "egomotion_estimate", "obstacle")
+TABLES = {
+    name: pa.schema(
+        {
+            "key": _TIME_KEY if name in MOVING else _MAP_KEY,
+            name: pa.struct(list(fields.items())),
+            "version": pa.uint64(),
+        }
+    )
+    for name, fields in _FIELDS.items()
+}
 """The tables of a clip. `map_id` of a lane line is the id of the delimiter, that of a lane the segment's of the lane
 graph, that of a light or a sign the id of the traffic element."""
 # Rows are few, and may have long lines.
@@ -196,6 +187,7 @@ class CosmosClip:
 
     out: Path
     files: ClipFiles
+    _tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
 
     @cached_property
     def views(self) -> dict[str, CosmosView]:
@@ -251,10 +243,6 @@ class CosmosClip:
             self._tables[name] = self._rows(name)
         return self._tables[name]
 
-    @cached_property
-    def _tables(self) -> dict[str, list[dict[str, Any]]]:
-        return {}
-
     def _rows(self, name: str) -> list[dict[str, Any]]:
         where, wanted = self.out / self.files.table(name), TABLES[name]
         with reading_table(str(where), wanted.names):
@@ -300,12 +288,11 @@ def _array(point: dict[str, float]) -> Float[np.ndarray, "3"]:
 
 
 CAM_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-HOST_FROM_RIG = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -1.3], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+HOST_FROM_RIG = host_from_flu(1.3, 0.0)
 """The rear axle in our host's road frame, as for argoverse2, but on the road."""
 CRF = 12
 """Finer than a film's: the greys of depth and the edges are data."""
 NAME = re.compile("[A-Za-z0-9_-]{1,80}")
-MOVING = ("calibration_estimate", "egomotion_estimate", "obstacle")
 NO_TIME = {"timestamp_micros": -1}
 WAIT_CATEGORIES = {"stop_line": "STOP", "give_way_line": "YIELD"}
 ARROW_CATEGORIES = {
@@ -319,10 +306,6 @@ SIGN_CATEGORIES = {"stop": "TRAFFIC_SIGN_REGULATORY_R1_STOP", "give_way": "TRAFF
 SIGN_CATEGORIES |= {
     kind: "TRAFFIC_SIGN_REGULATORY_R2_SPEED_LIMIT" for kind in get_args(SignKind) if kind.startswith("speed_")
 }
-DEGREE = 5
-LIMIT_PX = 1.0
-"""How far the polynomial may be from the camera: 0.4 px for a pinhole of 110 degrees and 1600 columns."""
-GRID, ROUNDS = (41, 31), 30
 # Greatest step back from one point of a line to the next: labels are rounded.
 BACK_M = 0.01
 CAM_OF_FLU = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
@@ -428,10 +411,8 @@ def _calibration(frame: SampleFrame, views: Mapping[str, str], where: str) -> di
     for key, view in views.items():
         first = next(iter(frame.pictures(key)))
         camera = first.labels.camera
-        lens, rig_from_cam = (
-            fitted(camera, where),
-            invert(world_from_vehicle(camera, first.scene, HOST_FROM_RIG)) @ camera.world_from_cam,
-        )
+        lens = fitted(camera, where)
+        rig_from_cam = invert(world_from_vehicle(camera, first.scene, HOST_FROM_RIG)) @ camera.world_from_cam
         turn = rig_from_cam[:3, :3] @ CAM_FROM_FLU
         yaw, pitch = np.arctan2(turn[1, 0], turn[0, 0]), np.arcsin(np.clip(-turn[2, 0], -1, 1))
         roll = np.arctan2(turn[2, 1], turn[2, 2])
@@ -540,50 +521,8 @@ def _table(name: str, rows: Sequence[Mapping[str, Any]], clip: str) -> bytes:
     return stream.getvalue()
 
 
-@dataclass(frozen=True)
-class FTheta:
-    """A pixel is its principal point and `stretch` times right, and down, the distance `polynomial(angle)` from it:
-    coefficients of rising powers, in pixels."""
-
-    cx_px: float
-    cy_px: float
-    stretch: float
-    polynomial: tuple[float, ...]
-    worst_px: float
-
-
-def fitted(camera: CameraLabel, where: str) -> FTheta:
-    """Least squares over the image, weighted towards the worst places. Raises InputError for a camera that is farther
-    than LIMIT_PX from all of these."""
-    (fx, _, cx), (_, fy, cy), _ = camera.img_from_cam @ CV_FROM_CAM.T
-    steps = (np.linspace(0.0, size, n) for size, n in zip((camera.width_px, camera.height_px), GRID, strict=True))
-    uv = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
-    rays = camera.rays(uv)
-    known = np.isfinite(rays).all(axis=1)
-    uv, rays = uv[known], rays[known]
-    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 2]), rays[:, 1])
-    radius = np.hypot((uv[:, 0] - cx) * fy / fx, uv[:, 1] - cy)
-    powers, weights = angle[:, None] ** np.arange(1, DEGREE + 1), np.ones(len(angle))
-    for _ in range(ROUNDS):
-        factors = np.linalg.lstsq(powers * weights[:, None], radius * weights, rcond=None)[0]
-        apart = np.abs(powers @ factors - radius)
-        weights *= np.sqrt(1 + apart / max(apart.max(), 1e-12))
-    factors = np.array([float(f"{factor:.8g}") for factor in factors])  # the rest depends on threads and processors
-    aside = rays[:, [0, 2]] * [1, -1] / np.maximum(np.hypot(rays[:, 0], rays[:, 2]), 1e-12)[:, None]
-    found = aside * (powers @ factors)[:, None] * [fx / fy, 1] + [cx, cy]
-    worst_px = float(np.linalg.norm(found - uv, axis=1).max())
-    if not worst_px <= LIMIT_PX:
-        raise InputError(
-            f"{where}: expected a camera that an f-theta polynomial follows within {LIMIT_PX:g} px, got"
-            f" {camera.name or 'one'} that it misses by {worst_px:.1f} px"
-        )
-    return FTheta(float(cx), float(cy), float(fx / fy), (0.0, *factors.tolist()), worst_px)
-
-
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:
-    for part in PARTS:
-        if (out / part).is_dir() and not (out / part).is_symlink():
-            yield FrameList(part, _clips(out, part, most_frames), "clip")
+    return of_parts(out, "clip", lambda part: _clips(out, part, most_frames))
 
 
 def _clips(out: Path, part: str, most: int) -> Iterator[ReadFrame]:

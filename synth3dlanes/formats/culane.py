@@ -27,7 +27,7 @@ from synth3dlanes.formats.comparing import (
     places_beside,
 )
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead, sifted
 from synth3dlanes.formats.reading import drawable, file_below, first_lines, numbers, read_mask, read_text
 from synth3dlanes.formats.scoring import EVERY, Canvas, band_score, scored
 from synth3dlanes.formats.segments import png
@@ -96,18 +96,15 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     ahead = lines_ahead(labels, frame.pinhole, "delimiter")
     places = ego_places(ahead, labels.camera)
     points = {line.id: _points(line, frame.pinhole) for line in ahead}
-    beside = [line for line in ahead if line.id in places]
-    if len(beside) < len(ahead):
-        dropped["not one of the two nearest on either side of the camera"] += len(ahead) - len(beside)
-    crossing = [line for line in beside if len(points[line.id]) >= MIN_POINTS]
-    if len(crossing) < len(beside):
-        reason = f"its visible part crosses fewer than {MIN_POINTS} of the rows 250 to 590 (CLRNet drops those)"
-        dropped[reason] += len(beside) - len(crossing)
+    reason = "not one of the two nearest on either side of the camera"
+    beside = sifted(ahead, lambda line: line.id in places, dropped, reason)
+    reason = f"its visible part crosses fewer than {MIN_POINTS} of the rows 250 to 590 (CLRNet drops those)"
+    crossing = sifted(beside, lambda line: len(points[line.id]) >= MIN_POINTS, dropped, reason)
     kept = sorted(keep_lines(crossing, dropped), key=lambda line: places[line.id])
     lines_px = {places[line.id]: points[line.id] for line in kept}
     text = "\n".join(" ".join(f"{x:.{PX_DECIMALS}f} {y:.0f}" for x, y in line) for line in lines_px.values())
     flags = " ".join(str(int(number in lines_px)) for number in range(1, MAX_LINES + 1))
-    parts = [part for part in PARTS if frame.serves_as(part)]
+    parts = frame.served
     lists = [f"list/{part}.txt" for part in parts]
     if "test" in parts:
         lists.append(scene_list(scene_of(frame.tags)))

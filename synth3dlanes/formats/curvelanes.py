@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_lines
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead, sifted
 from synth3dlanes.formats.reading import drawable, image_size, listed_files, numbers, read_text
 from synth3dlanes.formats.scoring import EVERY, Canvas, band_score, scored
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars, sidecar
@@ -55,9 +55,8 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     image = f"{part}/images/{frame.split}_{frame.key}.jpg"
     ahead = lines_ahead(labels, frame.pinhole, "delimiter")
     points = {line.id: _points(line, frame.pinhole) for line in ahead}
-    crossing = [line for line in ahead if len(points[line.id]) >= MIN_POINTS]
-    if len(crossing) < len(ahead):
-        dropped[f"its visible part crosses fewer than {MIN_POINTS} rows"] += len(ahead) - len(crossing)
+    reason = f"its visible part crosses fewer than {MIN_POINTS} rows"
+    crossing = sifted(ahead, lambda line: len(points[line.id]) >= MIN_POINTS, dropped, reason)
     kept = keep_lines(crossing, dropped)
     text = json.dumps({"Lines": [points[line.id] for line in kept]})
     shared = (

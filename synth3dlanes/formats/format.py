@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from synth3dlanes.formats.comparing import Comparison, SourceSample
-from synth3dlanes.formats.writing import ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
+from synth3dlanes.formats.writing import PARTS, ExportFrame, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.labels.labels import CameraLabel
 from synth3dlanes.system.arrays import Passes
 from synth3dlanes.system.words import counted
@@ -60,6 +60,13 @@ class FrameList:
     name: str
     frames: Iterator[ReadFrame]
     word: str = "frame"
+
+
+def of_parts(out: Path, word: str, frames: Callable[[str], Iterator[ReadFrame]]) -> Iterator[FrameList]:
+    """The parts of an export with a folder for each; `frames` reads those of one, `word` is what one is called."""
+    for part in PARTS:
+        if (out / part).is_dir() and not (out / part).is_symlink():
+            yield FrameList(part, frames(part), word)
 
 
 def maps_of(out: Path, ending: str, most_frames: int, content: Callable[[Path], Any]) -> Iterator[FrameList]:

@@ -27,7 +27,6 @@ from synth3dlanes.formats.one_frame import FRAMES_PER_SPLIT
 from synth3dlanes.formats.reading import first_lines, numbers, read_file, read_text
 from synth3dlanes.formats.writing import (
     CV_FROM_CAM,
-    PARTS,
     FrameAnnotation,
     expect_objects,
     expect_pinhole,
@@ -149,7 +148,7 @@ def write(frame: SampleFrame) -> FrameAnnotation:
     if frame.sweep is not None:
         xyz_velo = frame.sweep.points().xyz_lidar @ VELO_FROM_LIDAR[:3, :3].T
         files[path_of("points", name)] = np.column_stack([xyz_velo, np.zeros(len(xyz_velo))]).astype("<f4").tobytes()
-    lists: list[str] = [part for part in PARTS if frame.serves_as(part)]
+    lists: list[str] = [*frame.served]
     if {"train", "val"} & {*lists}:
         lists.append("trainval")
     shared = ((name, tuple(f"{LISTS}/{part}.txt" for part in lists)),)

@@ -1,7 +1,7 @@
 """Our lanes as a foreign camera sees them: lines in the OpenCV camera frame (`_cv`), metres, visible up to a point."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +61,16 @@ def keep_lines(
         else:
             kept.append(line)
     return tuple(kept)
+
+
+def sifted(
+    lines: Sequence[LaneAhead], is_kept: Callable[[LaneAhead], bool], dropped: Counter[str], reason: str
+) -> list[LaneAhead]:
+    """The lines that are kept; count the others."""
+    kept = [line for line in lines if is_kept(line)]
+    if len(kept) < len(lines):
+        dropped[reason] += len(lines) - len(kept)
+    return kept
 
 
 def columns_of(line: LaneAhead, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:

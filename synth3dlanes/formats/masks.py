@@ -28,7 +28,7 @@ from synth3dlanes.formats.segments import (
     line_pixels,
     png,
 )
-from synth3dlanes.formats.writing import PARTS, FrameAnnotation
+from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.instance_ids import END, numbers_of
@@ -77,7 +77,7 @@ def write(frame: SampleFrame) -> FrameAnnotation:
         shared=(
             (
                 image_path(frame).removeprefix("images/"),
-                tuple(f"lists/{part}.txt" for part in PARTS if frame.serves_as(part)),
+                tuple(f"lists/{part}.txt" for part in frame.served),
             ),
             ("", (CLASSES_FILE,)),
         ),

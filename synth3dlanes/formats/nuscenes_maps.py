@@ -504,8 +504,6 @@ def _pose(x: float, y: float, z: float, yaw_rad: float) -> dict[str, float]:
     return {"tx": x, "ty": y, "tz": z, "rx": 0.0, "ry": 0.0, "rz": yaw_rad}
 
 
-# Lanes are within this of the labels from above: arcs are fitted, and on a slope heights between the labels' points
-# count too, for which other formats have a limit of their own. A map has no heights.
 # -- compared with the labels
 
 

@@ -68,7 +68,7 @@ README = f"""ONCE-3DLanes layout.
 
 def write(frame: PinholeFrame) -> FrameAnnotation:
     camera, dropped = frame.labels.camera, Counter[str]()
-    parts = [part for part in PARTS if frame.serves_as(part)]
+    parts = frame.served
     name = f"{frame.number // FRAMES_PER_SEQUENCE:06d}/cam01/{frame.number:08d}"
     ahead = sorted(lines_ahead(frame.labels, frame.pinhole, "delimiter"), key=lambda line: not _is_placed(line))
     lines = keep_lines(ahead, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (cap of Anchor3DLane)")

@@ -28,7 +28,7 @@ from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lane
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame
 from synth3dlanes.formats.lane_map import REACH_M, LaneSegment, lane_segments
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_text
-from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, FrameAnnotation, expect_pinhole
+from synth3dlanes.formats.writing import CV_FROM_CAM, FrameAnnotation, expect_pinhole
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.geometry.polylines import resampled, stretches
 from synth3dlanes.labels.labels import CameraLabel, Marking
@@ -181,7 +181,7 @@ def write(frame: SampleFrame) -> FrameAnnotation | None:
         "topology_lsls": topology,
         "topology_lste": governed,
     }
-    parts = [part for part in PARTS if frame.serves_as(part)]
+    parts = frame.served
     return FrameAnnotation(
         f"{ROOT}/{image}",
         len(lanes),

@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_lines
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead
+from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead, sifted
 from synth3dlanes.formats.reading import LabelLines, first_lines, read_image
 from synth3dlanes.formats.scoring import EVERY, lines_by, scored
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars, sidecar
@@ -57,10 +57,15 @@ def write(frame: PinholeFrame) -> FrameAnnotation | None:
     """The frame's label line; None for a frame without lines, which the benchmark cannot score."""
     dropped = Counter[str]()
     raw_file = f"clips/{frame.split}/{frame.key}/20.jpg"
-    rows = [(line, rows_of(line, frame.pinhole)) for line in lines_ahead(frame.labels, frame.pinhole, "delimiter")]
-    crossing = [line for line, u_px in rows if np.count_nonzero(u_px != ABSENT) >= 2]
-    if len(crossing) < len(rows):
-        dropped["its visible part crosses fewer than two rows of the image"] += len(rows) - len(crossing)
+
+    def is_crossing(line: LaneAhead) -> bool:
+        return np.count_nonzero(rows_of(line, frame.pinhole) != ABSENT) >= 2
+
+    ahead, reason = (
+        lines_ahead(frame.labels, frame.pinhole, "delimiter"),
+        "its visible part crosses fewer than two rows",
+    )
+    crossing = sifted(ahead, is_crossing, dropped, f"{reason} of the image")
     kept = keep_lines(crossing, dropped, MAX_LINES, f"beyond the {MAX_LINES} nearest (the score exceeds 1 with more)")
     if not kept:
         return None

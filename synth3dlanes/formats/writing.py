@@ -83,6 +83,11 @@ class ExportFrame:
         they serve as both."""
         return part == self.part or (not self.is_train and part != "train" and part not in self.parts)
 
+    @property
+    def served(self) -> list[Part]:
+        """All parts that it serves as."""
+        return [part for part in PARTS if self.serves_as(part)]
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PinholeFrame(ExportFrame):
@@ -133,6 +138,12 @@ def world_from_vehicle(camera: CameraLabel, scene: "synth3dlanes.scene.scene.Sce
     world_from_road = camera.world_from_cam @ invert(camera.road_from_cam)
     host_from_road = turned(0.0, scene.camera.right_m, scene.camera.forward_m)
     return np.asarray(world_from_road @ invert(host_from_road) @ host_from_ego)
+
+
+def host_from_flu(behind_m: float, above_m: float) -> Matrix4:
+    """The host's road frame from a vehicle frame (x forward, y left, z up) that far behind its middle and over the
+    road."""
+    return np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, -behind_m], [0.0, 0.0, 1.0, above_m], [0.0, 0.0, 0.0, 1.0]])
 
 
 def with_cv_axes(b_from_cam: Matrix4) -> Matrix4:

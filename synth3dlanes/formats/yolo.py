@@ -76,8 +76,8 @@ def write(frame: SampleFrame) -> FrameAnnotation:
         dropped,
         files={f"labels/{file_name(frame)}.txt": "\n".join(lines)},
         shared=(
-            (f"./{image}", tuple(f"{part}.txt" for part in PARTS if frame.serves_as(part))),
-            *((part, (SETTINGS_FILE,)) for part in PARTS if frame.serves_as(part)),
+            (f"./{image}", tuple(f"{part}.txt" for part in frame.served)),
+            *((part, (SETTINGS_FILE,)) for part in frame.served),
         ),
     )
 

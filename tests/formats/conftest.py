@@ -60,3 +60,28 @@ def dataset(made_once, write_split):
         write_split(root, "test", N_TEST)
 
     return made_once("dataset", make)
+
+
+@pytest.fixture(scope="session")
+def two_frames(made_once, write_split):
+    """A folder with two frames for tests, with passes. Neither the road nor the camera's place on it is symmetric."""
+    from tests.formats.test_segmentation import passes_of
+
+    changes = ["road.topology=1", "road.n_lanes=3", "camera.width_px=480"]
+    return made_once("two_frames", lambda root: write_split(root, "test", 2, changes, passes_of))
+
+
+@pytest.fixture(scope="session")
+def export_of(made_once, two_frames):
+    """Gives the export of these in a format, which is right, and is copied before it is changed."""
+    from synth3dlanes.formats.export import Export
+    from tests.formats.planting import problems
+
+    def exported(name):
+        def make(out):
+            Export(str(two_frames), out, name).write()
+            assert not problems(two_frames, out, name)
+
+        return Export(str(two_frames), made_once(f"two_frames_{name}", make), name)
+
+    return exported

@@ -18,7 +18,8 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats import cosmos as of_tables
 from synth3dlanes.formats.comparing import SourceSample
-from synth3dlanes.formats.cosmos import FOLDERS, ClipFiles, CosmosClip, fitted, video_problems
+from synth3dlanes.formats.cosmos import FOLDERS, ClipFiles, CosmosClip, video_problems
+from synth3dlanes.formats.cosmos_lens import fitted
 from synth3dlanes.formats.cosmos_videos import (
     Scenario,
     depth_picture,

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 
 import pytest
 
@@ -9,7 +10,6 @@ from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import format_names
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.system.errors import Synth3dlanesError
-from tests.formats.test_segmentation import passes_of
 from tests.hostile import LEAKED
 from tests.thorough import first
 
@@ -65,25 +65,15 @@ OTHER = ("binary", "zeros", "bomb")
 UNREAD = {".parts", "README.md", "classes.json", "data.yaml", "data_lists"}
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory, write_split):
-    root = tmp_path_factory.mktemp("small")
-    write_split(root, "test", 1, ["road.topology=1", "camera.width_px=480"], passes_of)
-    return root
-
-
 # KITTI has objects only where somebody has seen them, Cosmos has clips: they have tests of their own. nuScenes has 36
 # files, each of which is damaged.
 NAMES = first(12, sorted({*format_names()} - {"cosmos", "kitti"}, key=lambda name: (name == "nuscenes", name)))
 
 
-@pytest.fixture(scope="module", params=NAMES)
-def exported(request, small, tmp_path_factory):
-    out = tmp_path_factory.mktemp("damaged") / request.param
-    Export(str(small), out, request.param).write()
-    job = Export(str(small), out, request.param)
-    assert not [problem for result in verify(job, 1) for problem in result.problems]
-    return job
+@pytest.fixture(params=NAMES)
+def exported(request, export_of, tmp_path):
+    whole = export_of(request.param)
+    return Export(whole.source, shutil.copytree(whole.out, tmp_path / "out", symlinks=True), request.param)
 
 
 def files_to_damage(out):
@@ -100,7 +90,7 @@ def files_to_damage(out):
 def told(job):
     """What `verify` says, in lines; anything but one of our errors fails the test."""
     try:
-        return [problem for result in verify(job, 1) for problem in result.problems]
+        return [problem for result in verify(job, 2) for problem in result.problems]
     except Synth3dlanesError as error:
         return str(error).splitlines()
 
@@ -135,14 +125,13 @@ def check_damaged_files(exported, every):
 
 
 @pytest.mark.parametrize("format_name", first(1, ["openlane", "coco"]))
-def test_damaged_marks_are_told_in_lines(format_name, small, tmp_path):
-    out = tmp_path / "out"
-    Export(str(small), out, format_name).write()
+def test_damaged_marks_are_told_in_lines(format_name, export_of, two_frames, tmp_path):
+    out = shutil.copytree(export_of(format_name).out, tmp_path / "out", symlinks=True)
     for path in [*(out / ".parts").iterdir(), out / "export.json"]:
         whole = path.read_bytes()
         for name in OF_KIND[path.suffix] if path.suffix else ():
             path.write_bytes(DAMAGE[name](whole))
-            assert not LEAKED.search(refusal(small, out, format_name)), (path.name, name)
+            assert not LEAKED.search(refusal(two_frames, out, format_name)), (path.name, name)
             path.write_bytes(whole)
 
 

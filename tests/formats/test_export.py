@@ -20,7 +20,6 @@ from synth3dlanes.formats.verify import verify
 from synth3dlanes.system import files
 from synth3dlanes.system.errors import ClaimedError, FormatError, InputError
 from tests.formats import closed_form as cf
-from tests.formats.test_segmentation import passes_of
 from tests.power_cut import survive
 from tests.small_files import withstands
 from tests.thorough import first
@@ -399,22 +398,15 @@ def test_marks_of_an_export_name_no_file_elsewhere(dataset, tmp_path, place):
         Export(str(dataset), out, "apollo").write()
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory, write_split):
-    root = tmp_path_factory.mktemp("small")
-    write_split(root, "test", 2, ["road.topology=1", "camera.width_px=480"], passes_of)
-    return root
-
-
 # Cosmos has clips: its writer is that of the others.
 @pytest.mark.parametrize(
     "format_name",
     first(2, sorted({*format_names()} - {"cosmos"}, key=lambda name: (name not in ("tusimple", "masks"), name))),
 )
-def test_a_full_disk(small, tmp_path, format_name):
+def test_a_full_disk(two_frames, tmp_path, format_name):
     from synth3dlanes_cli.main import main
 
-    words = ["export", str(small), "--format", format_name, "--out", str(tmp_path / "out")]
+    words = ["export", str(two_frames), "--format", format_name, "--out", str(tmp_path / "out")]
     (tmp_path / "out").mkdir()
     withstands(lambda: CliRunner().invoke(main, words), tmp_path / "out")
 

@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.formats import export
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.nuscenes import scene_name
 from synth3dlanes.formats.nuscenes import write as annotate
 from synth3dlanes.formats.nuscenes_maps import arcline_paths
+from synth3dlanes.formats.nuscenes_tables import scene_name
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.imaging.sweep import Sweep
@@ -126,13 +126,13 @@ def samples_of(devkit):
 
 
 def test_a_clip_is_a_scene_that_its_self_check_finds_right(exported):
-    results = verify(exported)
+    results = verify(exported, 4)
     assert [problem for result in results for problem in result.problems] == []
-    assert [(result.name, result.n_frames) for result in results] == [("v1.0-trainval", 8), ("v1.0-test", 8)]
+    assert [(result.name, result.n_frames) for result in results] == [("v1.0-trainval", 4), ("v1.0-test", 4)]
     worst = {measure.unit: measure.worst for measure in results[1].measures}
     assert worst["px"] < 1e-3
     assert worst["m"] < 0.04
-    assert sum(of.n for of in results[1].compared.values()) > 40
+    assert sum(of.n for of in results[1].compared.values()) > 20
 
 
 def test_tables_are_linked_in_both_directions(exported):
@@ -508,10 +508,12 @@ FAULTS = {
     "no nodes": (layer("node", lambda rows: rows[:1]), "expected a record with the token"),
 }  # fmt: skip
 QUICK = ("w is last", "sides")
+# Of the second sample; all others are in the first one.
+LATER = ("a later vehicle 10 cm on", "swapped tracks")
 
 
 @pytest.mark.parametrize("name", first(len(QUICK), sorted(FAULTS, key=lambda name: name not in QUICK)))
 def test_faults_are_found(exported, tmp_path, name):
     plant, words = FAULTS[name]
-    found = problems_after(plant, exported, tmp_path)
+    found = problems_after(plant, exported, tmp_path, 4 if name in LATER else 2)
     assert any(words in problem for problem in found), found

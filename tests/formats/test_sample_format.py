@@ -87,6 +87,25 @@ def test_data_sets_without_the_passes_are_refused_before_anything_is_written(mon
     assert not (tmp_path / "out").exists()
 
 
+def test_of_a_refused_export_only_finished_chunks_stay(monkeypatch, dataset, tmp_path):
+    refused, out = ["00000002"], tmp_path / "new/out"
+
+    def annotate(frame):
+        if frame.key in refused:
+            raise InputError(f"{frame.where}: expected another frame")
+        return FrameAnnotation(f"images/{frame.split}-{frame.key}.jpg", 1, files={f"labels/{frame.key}.txt": "a"})
+
+    with pytest.raises(InputError, match="test:00000002: expected another frame"):
+        run(monkeypatch, dataset, out, annotate)
+    assert not out.parent.exists()
+    monkeypatch.setattr("synth3dlanes.formats.plan.FRAMES_PER_CHUNK", 2)
+    with pytest.raises(InputError):
+        run(monkeypatch, dataset, out, annotate)
+    assert {path.name for path in out.rglob("*.jpg")} == {"test-00000000.jpg", "test-00000001.jpg"}
+    refused.clear()
+    assert sum(run(monkeypatch, dataset, out, annotate).n_frames.values()) == 11
+
+
 def test_shared_lines_become_one_document(monkeypatch, dataset, tmp_path):
     def annotate(frame):
         return FrameAnnotation(None, 1, shared=((json.dumps(frame.key), (f"{frame.split}.json",)),))
