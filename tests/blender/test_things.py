@@ -205,7 +205,6 @@ def test_the_terrain_is_not_seen_through_the_pavement_of_a_town() -> None:
 
 
 GRAY = (0.3, 0.3, 0.3)
-SMALLER = {"width_px": 240, "height_px": 180, "fx_px": 207.0, "fy_px": 207.0, "cx_px": 120, "cy_px": 90}
 WALL = Rail(
     kind="noise_wall", road="main", side="right", from_m=15.0, to_m=100.0, aside_m=0.3, height_m=4.0, color=GRAY
 )
@@ -232,7 +231,7 @@ KINDS = ["barrier", "kerb", "barrier", "pole", "sign", "pole", "pole", "bridge",
 
 
 def test_every_structure_has_its_ids_where_its_body_is():
-    scene = changed(FLAT, camera=SMALLER).model_copy(update={"roadside": EVERYTHING})
+    scene = changed(FLAT, camera=SMALL).model_copy(update={"roadside": EVERYTHING})
     world = resolve(scene)
     picture = take_picture(world, RenderSettings(samples=1, passes=("depth", "semantic", "instance")))
     semantic, instance = picture.passes["semantic"], picture.passes["instance"]
@@ -253,7 +252,7 @@ def test_every_structure_has_its_ids_where_its_body_is():
 def test_a_wall_hides_the_points_behind_it_and_no_others():
     """A bend behind a wall: the rendered depth says what is hidden."""
     road = {"offset_p50_m": 9.0, "offset_p100_m": 9.0}
-    bare = changed(FLAT, road=road, camera={**SMALLER, "lane": 3, "y_m": -40})
+    bare = changed(FLAT, road=road, camera={**SMALL, "lane": 3, "y_m": -40})
     walled = resolve(bare.model_copy(update={"roadside": Roadside(rails=(WALL.model_copy(update={"from_m": -20.0}),))}))
     settings = RenderSettings(samples=1, passes=("depth", "semantic"))
     without, behind = (take_picture(world, settings) for world in (resolve(bare), walled))

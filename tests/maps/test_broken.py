@@ -179,13 +179,17 @@ def test_broken_objects_and_signals_are_left_out_alone() -> None:
     assert found.left_out == {"broken objects": 2, "broken signals": 2, "broken signalReferences": 1}
 
 
-def test_ids_that_are_written_in_another_way_here_are_linked() -> None:
-    found = read(
-        opendrive(
-            straight("a b", 0, 60, through(), after="c/d:start"), straight("c/d", 60, 60, through(), before="a b:end")
-        )
+def test_ids_that_are_written_in_another_way_here_are_linked_and_stay_apart() -> None:
+    """Ids whose characters become equal, and one that is what another becomes, are roads of their own."""
+    first, second = (
+        straight("a b", 0, 60, through(), after="c/d:start"),
+        straight("c/d", 60, 60, through(), before="a b:end"),
     )
-    assert found.links == (("a_b.0.-1", "c_d.0.-1"),)
+    more = ["a_b", "a:b", "a_b_1", "x" * 90, "x" * 91]
+    found = read(opendrive(first, second, *(straight(name, 0, 60, through()) for name in more)))
+    assert (found.names["a_b"], found.names["a_b_1"]) == ("a_b", "a_b_1")
+    assert len(found.roads) == len(set(found.names.values())) == 7
+    assert found.links == ((f"{found.names['a b']}.0.-1", "c_d.0.-1"),)
     assert not found.left_out
 
 

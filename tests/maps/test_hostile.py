@@ -200,14 +200,6 @@ def test_lanes_that_do_not_touch_are_not_linked() -> None:
     assert found.left_out == {"links of lanes that do not touch": 1}
 
 
-def test_ids_that_look_alike_stay_apart() -> None:
-    """Ids whose characters become equal, and one that is what another becomes, are roads of their own."""
-    ids = ["a b", "a_b", "a:b", "a_b_1", "x" * 90, "x" * 91]
-    found = read_opendrive(opendrive(*(road(LINE, TWO, name) for name in ids)), "x.xodr", "map x.xodr")
-    assert len(found.roads) == len(set(found.names.values())) == len(ids)
-    assert (found.names["a_b"], found.names["a_b_1"]) == ("a_b", "a_b_1")
-
-
 def test_a_value_of_many_pieces_is_read_in_proportion_to_them() -> None:
     """Processor time of four times as many pieces: quadratic reading would take sixteen times as long."""
 
