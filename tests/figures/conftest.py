@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
+from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.figures.page import report_page
+from synth3dlanes.figures.stats import label_statistics, scene_statistics
+from synth3dlanes.params.params import load_params
 from synth3dlanes.scene.scene import Car, Scene, Tree
+from synth3dlanes.truth.ground_truth import ground_truth
 from tests.browser import browser as browser
 from tests.browser import open_page as open_page
 from tests.scenes import FLAT, changed, hill
@@ -35,3 +40,15 @@ def exit_scene() -> Scene:
 @pytest.fixture
 def gray_image() -> np.ndarray:
     return np.full((360, 480, 3), 120, dtype=np.uint8)
+
+
+@pytest.fixture(scope="session")
+def report() -> str:
+    """The page of a set of two samples."""
+    params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
+    scenes = [sample_scene(Scenes(params, 1, "train"), index) for index in range(2)]
+    labels = [ground_truth(scene) for scene in scenes]
+    image = np.full((360, 480, 3), 120, dtype=np.uint8)
+    samples = [(f"train:{scene.index:08d}", scene, one, image) for scene, one in zip(scenes, labels, strict=True)]
+    declared = load_params("appendix_i", ["trees.n=5", "cars.n=3", "camera.height_m=[1.0, 1.1]"])
+    return report_page("a <set>", samples, scene_statistics(scenes, declared), label_statistics(labels))

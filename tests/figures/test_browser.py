@@ -9,12 +9,9 @@ from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
-from synth3dlanes.draw.sample import Scenes, sample_scene
-from synth3dlanes.figures.page import report_page, scene_page
+from synth3dlanes.figures.page import scene_page
 from synth3dlanes.figures.samples import ShownScene
-from synth3dlanes.figures.stats import label_statistics, scene_statistics
 from synth3dlanes.labels.labels import Labels
-from synth3dlanes.params.params import load_params
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.truth.ground_truth import ground_truth
@@ -203,17 +200,6 @@ def test_the_keyboard_turns_moves_and_zooms_space_lights_lanes_up_and_goes_throu
     page.locator("#play").click()
     expect(page.locator("output[for=frames]")).not_to_have_text("frame 2, 0.20 s")
     assert sum(shown()) == 1
-
-
-@pytest.fixture(scope="module")
-def report() -> str:
-    params = load_params("appendix_i", ["trees.n=5", "cars.n=3"])
-    scenes = [sample_scene(Scenes(params, 1, "train"), index) for index in range(2)]
-    labels = [some_behind_cars(ground_truth(scene)) for scene in scenes]
-    image = np.full((360, 480, 3), 120, dtype=np.uint8)
-    samples = [(f"train:{scene.index:08d}", scene, one, image) for scene, one in zip(scenes, labels, strict=True)]
-    declared = load_params("appendix_i", ["trees.n=5", "cars.n=3", "camera.height_m=[1.0, 1.1]"])
-    return report_page("a set", samples, scene_statistics(scenes, declared), label_statistics(labels))
 
 
 QUICK_FITS = [("clip", 390, "dark"), ("report", 1400, "light")]

@@ -310,7 +310,7 @@ def hidden(world: World, blades: grass.Blades) -> Bool[np.ndarray, " p"]:
 
 def test_no_blade_hides_a_labelled_point(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the rule, blades do hide points in the bends of these scenes."""
-    some = grown(4, "road.offset_p100_m=10", "road.offset_p50_m=-10", "road.shoulder_factor=0.2")
+    some = grown(2, "road.offset_p100_m=10", "road.offset_p50_m=-10", "road.shoulder_factor=0.2")
     some += grown(1, preset="town")
     for world in some:
         blades = world.grass(world.view)
