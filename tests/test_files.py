@@ -186,16 +186,6 @@ def test_errors_name_the_file_and_not_its_temporary_name(
     assert str(caught.value) == f"[Errno 5] Input/output error: {str(tmp_path / 'it')!r}"
 
 
-def test_a_name_in_an_open_folder_is_told_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(name: str, *_: object, dir_fd: int | None = None, **__: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied", name)
-
-    monkeypatch.setattr(os, "mkdir", refuse)
-    with pytest.raises(PermissionError) as caught:
-        Folder(tmp_path).make("a")
-    assert caught.value.filename == str(tmp_path / "a")
-
-
 def test_a_taken_file_is_the_same_or_a_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "theirs").write_bytes(b"new")
     folder = Folder(tmp_path)
