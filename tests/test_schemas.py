@@ -124,15 +124,18 @@ def test_scenes_and_labels_of_older_versions(name: str) -> None:
 
 
 def small() -> Labels:
-    """Labels that have every key, with two lines of three points."""
+    """Labels that have every key and little else, with two lines of three points."""
     lidar = load_lidar(preset_names("lidars")[0])
     labels = ground_truth(drawn("tiny", shots=Shots(frames=2, lidar=lidar)))
     mask, xyz = np.array([True, False, True]), np.arange(9.0).reshape(3, 3)
     points: dict[str, Any] = {"xyz_cam": xyz, **dict.fromkeys(label_file.MASKS, mask)}
     kinds = {lane.kind: lane for lane in labels.lanes}
     fisheye = Lens(model="fisheye", coefficients=(0.1, 0, 0, 0))
+    first, second = labels.graph.segments[:2]
     small = replace(
         labels,
+        graph=replace(labels.graph, segments=(first, second), successors={first.id: (second.id,)}),
+        lidar=replace(labels.lidar, elevations_rad=labels.lidar.elevations_rad[:2]),
         camera=replace(labels.camera, yaw_rad=0.1, name="left", lens=fisheye),
         lanes=tuple(replace(lane, **points, direction="oncoming") for lane in kinds.values()),
         horizon=label_file.RoadPlane(0.1, 1.5),
