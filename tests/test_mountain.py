@@ -20,7 +20,7 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.world import resolve
 from tests.thorough import first
-from tests.town_maps import MapReader, values
+from tests.town_checks import MapReader, values
 
 FEW = ("cars.n=0", "trees.n=0")
 STEP_M = 0.01
