@@ -27,30 +27,34 @@ def _places(axis, lattice, wide, high):
     return grid.expand(2, 1, n_rows, n_columns)
 
 
-def _hand_on(look):
-    """Its first reduced channel is the map itself, the others are zero."""
+def _looked_at(look, lanes, strides, f_px, size_px, pose):
+    """The places in the image, right and down, whose features are mixed, each (image, type, anchor, map, aside, point).
+    `pose` is pitch and height; the principal point is the middle of the image."""
+    anchors_m, (wide, high) = torch.tensor(anchor_positions_m(improved(TINY))), size_px
+    lattices = [Lattice(stride, stride / 2) for stride in strides]
+    cam_from_top = invert_rigid(road_from_cam(torch.tensor([pose] * 2)))
+    intrinsics = torch.tensor([[f_px, f_px, wide / 2, high / 2]] * 2)
+    # The first reduced channel is the map itself, the others are zero.
     for reduce in look.reduce:
         torch.nn.init.zeros_(reduce.bias)
         torch.nn.init.zeros_(reduce.weight)
         reduce.weight.data[0] = 1.0
+    given = []
+    look.mix.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
+    for axis in (0, 1):
+        maps = [_places(axis, lattice, wide, high) for lattice in lattices]
+        look(lanes, anchors_m, ImageMaps(maps, lattices, cam_from_top, intrinsics))
+    shape = (len(strides), WIDTH, len(look.aside))
+    return [value[:, : math.prod(shape)].reshape(2, 3, 16, *shape, -1)[:, :, :, :, 0] for value in given]
 
 
 def test_it_looks_where_the_points_of_a_lane_are_in_the_image():
     config = improved(TINY)
     anchors_m = torch.tensor(anchor_positions_m(config))
-    refinement = Refinement((1, 1, 1), config)
-    lattices = [Lattice(stride, stride / 2) for stride in (2, 4, 8)]
-    wide, high, fx, cx, cy = 1600, 1200, 400.0, 800.0, 600.0
+    fx, cx, cy = 400.0, 800.0, 600.0
     pitch, height_m, x_m, z_m = 0.05, 1.6, 0.3, 2.0
-    cam_from_top = invert_rigid(road_from_cam(torch.tensor([[pitch, height_m]] * 2)))
-    given = []
-    _hand_on(refinement)
-    refinement.mix.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
-    for axis in (0, 1):
-        maps = [_places(axis, lattice, wide, high) for lattice in lattices]
-        intrinsics = torch.tensor([[fx, fx, cx, cy]] * 2)
-        refinement(_lanes(config, x_m, z_m), anchors_m, ImageMaps(maps, lattices, cam_from_top, intrinsics))
-    seen = [value[:, : 3 * len(ASIDE_M) * WIDTH].reshape(2, 3, 16, 3, WIDTH, len(ASIDE_M), -1) for value in given]
+    lanes = _lanes(config, x_m, z_m)
+    seen = _looked_at(Refinement((1, 1, 1), config), lanes, (2, 4, 8), fx, (1600, 1200), (pitch, height_m))
     # The camera looks down by the pitch from above the road's origin; image rows count downwards.
     anchor = int(np.argmin(np.abs(anchors_m.numpy())))
     for knot, y_m in enumerate(config.knots_y_m):
@@ -60,36 +64,26 @@ def test_it_looks_where_the_points_of_a_lane_are_in_the_image():
             up_m = y_m * math.sin(pitch) + above_m * math.cos(pitch)
             expected = (cx + fx * right_m / depth_m, cy - fx * up_m / depth_m)
             for level in range(3):
-                found = [float(value[0, 1, anchor, level, 0, i, knot]) for value in seen]
+                found = [float(value[0, 1, anchor, level, i, knot]) for value in seen]
                 assert found == pytest.approx(expected, abs=0.02), (y_m, aside_m, level)
 
 
 def test_a_close_look_is_at_pixels_across_the_line_at_and_between_knots():
     config = improved(TINY)
     anchors_m = torch.tensor(anchor_positions_m(config))
-    close_look = CloseLook((1, 1), config)
-    lattices = [Lattice(stride, stride / 2) for stride in (2, 4)]
-    wide, high, f_px, cx, cy, height_m = 3200, 2400, 400.0, 1600.0, 1200.0, 1.6
-    cam_from_top = invert_rigid(road_from_cam(torch.tensor([[0.0, height_m]] * 2)))
+    f_px, cx, cy, height_m = 400.0, 1600.0, 1200.0, 1.6
     knots_y_m = np.array(config.knots_y_m)
     lanes = _lanes(config)
     for name, step in (("x_m", 0.01), ("z_m", 0.02)):
         lanes = lanes._replace(**{name: torch.tensor(step * knots_y_m).float().expand(lanes.x_m.shape)})
-    given = []
-    close_look.mix.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
-    _hand_on(close_look)
-    for axis in (0, 1):
-        maps = [_places(axis, lattice, wide, high) for lattice in lattices]
-        intrinsics = torch.tensor([[f_px, f_px, cx, cy]] * 2)
-        close_look(lanes, anchors_m, ImageMaps(maps, lattices, cam_from_top, intrinsics))
-    seen = [value.reshape(2, 3, 16, 2, WIDTH, len(ASIDE_PX), -1) for value in given]
+    seen = _looked_at(CloseLook((1, 1), config), lanes, (2, 4), f_px, (3200, 2400), (0.0, height_m))
     points_y_m = np.interp(np.arange(28) / 3, np.arange(10), knots_y_m)
     for point, y_m in enumerate(points_y_m):
         u_px = cx + f_px * (float(anchors_m[8]) / y_m + 0.01)
         v_px = cy - f_px * (0.02 - height_m / y_m)
         for i, aside_px in enumerate(ASIDE_PX):
             for level in range(2):
-                found = [float(value[0, 1, 8, level, 0, i, point]) for value in seen]
+                found = [float(value[0, 1, 8, level, i, point]) for value in seen]
                 assert found == pytest.approx((u_px + aside_px, v_px), abs=0.02), (y_m, aside_px, level)
 
 
