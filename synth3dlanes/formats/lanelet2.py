@@ -33,13 +33,12 @@ from synth3dlanes.formats.lanelet_map import (
     painted_along,
     painted_lines,
 )
-from synth3dlanes.formats.opendrive_things import NONE
-from synth3dlanes.formats.opendrive_things import SIGNS as GERMAN_SIGNS
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import lengths_along, resampled, stretches, thinned
 from synth3dlanes.labels.labels import MIRRORED
+from synth3dlanes.roads.maps.elements import GERMAN_SIGNS
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound, read_lanelet
 from synth3dlanes.roads.maps.osm import Osm, read_osm
 from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of
@@ -66,9 +65,7 @@ LEAST_AREA_M2 = 0.05
 
 # Types of traffic elements; other ones are left out.
 TYPES, LIGHT = classes_in("lanelet2", of_elements=True), "traffic_light"
-SIGNS: dict[str, str] = {
-    kind: f"de{type_}" + f"-{subtype}" * (subtype != NONE) for kind, (type_, subtype) in GERMAN_SIGNS.items()
-}
+SIGNS: dict[str, str] = {kind: f"de{name}" for name, kind in GERMAN_SIGNS.items()}
 RAILS = {"guardrail": "guard_rail", "concrete": "jersey_barrier", **dict.fromkeys(KERBS, "curbstone")}
 BORDERS: dict[str, Tags] = {
     "curbstone": {"type": "curbstone", "subtype": "high"},

@@ -23,11 +23,11 @@ from synth3dlanes.roads.line_forms import plan_points
 from synth3dlanes.roads.maps.cubics import Profile
 from synth3dlanes.roads.maps.document import parse_xml
 from synth3dlanes.roads.maps.given_map import GivenMap, LanePlace, read_opendrive
+from synth3dlanes.roads.maps.lanes import KINDS, MARK_KINDS, SIDES
 from synth3dlanes.roads.maps.plan import places
 from synth3dlanes.scene.road_map import (
     LaneName,
     MapLane,
-    MapLaneKind,
     MapMark,
     MapRoad,
     MapSection,
@@ -55,29 +55,9 @@ NO_NUMBER = "-1"
 # CARLA and others read ids as whole numbers of 32 bits.
 NUMBER = re.compile(r"0|[1-9]\d{0,8}")
 
-KINDS: dict[MapLaneKind, str] = {
-    "driving": "driving",
-    "shoulder": "shoulder",
-    "border": "border",
-    "parking": "parking",
-    "walkway": "sidewalk",
-    "cycle": "biking",
-    "median": "median",
-    "restricted": "restricted",
-    "kerb": "curb",
-    "none": "none",
-}
-MARKS = {
-    "none": "none",
-    "solid": "solid",
-    "dashed": "broken",
-    "solid_solid": "solid solid",
-    "solid_dashed": "solid broken",
-    "dashed_solid": "broken solid",
-    "dashed_dashed": "broken broken",
-    "dots": "botts dots",
-}
-SIDES = {"left": 1, "center": 0, "right": -1}
+# What files call our kinds, of several names the first.
+LANE_TYPES = {kind: name for name, kind in reversed(KINDS.items())}
+MARK_TYPES = {kind: name for name, kind in MARK_KINDS.items()}
 
 
 README = f"""OpenDRIVE {MAJOR}.{MINOR}: a map of each scene.
@@ -340,7 +320,7 @@ def _add_lanes(element: Element, road: MapRoad, touches: list[LaneJoint], segmen
 def _add_lane(
     group: Element, road: MapRoad, i: int, lane: MapLane, touches: list[LaneJoint], segments: Mapping[LaneName, str]
 ) -> None:
-    element = add(group, "lane", id=str(lane.number), type=KINDS[lane.kind], level=str(lane.level).lower())
+    element = add(group, "lane", id=str(lane.number), type=LANE_TYPES[lane.kind], level=str(lane.level).lower())
     if lane.against:
         element.set("direction", "reversed")
     link = add(element, "link")
@@ -359,11 +339,11 @@ def _add_lane(
 def _add_mark(element: Element, mark: MapMark) -> None:
     width_m = 3 * mark.width_m if "_" in mark.kind else mark.width_m
     color = "yellow" if mark.yellow else "white"
-    kind = {"type": MARKS[mark.kind], "weight": "standard"}
+    kind = {"type": MARK_TYPES[mark.kind], "weight": "standard"}
     entry = add(element, "roadMark", sOffset=mark.s_m, **kind, color=color, width=width_m)
     if isinstance(mark, PaintedMark):
         entry.set("laneChange", mark.lane_change)
-        lines = add(entry, "type", name=MARKS[mark.kind], width=width_m)
+        lines = add(entry, "type", name=MARK_TYPES[mark.kind], width=width_m)
         for t_m, dash_m, gap_m, first_m in mark.stripes:
             places = {"tOffset": t_m, "sOffset": first_m, "width": mark.width_m}
             add(lines, "line", length=dash_m, space=gap_m, **places, color=color)

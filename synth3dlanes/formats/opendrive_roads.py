@@ -22,7 +22,8 @@ from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.from_map import bare_road
 from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.line_forms import Chain, plan_line
-from synth3dlanes.roads.maps.cubics import Profile, steepened, times, value
+from synth3dlanes.roads.maps.cubics import Profile, steepened, value
+from synth3dlanes.roads.maps.lanes import widened
 from synth3dlanes.roads.maps.profiles import cubics, knots, pieces
 from synth3dlanes.roads.network import Network
 from synth3dlanes.roads.reference_line import Offset
@@ -160,21 +161,7 @@ def on_planes(flat: MapRoad, own: Road, raised: Callable[[Scalars], Scalars]) ->
     told = flat.model_copy(update=_given(flat) if flat.heights else _fitted(own, raised))
     if not told.banks:
         return told
-
-    def wider(from_m: float, x_m: float, end_m: float) -> float:
-        return 1 / math.cos(value(told.banks, from_m + x_m, from_m + end_m))
-
-    sections = []
-    for i, section in enumerate(flat.sections):
-        from_m, to_m = flat.span_m(i)
-        widths = partial(times, factor=partial(wider, from_m), to_m=to_m - from_m, exact=WIDENED_M)
-        lanes = (
-            lane if lane.level or not lane.widths else lane.model_copy(update={"widths": widths(lane.widths)})
-            for lane in section.lanes
-        )
-        sections.append(section.model_copy(update={"lanes": tuple(lanes)}))
-    offsets = times(flat.lane_offsets, partial(wider, 0.0), flat.length_m, exact=WIDENED_M)
-    return told.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets})
+    return widened(told, lambda s_m, end_m: 1 / math.cos(value(told.banks, s_m, end_m)), exact=WIDENED_M)
 
 
 def _given(road: MapRoad) -> dict[str, object]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from synth3dlanes.formats.opendrive_roads import RoadPlace, WrittenRoad, beside, lane_ascends
-from synth3dlanes.roads.maps.elements import ARROW_LIGHT, LIGHT
+from synth3dlanes.roads.maps.elements import ARROW_FORMS, ARROW_LIGHT, GERMAN_SIGNS, LIGHT
 from synth3dlanes.scene.road_map import MapPaint, lane_key
 from synth3dlanes.scene.roadside import Rail
 from synth3dlanes.scene.scene import Symbol
@@ -37,21 +37,10 @@ def text(value: float) -> str:
 
 # Types and subtypes by ASAM's catalogue of signals and the German signs; the value of a speed limit is its own.
 NONE = "-1"
-LIGHTS: dict[LensForm, tuple[str, str]] = {
-    "ball": (LIGHT, NONE),
-    "left": (ARROW_LIGHT, "10"),
-    "right": (ARROW_LIGHT, "20"),
-    "straight": (ARROW_LIGHT, "30"),
-}
+LIGHTS: dict[LensForm, tuple[str, str]] = {form: (ARROW_LIGHT, subtype) for subtype, form in ARROW_FORMS.items()}
+LIGHTS["ball"] = LIGHT, NONE
 SIGNS: dict[SignKind, tuple[str, str]] = {
-    "stop": ("206", NONE),
-    "give_way": ("205", NONE),
-    "priority": ("306", NONE),
-    "no_entry": ("267", NONE),
-    "no_u_turn": ("272", NONE),
-    "left_only": ("209", "10"),
-    "right_only": ("209", "20"),
-    "ahead_only": ("209", "30"),
+    kind: (name.partition("-")[0], name.partition("-")[2] or NONE) for name, kind in GERMAN_SIGNS.items()
 }
 SPEED = "274"
 # The types and subtypes of our objects; what is not listed is left out.

@@ -164,6 +164,17 @@ class CrossSection:
                 found -= np.clip(t, low, high) - (high if lane.number > 0 else low)
         return found
 
+    def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
+        """Height of raised lanes over the pavement at places."""
+        found = np.zeros(s.shape)
+        for left, right in self.raised:
+            # Most places lie on the road's side of the inner edge.
+            inner, outer, sign = (left, right, 1) if left >= self.n_left else (right, left, -1)
+            beyond = sign * (t - self.edge(inner, s)) > SEAM_M
+            if beyond.any():
+                found[beyond & (sign * (self.edge(outer, s) - t) > SEAM_M)] = KERB_M
+        return found
+
     @cached_property
     def paved(self) -> tuple[int, int]:
         """The numbers of the outermost edges of its pavement."""

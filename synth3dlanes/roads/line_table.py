@@ -18,6 +18,10 @@ from synth3dlanes.roads.road_table import Indices, Ragged, RoadTable
 from synth3dlanes.roads.roads import Road
 from synth3dlanes.system.arrays import AnyScalars, Points2, Points3, Scalars
 
+# Stations of each of some lines; of lines by themselves; and which places are near.
+Stations = Sequence[Float[np.ndarray, " _"]]
+LineStations = dict[LaneCurve, Float[np.ndarray, " _"]]
+IsNear = Callable[[Points2], Bool[np.ndarray, " k"]]
 # Two points of a line's labels that are closer than this coincide: they have no direction.
 APART_M = 0.01
 # The direction of the host's way is measured over this length to both sides.
@@ -47,21 +51,12 @@ class RoadLines:
     roads: Mapping[str, Road]
     onwards: float
 
-    def xy_along(
-        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, "_ 2"]]:
+    def xy_along(self, curves: Sequence[LaneCurve], stations: Stations) -> list[Float[np.ndarray, "_ 2"]]:
         """World (x, y) of each of some lines at stations."""
         return [curve.xy_world(s) for curve, s in zip(curves, stations, strict=True)]
 
-    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points on the road surface at stations of lines, one line after the other."""
-        return [curve.points_world(s) for curve, s in stations.items()]
-
     def points_beside(
-        self,
-        curves: Sequence[LaneCurve],
-        stations: Sequence[Float[np.ndarray, " _"]],
-        offsets: Sequence[Float[np.ndarray, " _"]],
+        self, curves: Sequence[LaneCurve], stations: Stations, offsets: Stations
     ) -> list[Float[np.ndarray, "_ _ 3"]]:
         """Points on the road surface along each of some lines: at each of its stations those at all of these offsets to
         its right."""
@@ -70,16 +65,14 @@ class RoadLines:
             for curve, s, t in zip(curves, stations, offsets, strict=True)
         ]
 
-    def in_range(self, at: HostStation, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def in_range(self, at: HostStation, lengths_m: Scalars) -> LineStations:
         """The stations of every line's points at lengths of its road ahead of a place (negative: behind it), and at its
         ends between these, in driving order."""
         along = {curve.road for curve in self.curves}
         driven_m = {name: self.stations_along(self.roads[name], at.driven_m, lengths_m) for name in along}
         return {curve: self._points_of(curve, driven_m[curve.road]) for curve in self.curves}
 
-    def around(
-        self, driven_m: Scalars, is_near: Callable[[Points2], Bool[np.ndarray, " k"]]
-    ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def around(self, driven_m: Scalars, is_near: IsNear) -> LineStations:
         """The stations of every line's points at those of the host's way around it."""
         s = driven_m * self.onwards
         return {curve: s[(s > curve.start_m) & (s < curve.end_m)] for curve in self.curves}
@@ -172,9 +165,7 @@ class LineTable:
         """The number of each line among `curves`, by its id."""
         return {curve.id: i for i, curve in enumerate(self.curves)}
 
-    def _on(
-        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> tuple[Indices, Scalars, list[int]]:
+    def _on(self, curves: Sequence[LaneCurve], stations: Stations) -> tuple[Indices, Scalars, list[int]]:
         """The pieces of lines that are at lengths along each, the stations of their roads there, and how many
         each line has."""
         counts, s = [len(own) for own in stations], np.concatenate([np.zeros(0), *stations])
@@ -187,24 +178,14 @@ class LineTable:
             on[some] = at.on(np.minimum(s[some], at.end_m))
         return piece, on, counts
 
-    def xy_along(
-        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, "_ 2"]]:
+    def xy_along(self, curves: Sequence[LaneCurve], stations: Stations) -> list[Float[np.ndarray, "_ 2"]]:
         """World (x, y) of each of some lines at lengths along it."""
         piece, on, counts = self._on(curves, stations)
         road, t = self.table.on_lines(self._pieces.lines, piece, on)
         return parted(self.table.xy(road, on, t), counts)
 
-    def points_along(self, stations: Mapping[LaneCurve, Float[np.ndarray, " _"]]) -> list[Float[np.ndarray, "_ 3"]]:
-        """Points on the road surface at lengths along lines, one line after the other."""
-        piece, on, counts = self._on(list(stations), list(stations.values()))
-        return parted(self.table.points(self._pieces.lines, piece, on), counts)
-
     def points_beside(
-        self,
-        curves: Sequence[LaneCurve],
-        stations: Sequence[Float[np.ndarray, " _"]],
-        offsets: Sequence[Float[np.ndarray, " _"]],
+        self, curves: Sequence[LaneCurve], stations: Stations, offsets: Stations
     ) -> list[Float[np.ndarray, "_ _ 3"]]:
         """Points on the road surface along each of some lines: at each of its lengths those at all of these offsets to
         its right."""
@@ -214,7 +195,7 @@ class LineTable:
         points = self.table.points(self._pieces.lines, piece, on, right_m * self._pieces.along[piece])
         return [own.reshape(len(s), len(t), 3) for own, (s, t) in zip(parted(points, counts), each, strict=True)]
 
-    def which_come(self, is_there: Callable[[Points2], Bool[np.ndarray, " k"]]) -> Bool[np.ndarray, " l"]:
+    def which_come(self, is_there: IsNear) -> Bool[np.ndarray, " l"]:
         """Which lines have a place, of some at most KNOT_M apart, that is there."""
         of = self._pieces
         first = of.first_knot[of.of_line.first[:-1]]
@@ -238,7 +219,7 @@ class LineTable:
             known |= {i: (lengths[i], at) for i, at in zip(lengths, places, strict=True)}
         return _Samples.of([known[i] for i in numbers])
 
-    def in_range(self, at: HostStation, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def in_range(self, at: HostStation, lengths_m: Scalars) -> LineStations:
         """The stations of every line's points from the least of these lengths (negative: behind a place) to the
         greatest, with those between them, in the line's order."""
         near, numbers, samples = self._near(at, lengths_m)
@@ -249,9 +230,7 @@ class LineTable:
                 found[self.curves[number]] = samples.s[first + inside[0] : first + inside[-1] + 1]
         return found
 
-    def around(
-        self, driven_m: Scalars, is_near: Callable[[Points2], Bool[np.ndarray, " k"]]
-    ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def around(self, driven_m: Scalars, is_near: IsNear) -> LineStations:
         """The stations of every line's points that are near the host."""
         numbers = np.flatnonzero(self.which_come(is_near)).tolist()
         samples = self._samples(numbers)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from synth3dlanes.geometry.frames import cross
 from synth3dlanes.labels.labels import LaneGraph, Segment
 from synth3dlanes.roads.lane_curves import Course, LaneCurve, along
-from synth3dlanes.roads.line_table import HostStation, LineTable, RoadLines
+from synth3dlanes.roads.line_table import HostStation, LineStations, LineTable, RoadLines
 from synth3dlanes.roads.road_table import RoadIndex
 from synth3dlanes.roads.roads import NetworkLane, Road, lift
 from synth3dlanes.roads.terrain import gradient_at
@@ -266,7 +266,12 @@ class Network:
         road, t = table.on_lines(lines, which, s)
         return table.xy(road, s, t)
 
-    def in_range(self, camera: HostCamera, lengths_m: Scalars) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def points_along(self, stations: LineStations) -> list[Float[np.ndarray, "_ 3"]]:
+        """Points on the road surface at stations of lines, one line after the other."""
+        on_line = [np.zeros(1)] * len(stations)
+        return [points[:, 0] for points in self.lines.points_beside([*stations], [*stations.values()], on_line)]
+
+    def in_range(self, camera: HostCamera, lengths_m: Scalars) -> LineStations:
         """The stations of the points of every line in range of the host, up to the greatest of these lengths ahead of
         it and the least, if that is negative, behind it."""
         return self.lines.in_range(self._host_at(camera, camera.y_m), lengths_m)
@@ -351,9 +356,7 @@ class Network:
         middle, low, high = (line[:: 1 if lane.ascends else -1] for line in lines)
         return (middle, low, high) if lane.ascends != road.line.is_mirrored else (middle, high, low)
 
-    def delimiters_near(
-        self, xy_world: Float[np.ndarray, "2"], reach_m: float
-    ) -> dict[LaneCurve, Float[np.ndarray, " _"]]:
+    def delimiters_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> LineStations:
         """The stations of places along the painted lines that come within about `reach_m` of a place of the host; of a
         line without ends, those within this distance."""
         places = ((at, self.stations_between(at.start_m, at.end_m, xy_world, reach_m)) for at in self.delimiters)

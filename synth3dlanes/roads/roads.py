@@ -4,18 +4,17 @@ A place is (road, s, t), see reference_line.py. It lies on the terrain, at the h
 the road's own sections say.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import groupby, pairwise
-from types import EllipsisType
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from synth3dlanes.labels.labels import Direction
-from synth3dlanes.roads.cross_section import KERB_M, SEAM_M, CrossSection
+from synth3dlanes.roads.cross_section import CrossSection
 from synth3dlanes.roads.reference_line import GUESS_STEP_M, Offset, ReferenceLine
 from synth3dlanes.roads.terrain import height_at
 from synth3dlanes.scene.road_map import MapRoad, MapSpan
@@ -197,21 +196,21 @@ class Road:
     def _starts(self) -> Float[np.ndarray, " k"]:
         return np.array([section.start_m for section in self.sections])
 
-    def sections_at(self, s: AnyScalars) -> Iterator[tuple[CrossSection, np.ndarray | EllipsisType]]:
-        """The sections at stations, and at which of these each is."""
+    def _by_section(self, value: Callable[..., AnyScalars], *places: Spread | float) -> AnyScalars:
+        """A value of places, which begin with their stations, by the section that each is in."""
         if len(self.sections) == 1:
-            yield self.sections[0], ...
-            return
-        at = np.clip(np.searchsorted(self._starts, s, side="right") - 1, 0, None)
+            return value(self.sections[0], *places)
+        every = np.broadcast_arrays(*places)
+        at = np.clip(np.searchsorted(self._starts, every[0], side="right") - 1, 0, None)
+        found = np.zeros(at.shape)
         for i in np.unique(at):
-            yield self.sections[i], at == i
+            here = at == i
+            found[here] = value(self.sections[i], *(values[here] for values in every))
+        return found
 
     def _paved(self, which: int, s: AnyScalars) -> AnyScalars:
         """Offsets of the left (0) or right (1) edge of the pavement of its sections."""
-        found = np.zeros(s.shape)
-        for section, here in self.sections_at(s):
-            found[here] = section.edge(section.paved[which], s[here])
-        return found
+        return self._by_section(lambda section, s: section.edge(section.paved[which], s), s)
 
     # -- places
 
@@ -244,7 +243,7 @@ class Road:
 
     def _without_kerbs(self, xy_world: AnyPoints2, s: Spread, t: Spread | float) -> AnyPoints3:
         if self.has_heights:
-            return np.concatenate([xy_world, self._own_height(s, t)[..., None]], -1)
+            return np.concatenate([xy_world, self._by_section(CrossSection.height, s, t)[..., None]], -1)
         return lift(self.terrain, xy_world, np.broadcast_to(self._on_ramp(s), xy_world.shape[:-1]))
 
     @cached_property
@@ -265,38 +264,16 @@ class Road:
     def raised(self, s: AnyScalars, t: AnyScalars | float = 0.0) -> AnyScalars:
         """Height of its surface over the terrain at places."""
         if self.has_heights:
-            return np.asarray(self._own_height(s, t) + self.kerb(s, t) - height_at(self.terrain, self.xy(s, t)))
+            z = self._by_section(CrossSection.height, s, t)
+            return np.asarray(z + self.kerb(s, t) - height_at(self.terrain, self.xy(s, t)))
         return self._on_ramp(s) + self.kerb(s, t) if self.has_kerbs else self._on_ramp(s)
 
     def _on_ramp(self, s: AnyScalars) -> AnyScalars:
         return np.zeros(np.shape(s)) if self.ramp is None else self.ramp(s)
 
-    def _own_height(self, s: Spread, t: Spread | float) -> AnyScalars:
-        if len(self.sections) == 1:
-            return self.sections[0].height(s, t)
-        s, t = np.broadcast_arrays(s, t)
-        found = np.zeros(s.shape)
-        for section, here in self.sections_at(s):
-            found[here] = section.height(s[here], t[here])
-        return found
-
     def kerb(self, s: AnyScalars, t: AnyScalars | float) -> AnyScalars:
         """Height of raised lanes over the pavement at places."""
-        found = np.zeros(np.shape(s))
-        if not self.has_kerbs:
-            return found
-        t = np.broadcast_to(t, found.shape)
-        for section, here in self.sections_at(s):
-            for left, right in section.raised:
-                # Most places lie on the road's side of the inner edge.
-                is_right = left >= section.n_left
-                inner, outer = (left, right) if is_right else (right, left)
-                sign = 1 if is_right else -1
-                beyond = sign * (t[here] - section.edge(inner, s[here])) > SEAM_M
-                if beyond.any():
-                    beyond &= sign * (section.edge(outer, s[here]) - t[here]) > SEAM_M
-                    found[here] = np.where(beyond, KERB_M, found[here])
-        return found
+        return self._by_section(CrossSection.kerb, s, t) if self.has_kerbs else np.zeros(np.shape(s))
 
     def edge(self, side: Side, s: AnyScalars, out_m: AnyScalars | float = 0.0) -> AnyScalars:
         """Offsets `out_m` outside an edge of its pavement."""

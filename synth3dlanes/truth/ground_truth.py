@@ -47,7 +47,7 @@ def label(world: World, view: View) -> Labels:
         lens=lens.lens,
     )
     stations = _stations(world, lens)
-    sampled = dict(zip(stations, network.lines.points_along(stations), strict=True))
+    sampled = dict(zip(stations, network.points_along(stations), strict=True))
     known = _known(world, stations)
     forms = world.symbol_shapes
     outlines = symbol_points(forms, [form.outline for form in forms])

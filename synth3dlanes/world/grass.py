@@ -49,9 +49,9 @@ def blades(ground: Ground, eye_world: Float[np.ndarray, "3"], grass_m: float, rn
 
 def lane_points(ground: Ground) -> Points3:
     """Points of all lane curves around the host, spaced as those of the labels, up to RANGE_M."""
-    lines, driven_m = ground.network.lines, np.arange(*ground.way.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M)
-    stations = lines.around(driven_m, lambda xy_world: ground.way.away_at(xy_world) < RANGE_M)
-    return np.concatenate([*lines.points_along(stations), np.zeros((0, 3))])
+    network, driven_m = ground.network, np.arange(*ground.way.range_m(RANGE_M, -SIGHT_STEP_M), SIGHT_STEP_M)
+    stations = network.lines.around(driven_m, lambda xy_world: ground.way.away_at(xy_world) < RANGE_M)
+    return np.concatenate([*network.points_along(stations), np.zeros((0, 3))])
 
 
 def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Points3, Scalars]:

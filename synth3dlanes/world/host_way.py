@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from synth3dlanes.geometry.polylines import parted
 from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.line_table import Stations
 from synth3dlanes.roads.network import Network
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2
 
@@ -43,9 +44,7 @@ class HostWay:
         squares = ((xy_world[..., 0] - x) ** 2 + (xy_world[..., 1] - y) ** 2 for x, y in self.places.tolist())
         return np.sqrt(reduce(np.minimum, squares))
 
-    def away_on(
-        self, curves: Sequence[LaneCurve], stations: Sequence[Float[np.ndarray, " _"]]
-    ) -> list[Float[np.ndarray, " _"]]:
+    def away_on(self, curves: Sequence[LaneCurve], stations: Stations) -> list[Float[np.ndarray, " _"]]:
         """How far places on each of some curves are from it."""
         counts = [len(s) for s in stations]
         xy_world = np.concatenate([np.zeros((0, 2)), *self.network.lines.xy_along(curves, stations)])

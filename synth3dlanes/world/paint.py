@@ -228,7 +228,7 @@ def painted_rows(ground: Ground, stripes: Sequence[tuple[LaneCurve, Marking]], s
     away = ground.way.away_on(curves, given)
     near = [_near(*at) for at in zip(given, away, strict=True)]
     rows = {curve: at.rows for curve, at in zip(curves, near, strict=True)}
-    points = dict(zip(rows, ground.network.lines.points_along(rows), strict=True))
+    points = dict(zip(rows, ground.network.points_along(rows), strict=True))
     drawn = [
         _painted(ground.markings, *stripe, at, points[stripe[0]], streams)
         for stripe, at in zip(stripes, near, strict=True)

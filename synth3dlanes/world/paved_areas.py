@@ -19,6 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from synth3dlanes.geometry.polylines import parted, spaced
 from synth3dlanes.roads.cross_section import KERB_M, CrossSection
 from synth3dlanes.roads.lane_curves import LaneCurve
+from synth3dlanes.roads.line_table import Stations
 from synth3dlanes.roads.network import SEARCH_RATIO, Junction, Network
 from synth3dlanes.roads.road_table import RoadTable
 from synth3dlanes.roads.roads import Road
@@ -171,10 +172,7 @@ class PavedAreas:
         return TerrainGrid((float(x0), float(y0), float(x1), float(y1)), way.both_ways)
 
     def points_beside(
-        self,
-        curves: Sequence[LaneCurve],
-        stations: Sequence[Float[np.ndarray, " _"]],
-        offsets: Sequence[Float[np.ndarray, " _"]],
+        self, curves: Sequence[LaneCurve], stations: Stations, offsets: Stations
     ) -> list[Float[np.ndarray, "_ _ 3"]]:
         """Points on the pavement, of each of some curves: at each of its stations those at all of its offsets."""
         found = self.network.lines.points_beside(curves, stations, offsets)

@@ -22,7 +22,7 @@ from synth3dlanes.system.schema import Name
 LIGHT, ARROW_LIGHT = "1000001", "1000011"
 ARROW_FORMS: dict[str, LensForm] = {"": "ball", "-1": "ball", "10": "left", "20": "right", "30": "straight"}
 # Signs by their German numbers, which files of other countries use too, and by those of the United States.
-SIGNS: dict[str, SignKind] = {
+GERMAN_SIGNS: dict[str, SignKind] = {
     "205": "give_way",
     "206": "stop",
     "267": "no_entry",
@@ -31,6 +31,9 @@ SIGNS: dict[str, SignKind] = {
     "209-10": "left_only",
     "209-20": "right_only",
     "209-30": "ahead_only",
+}
+SIGNS: dict[str, SignKind] = {
+    **GERMAN_SIGNS,
     "R1-1": "stop",
     "R1-2": "give_way",
     "R5-1": "no_entry",

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Int
 from pydantic import ValidationError
 
-from synth3dlanes.roads.maps.cubics import SAME_M, Profile, is_zero, part, read_cubics, steepened, times, value
+from synth3dlanes.roads.maps.cubics import SAME_M, Profile, is_zero, part, read_cubics, steepened, value
 from synth3dlanes.roads.maps.document import inflated, number, parse_xml, passing_over
 from synth3dlanes.roads.maps.elements import (
     FileRoad,
@@ -29,7 +29,7 @@ from synth3dlanes.roads.maps.elements import (
 )
 from synth3dlanes.roads.maps.furniture import drop_beyond, edges_at, read_furniture
 from synth3dlanes.roads.maps.jumps import divided
-from synth3dlanes.roads.maps.lanes import Section, read_sections
+from synth3dlanes.roads.maps.lanes import Section, read_sections, widened
 from synth3dlanes.roads.maps.links import LinkedRoad, lane_links, read_end
 from synth3dlanes.roads.maps.plan import places, read_plan
 from synth3dlanes.scene.road_map import (
@@ -455,24 +455,9 @@ def _spans(element: Element, tag: str, length_m: float, where: str, left_out: Co
 def _from_above(road: MapRoad) -> MapRoad:
     """A banked road, whose widths in the file lie on its banked plane but for those of level lanes, with those and the
     fall seen from above."""
-
-    def seen(from_m: float, x_m: float, end_m: float) -> float:
-        return math.cos(value(road.banks, from_m + x_m, from_m + end_m))
-
-    breaks, sections = [piece.s_m for piece in road.banks], []
-    for i, section in enumerate(road.sections):
-        from_m, end_m = road.span_m(i)
-        here, breaks_here = partial(seen, from_m), [s_m - from_m for s_m in breaks]
-        lanes = (
-            lane
-            if lane.level
-            else lane.model_copy(update={"widths": times(lane.widths, here, end_m - from_m, breaks_here)})
-            for lane in section.lanes
-        )
-        sections.append(section.model_copy(update={"lanes": tuple(lanes)}))
-    offsets = times(road.lane_offsets, partial(seen, 0.0), road.length_m, breaks)
-    banks = steepened(road.banks, road.heights, road.length_m, 1)
-    return road.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets, "banks": banks})
+    breaks = [piece.s_m for piece in road.banks]
+    seen = widened(road, lambda s_m, end_m: math.cos(value(road.banks, s_m, end_m)), breaks)
+    return seen.model_copy(update={"banks": steepened(road.banks, road.heights, road.length_m, 1)})
 
 
 def _yields(

@@ -2,15 +2,16 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise, starmap
 from typing import get_args
 from xml.etree.ElementTree import Element
 
-from synth3dlanes.roads.maps.cubics import SAME_M, Cubics, difference, holding, part, read_cubics
+from synth3dlanes.roads.maps.cubics import EXACT, SAME_M, Cubics, difference, holding, part, read_cubics, times
 from synth3dlanes.roads.maps.document import number, whole
-from synth3dlanes.scene.road_map import MAX_LANES, MapLane, MapLaneKind, MapMark, MapMarkKind, MapSection
+from synth3dlanes.scene.road_map import MAX_LANES, MapLane, MapLaneKind, MapMark, MapMarkKind, MapRoad, MapSection
 from synth3dlanes.system.errors import FormatError
 
 MARK_KINDS: dict[str, MapMarkKind] = {
@@ -154,6 +155,28 @@ def lane_between(lane: MapLane, from_m: float, to_m: float) -> MapLane:
             "marks": tuple(mark.model_copy(update={"s_m": max(mark.s_m - from_m, 0.0)}) for mark in marks),
         }
     )
+
+
+def widened(
+    road: MapRoad, factor: Callable[[float, float], float], breaks: Sequence[float] = (), exact: float = EXACT
+) -> MapRoad:
+    """A road with its offsets, and the widths of all but level lanes, times a factor that `times` asks for at stations
+    of the road."""
+
+    def later(from_m: float, x_m: float, to_m: float) -> float:
+        return factor(from_m + x_m, from_m + to_m)
+
+    sections = []
+    for i, section in enumerate(road.sections):
+        from_m, end_m = road.span_m(i)
+        within = partial(later, from_m), end_m - from_m, [s_m - from_m for s_m in breaks], exact
+        lanes = (
+            lane if lane.level else lane.model_copy(update={"widths": times(lane.widths, *within)})
+            for lane in section.lanes
+        )
+        sections.append(section.model_copy(update={"lanes": tuple(lanes)}))
+    offsets = times(road.lane_offsets, factor, road.length_m, breaks, exact)
+    return road.model_copy(update={"sections": tuple(sections), "lane_offsets": offsets})
 
 
 def read_sections(
