@@ -28,8 +28,8 @@ from synth3dlanes.world.posts import post_frames
 CHECK_EVERY_S, ROOM_M = 0.1, 0.1
 # Time between instants of tracks.
 TRACK_EVERY_S = 0.5
-# Vehicles farther from the host's places are left out; bodies whose middles are farther apart do not touch.
-VEHICLES_M, APART_M = 110.0, 14.0
+# Vehicles farther from the host's places are left out.
+VEHICLES_M = 110.0
 # Footprints of poles with what they hold, and of trunks. Bushes are as wide as their crowns.
 POLE_M, TRUNK_M, BUSH_MAX_M = 0.4, 0.6, 2.5
 # How far ahead in time, and at which steps, is looked for vehicles that come.
@@ -88,7 +88,6 @@ class Bodies:
         self.host_places = vehicle_places(scene, self.network, driven, only_host=True)[0].mean(axis=1)
         self.moving = vehicle_places(scene, self.network, self.times_s)
         self.standing = np.array(list(_standing(scene, ground))).reshape(-1, 4, 2)
-        self.radii_m = np.linalg.norm(self.standing - self.standing.mean(axis=1, keepdims=True), axis=2).max(axis=1)
 
     @cached_property
     def vehicles_ahead(self) -> Float[np.ndarray, "_ t 4 2"]:
@@ -116,16 +115,7 @@ class Bodies:
 
     def is_free(self, own: Float[np.ndarray, "t 4 2"]) -> bool:
         """Whether footprints touch nothing at the instants."""
-        middles = own.mean(axis=1)
-        away_m = np.linalg.norm(self.moving.mean(axis=2) - middles, axis=2)
-        near = away_m.min(axis=1) < APART_M
-        if near.any() and placement.overlaps_any(own, self.moving[near]):
-            return False
-        if not len(self.standing):
-            return True
-        away_m = np.linalg.norm(self.standing.mean(axis=1)[:, None] - middles, axis=2).min(axis=1)
-        near = away_m < self.radii_m + np.linalg.norm(own[0, 0] - middles[0])
-        return not (near.any() and placement.overlaps_any(own, self.standing[near][:, None]))
+        return not (placement.touches_any(own, self.moving) or placement.touches_any(own, self.standing[:, None]))
 
 
 def vehicle_places(

@@ -29,8 +29,6 @@ CAR_GAP_M, TRIES = (1.0, 0.3), 300
 PARKING_BEFORE_M = 20.0
 # Between two instants that are checked no car gains more on another than the gap between them.
 CHECK_EVERY_S = 0.05
-# Of circles around footprints, for rounding.
-SLACK_M = 0.01
 # The number of speeds drawn for a car before it takes another car's speed.
 SPEED_TRIES = 8
 
@@ -65,26 +63,14 @@ class Traffic:
         closed = np.repeat(network.closed[:, None], len(self.times_s), axis=1)
         self.ways, self.speeds = np.concatenate([host[None], closed]), [shot.speed_m_s]
 
-    def _is_free(self, own: Float[np.ndarray, "t 4 2"]) -> bool:
-        """Whether footprints at the first instants touch nobody. Only pairs whose circles meet are looked at."""
-        others = self.ways[:, : len(own)]
-        middles, others_at = own.mean(axis=1), others.mean(axis=2)
-        radius_m, radii_m = (
-            np.linalg.norm(at[..., 0, 0, :] - to[..., 0, :], axis=-1)
-            for at, to in ((own, middles), (others, others_at))
-        )
-        away_m = np.linalg.norm(others_at - middles, axis=2)
-        who, when = np.nonzero(away_m < radius_m + radii_m[:, None] + SLACK_M)
-        return not placement.overlaps_any(own[when], others[who, when])
-
     def join(self, way: Way, speeds: list[float]) -> float | None:
         """Add a car with the first of these speeds at which it never touches another; return that speed, None without
         one."""
-        if len(self.times_s) > 1 and not self._is_free(way(self.times_s[:1])):
+        if len(self.times_s) > 1 and placement.touches_any(way(self.times_s[:1]), self.ways[:, :1]):
             return None
         for speed in dict.fromkeys(speeds):
             own = way(speed * self.times_s)
-            if self._is_free(own):
+            if not placement.touches_any(own, self.ways):
                 self.ways = np.concatenate([self.ways, own[None]])
                 self.speeds.append(speed)
                 return speed

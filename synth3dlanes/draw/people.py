@@ -359,7 +359,7 @@ def _may_cross(
     # Somewhat earlier and later, too; nobody knows where vehicles were before the start.
     first = round(at_s / AHEAD_STEP_S)
     moments = [np.maximum(first + np.arange(n) + by, 0) for by in range(-margin, margin + 1)]
-    return not any(placement.overlaps_any(own, bodies.vehicles_ahead[:, at]) for at in moments)
+    return not any(placement.touches_any(own, bodies.vehicles_ahead[:, at]) for at in moments)
 
 
 def _crosswalks(scene: Scene, bodies: Bodies) -> Iterator[Crosswalk]:

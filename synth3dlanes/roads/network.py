@@ -321,19 +321,14 @@ class Network:
 
     # -- what is near a place
 
-    def stations_near(self, xy_world: Float[np.ndarray, "2"], reach_m: float) -> Scalars:
-        """Stations up to a distance before and beyond a place of the host, in ascending order, of roads that share
-        them."""
-        near = np.arange(-reach_m, reach_m + LINES_STEP_M / 2, LINES_STEP_M)
-        return np.asarray(self.main.line.guess(xy_world) + near)
-
     def stations_between(
         self, start_m: float, end_m: float, xy_world: Float[np.ndarray, "2"], reach_m: float
     ) -> Scalars:
         """Stations from one to another; without either end, those within a distance of a place of the host."""
         if np.isfinite(end_m - start_m):
             return np.linspace(start_m, end_m, max(2 + int((end_m - start_m) / LINES_STEP_M), 3))
-        return np.unique(np.clip(self.stations_near(xy_world, reach_m), start_m, end_m))
+        near = np.arange(-reach_m, reach_m + LINES_STEP_M / 2, LINES_STEP_M)
+        return np.unique(np.clip(self.main.line.guess(xy_world) + near, start_m, end_m))
 
     def lane_lines(
         self, lane: NetworkLane, xy_world: Float[np.ndarray, "2"], reach_m: float

@@ -36,6 +36,7 @@ from synth3dlanes.system.schema import (
     SymbolKind,
     Unit,
     is_empty,
+    is_none,
     parse,
 )
 from synth3dlanes.system.streams import stream
@@ -53,10 +54,6 @@ MAX_GRID = 200
 # The most lanes that messages name.
 MOST_NAMED = 12
 AssetNumber = Annotated[int, Field(ge=1, le=MAX_ASSETS)]
-
-
-def _is_none(value: object) -> bool:
-    return value is None
 
 
 class Gaussian(DocumentPart):
@@ -96,7 +93,7 @@ class Terrain(DocumentPart):
     """A sum of Gaussians; of a given map with heights, over a ground that meets these."""
 
     gaussians: Annotated[tuple[Gaussian, ...], Field(max_length=100)]
-    base: Annotated[HeightGrid | None, Field(exclude_if=_is_none)] = None
+    base: Annotated[HeightGrid | None, Field(exclude_if=is_none)] = None
 
 
 class PaperRoad(DocumentPart):
@@ -124,7 +121,7 @@ class PaperRoad(DocumentPart):
     n_oncoming: Annotated[int, Field(ge=0, le=8)] = 0
     median_m: Annotated[float, Field(ge=0, le=100)] = 0.0
     divider_dashed: bool = False
-    works: Annotated[RoadWorks | None, Field(exclude_if=_is_none)] = None
+    works: Annotated[RoadWorks | None, Field(exclude_if=is_none)] = None
     # Only maps have these.
     source: ClassVar[str] = ""
     digest: ClassVar[str] = "none"
@@ -473,8 +470,8 @@ class Scene(DocumentPart):
     roadside: Roadside = Roadside()
     shot: Shot = Shot()
     lidar: Lidar | None = None
-    map: Annotated[RoadMap | None, Field(exclude_if=_is_none)] = None
-    town: Annotated[Town | None, Field(exclude_if=_is_none)] = None
+    map: Annotated[RoadMap | None, Field(exclude_if=is_none)] = None
+    town: Annotated[Town | None, Field(exclude_if=is_none)] = None
     things: Annotated[tuple[Thing, ...], Field(max_length=MAX_THINGS, exclude_if=is_empty)] = ()
 
     def stream(self, name: str) -> np.random.Generator:

@@ -27,6 +27,8 @@ UP = np.array([0.0, 0.0, 1.0])
 # Where the wheels of a car are (model frame), as shares of half its track and half its wheelbase.
 WHEELS = np.array([[-1, 1, 0], [1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 Footprint = Float[np.ndarray, "4 2"]
+# Of circles around footprints, for rounding.
+SLACK_M = 0.01
 # Over this time a slope of the ground tells how fast a thing goes up.
 CLIMB_S = 0.01
 
@@ -125,6 +127,17 @@ def overlaps_any(places: Float[np.ndarray, "*#n 4 2"], others: Float[np.ndarray,
             ours, theirs = (places * side).sum(axis=-1), (others * side).sum(axis=-1)
             separated |= (ours.max(axis=-1) < theirs.min(axis=-1)) | (theirs.max(axis=-1) < ours.min(axis=-1))
     return not separated.all()
+
+
+def touches_any(own: Float[np.ndarray, "t 4 2"], others: Float[np.ndarray, "k _ 4 2"]) -> bool:
+    """Whether a rectangle at instants overlaps any of others then. Only pairs whose circles meet are looked at."""
+    others = np.broadcast_to(others, (len(others), *own.shape))
+    middles, others_at = own.mean(axis=1), others.mean(axis=2)
+    radius_m, radii_m = (
+        np.linalg.norm(at[..., 0, :] - to, axis=-1) for at, to in ((own, middles), (others, others_at))
+    )
+    who, when = np.nonzero(np.linalg.norm(others_at - middles, axis=2) < radius_m + radii_m + SLACK_M)
+    return overlaps_any(own[when], others[who, when])
 
 
 @dataclass(frozen=True, eq=False)

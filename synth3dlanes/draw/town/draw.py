@@ -35,7 +35,7 @@ from synth3dlanes.scene.roadside import Roadside
 from synth3dlanes.scene.scene import Car, Markings, Scene, Terrain, Tree
 from synth3dlanes.scene.town import ROUNDABOUTS, Town
 from synth3dlanes.world.ground import Ground
-from synth3dlanes.world.placement import footprint, overlaps_any
+from synth3dlanes.world.placement import footprint, touches_any
 
 # Least distance of parked cars from the ends of a parking lane, and their greatest length.
 BAY_END_M, SHORT_M = 4.0, 5.4
@@ -44,8 +44,6 @@ N_BENDS = 4
 PARKED_M, MOVING_M = 90.0, 160.0
 # Draws of a model until one is short enough; vehicles longer than this go straight on only.
 TRIES, LONG_M = 30, 6.5
-# Bodies whose middles are farther apart do not touch.
-TOUCHING_WITHIN_M = 16.0
 # Steps along the host's way.
 WAY_STEP_M = 5.0
 
@@ -203,9 +201,7 @@ def _standing(line: LaneLine, car: Car, body: CarBody) -> Float[np.ndarray, "4 2
 
 def _is_touched(place: Float[np.ndarray, "4 2"], driven: Sequence[Float[np.ndarray, "n 4 2"]]) -> bool:
     """Whether any of those who drive touches a body."""
-    middle = place.mean(axis=0)
-    near = (at[np.linalg.norm(at.mean(axis=1) - middle, axis=1) < TOUCHING_WITHIN_M] for at in driven)
-    return any(len(at) and overlaps_any(place, at) for at in near)
+    return any(touches_any(place[None], at[:, None]) for at in driven)
 
 
 def _body(looks: Draw, assets: Assets, fits: Callable[[CarBody, CarModel], bool]) -> tuple[CarBody, bool]:

@@ -17,7 +17,7 @@ from synth3dlanes.draw.town.paint import CROSSWALK_M, line_m
 from synth3dlanes.draw.town.rules import JunctionWay, LightGroup, Lights
 from synth3dlanes.draw.town.streets import Street
 from synth3dlanes.system.arrays import Points2, Scalars
-from synth3dlanes.world.placement import HOST_SIZE_M, footprint, overlaps_any
+from synth3dlanes.world.placement import HOST_SIZE_M, footprint, touches_any
 
 # Crosswalks farther from the host's way in the clip are left out; people keep this far from a crosswalk's sides.
 MAX_FROM_HOST_M, INSIDE_M = 55.0, 0.4
@@ -351,12 +351,7 @@ def _touching(places: Sequence[np.ndarray]) -> list[bool]:
     found: list[bool] = []
     for i, mine in enumerate(places):
         stays = [places[j] for j in range(i) if not found[j]]
-        if not stays:
-            found.append(False)
-            continue
-        others = np.stack(stays)
-        near = np.linalg.norm(mine.mean(axis=-2) - others.mean(axis=-2), axis=-1).min(axis=-1) < 20
-        found.append(bool(near.any()) and overlaps_any(mine, others[near]))
+        found.append(bool(stays) and touches_any(mine, np.stack(stays)))
     return found
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from pydantic import ValidationError
 from shapely.geometry.base import BaseGeometry
 
+from synth3dlanes.geometry.polylines import resampled
 from synth3dlanes.roads.maps.elements import (
     HEAD_M,
     HIGH_M,
@@ -194,12 +195,8 @@ class _Roads:
 
 def _middle(lanelet: Lanelet) -> Polyline2:
     """The middle of a lanelet from above."""
-    shares = np.linspace(0, 1, 2 + 4 * max(len(lanelet.left.points), len(lanelet.right.points)))
-    sides = []
-    for points in (lanelet.left.points[:, :2], lanelet.right.points[:, :2]):
-        at = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-        sides.append(np.column_stack([np.interp(shares * at[-1], at, column) for column in points.T]))
-    return np.asarray((sides[0] + sides[1]) / 2)
+    n = 2 + 4 * max(len(lanelet.left.points), len(lanelet.right.points))
+    return (resampled(lanelet.left.points[:, :2], n) + resampled(lanelet.right.points[:, :2], n)) / 2
 
 
 def _junctions(lanelets: Sequence[Lanelet], names: Mapping[str, Name]) -> dict[str, Name]:
