@@ -18,6 +18,8 @@ from tests.scenes import changed
 from tests.thorough import first
 from tests.validate.examining import findings
 
+pytestmark = pytest.mark.render
+
 SETTINGS = RenderSettings(samples=1, passes=("depth", "normal", "semantic", "instance"))
 # Strong, and with every coefficient.
 LENSES = {
@@ -41,7 +43,6 @@ def shot(request):
     return scene, take_picture(resolve(scene), SETTINGS)
 
 
-@pytest.mark.render
 def test_labels_lie_on_the_paint_and_the_passes_on_the_road(shot):
     scene, picture = shot
     sample = Evidence(resolve(scene), picture.labels, picture.image, picture.passes)
@@ -54,7 +55,6 @@ def test_labels_lie_on_the_paint_and_the_passes_on_the_road(shot):
     assert np.hypot(*outside_px.T).max() < 1
 
 
-@pytest.mark.render
 def test_every_pixel_shows_what_its_ray_meets(shot):
     """The flat road is the plane z = 0 of the world: depth along the lens's rays must reach it, exactly."""
     scene, picture = shot
@@ -73,7 +73,6 @@ def test_every_pixel_shows_what_its_ray_meets(shot):
     assert np.abs(points_world[near][:, 2]).max() < 0.03
 
 
-@pytest.mark.render
 def test_a_fisheye_is_black_out_of_its_field_and_its_passes_are_empty():
     # Turns back at 1 rad.
     ending = Lens(model="fisheye", coefficients=(-1 / 3, 0, 0, 0))

@@ -29,6 +29,8 @@ from tests.scenes import FLAT, changed, flat_road_places, hill
 from tests.thorough import first
 from tests.validate.examining import findings
 
+pytestmark = pytest.mark.render
+
 NIGHT = {"sun_zenith_rad": np.radians(105), "metering": 1}
 ALL = RenderSettings(samples=2, passes=("depth", "semantic", "instance"))
 
@@ -48,7 +50,6 @@ def ratio_of_paint(shot, scene, far_m):
     return np.median(paint) / np.median(road), np.median(road)
 
 
-@pytest.mark.render
 @pytest.mark.parametrize("yaw_deg", first(1, [70, 180]))
 def test_cameras_that_look_where_no_headlights_shine_are_not_black(yaw_deg):
     """Without lamps, under a closed sky, in fog: noise and a dim road, as a camera would show it."""
@@ -58,7 +59,6 @@ def test_cameras_that_look_where_no_headlights_shine_are_not_black(yaw_deg):
     assert 20 < take_picture(resolve(dark), ALL).image.mean() < 60
 
 
-@pytest.mark.render
 def test_tail_lamps_are_redder_and_brighter_than_white_paint_in_the_headlights():
     """Ten metres ahead, where the paint is nearly white."""
     white = Car(model=3, scale=1.0, color=(0.95, 0.95, 0.95), gloss=0.5, lane="main_1", s_m=-38.0)
@@ -84,13 +84,11 @@ def small_patterns(wetness):
 
 
 @pytest.mark.thorough
-@pytest.mark.render
 def test_rain_lies_on_a_road_in_patches_and_not_in_grains():
     """A film of water covers the grain of the asphalt."""
     assert small_patterns(0.8) < 0.6 * small_patterns(0.0)
 
 
-@pytest.mark.render
 def test_headlights_light_the_road_below_their_edge_and_paint_throws_more_back():
     day = changed()
     lit, dark = (changed(light=NIGHT, weather={"headlights": on}) for on in (True, False))
@@ -110,7 +108,6 @@ def test_headlights_light_the_road_below_their_edge_and_paint_throws_more_back()
         np.testing.assert_array_equal(shots["day"].passes[name], shots["lit"].passes[name])
 
 
-@pytest.mark.render
 def test_the_nearest_street_lamps_are_lit_at_night_only():
     heads = np.column_stack([np.full(30, 5.0), np.arange(30) * 30.0 - 200, np.full(30, 9.0)])
     pose = resolve(changed()).view.world_from_road
@@ -127,7 +124,6 @@ def test_the_nearest_street_lamps_are_lit_at_night_only():
 
 
 @pytest.mark.thorough
-@pytest.mark.render
 @pytest.mark.parametrize(("oncoming", "lane_m"), first(1, [({}, 0.0), ({"n_oncoming": 2, "median_m": 4.0}, -11.0)]))
 def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes(oncoming, lane_m):
     stage = changed(air={"overcast": 1}, road=oncoming)
@@ -147,7 +143,6 @@ def test_snow_covers_the_road_between_the_wheel_tracks_and_no_id_changes(oncomin
 
 
 @pytest.mark.thorough
-@pytest.mark.render
 def test_some_windows_are_lit_at_night_only():
     house = Building(kind="house", x_m=10, y_m=-15, yaw_rad=0.3, width_m=9, length_m=14, height_m=9,
                      color=(0.7, 0.7, 0.7), roof=(0.1, 0.1, 0.1))  # fmt: skip
@@ -162,7 +157,6 @@ def test_some_windows_are_lit_at_night_only():
 
 
 @pytest.mark.thorough
-@pytest.mark.render
 def test_signs_and_reflectors_throw_headlights_back_and_backs_of_signs_do_not():
     """A sign of 250 cd/lx/m2 in the stray light of 128 cd, at 34 m: 28 cd/m2, or 7e-4 of the daylight's unit."""
     sign = Post(kind="sign", road="main", side="right", s_m=-16, aside_m=1.8, height_m=2, face=9)
@@ -187,7 +181,6 @@ def test_signs_and_reflectors_throw_headlights_back_and_backs_of_signs_do_not():
 
 
 @pytest.mark.thorough
-@pytest.mark.render
 def test_snow_lies_on_roofs_trees_and_cars_where_they_look_up_and_leaves_no_trace():
     dark = {"gloss": 0.0, "scale": 1.0, "lane": "main_2", "model": 1}
     cars = (Car(color=(0.1, 0, 0), s_m=-38, **dark), Car(color=(0.3, 0, 0), s_m=-20, **dark))
@@ -210,7 +203,6 @@ def test_snow_lies_on_roofs_trees_and_cars_where_they_look_up_and_leaves_no_trac
     assert np.mean(gain[names == SEMANTIC_IDS["tree"]]) > 1.4
 
 
-@pytest.mark.render
 def test_the_bonnet_fills_its_share_hides_points_and_is_known_by_its_ids():
     scene = changed(host={"bonnet": 0.3, "gray": 0.2, "gloss": 0.5}, sensor={"motion_blur_m": 0.5})
     world = resolve(scene)
@@ -238,7 +230,6 @@ def test_the_bonnet_fills_its_share_hides_points_and_is_known_by_its_ids():
 FAR = {"magnitude_m": 12.0, "sd_m": 40.0, "x_m": 60.0, "y_m": 90.0}
 
 
-@pytest.mark.render
 @pytest.mark.parametrize("visibility_m", first(1, [150.0, 900.0]))
 def test_contrast_falls_with_distance_by_koschmieders_law(visibility_m):
     """A black world in fog: what its pixels lack of the horizon's light is exp(-3.912 distance / visibility), the
@@ -262,7 +253,6 @@ def test_contrast_falls_with_distance_by_koschmieders_law(visibility_m):
     np.testing.assert_allclose(contrast, np.repeat(expected[:, None], 3, axis=1), atol=5e-3)
 
 
-@pytest.mark.render
 def test_in_dense_fog_the_world_ends_in_the_sky_without_an_edge():
     scene = changed(terrain={"gaussians": (hill(0, 90, 12, 40),)}, air={"visibility_m": 120, "overcast": 1})
     result = take_picture(resolve(scene), RenderSettings(samples=1, passes=("semantic",)))
@@ -273,7 +263,6 @@ def test_in_dense_fog_the_world_ends_in_the_sky_without_an_edge():
     assert np.ptp(image[:100].mean(axis=(0, 1))) < 6, "fog is gray"
 
 
-@pytest.mark.render
 def test_blur_leaves_a_car_ahead_sharp_and_the_road_smeared():
     car = Car(model=1, scale=1.0, color=(1, 0, 0), gloss=0.5, lane="main_2", s_m=-42)
     scene = FLAT.model_copy(update={"cars": (car,)})
