@@ -30,4 +30,7 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    # Processes of a pool know functions of modules alone.
+    from scripts import benchmarks
+
+    benchmarks.main(sys.argv[1:])

@@ -209,4 +209,7 @@ def main(folder: Path, clips: int, noisy: int, workers: int, only: str) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    # Processes of a pool know functions of modules alone.
+    from scripts import lift_proof
+
+    lift_proof.main()

@@ -2,6 +2,7 @@
 
 import atexit
 import os
+from _thread import LockType
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -89,7 +90,7 @@ class Renderer:
     ) -> None:
         self._settings, self._assets = render_settings(samples, passes, device), assets
         self._open: ExitStack | None = None
-        self._pool = Pool(1, PATIENCE)
+        self._pool, self._turn = Pool(1, PATIENCE), Lock()
 
     def __enter__(self) -> "Renderer":
         if self._open is None:
@@ -97,9 +98,9 @@ class Renderer:
             self._open.enter_context(self._pool)
         return self
 
-    def _with(self, pool: Pool) -> "Renderer":
-        """This renderer, with a process that others open and close."""
-        self._pool, self._open = pool, ExitStack()
+    def _with(self, pool: Pool, turn: LockType) -> "Renderer":
+        """This renderer, with a process that others open and close, and the lock of who uses it."""
+        self._pool, self._open, self._turn = pool, ExitStack(), turn
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -113,11 +114,12 @@ class Renderer:
 
     @checked
     def render(self, scene: Scene, *, lidar: str | Path | None = None) -> Rendered:
-        """Render a scene."""
+        """Render a scene; threads wait for each other."""
         require_assets(scene.assets, self._assets, "scene")
         scene = with_lidar(scene, None if lidar is None else load_lidar(str(lidar)))
-        self.__enter__()
-        members = render_members(scene, self._settings, "png", self._assets, "render", self._pool)
+        with self._turn:
+            self.__enter__()
+            members = render_members(scene, self._settings, "png", self._assets, "render", self._pool)
         found: dict[str, Shaped[np.ndarray, ...]] = {}
         for name in (PASSES, HEIGHT):
             if name in members:
@@ -147,19 +149,21 @@ def render(
     """
     renderer = Renderer(samples=samples, passes=passes, device=device, assets=assets)
     with _ONE_AT_A_TIME:
-        return renderer._with(_kept_pool(os.getpid())).render(scene, lidar=lidar)
+        kept = _kept(os.getpid())
+    return renderer._with(*kept).render(scene, lidar=lidar)
 
 
 _ONE_AT_A_TIME = Lock()
 
 
 @cache
-def _kept_pool(pid: int) -> Pool:
-    """The pool of `render` in the process of this number. A fork neither uses nor ends the one of its parent."""
+def _kept(pid: int) -> tuple[Pool, LockType]:
+    """The pool of `render` in the process of this number, and the lock of who uses it. A fork neither uses nor ends the
+    pool of its parent."""
     stack, pool = ExitStack(), Pool(1, PATIENCE)
     stack.enter_context(pool)
     atexit.register(lambda: stack.close() if os.getpid() == pid else None)
-    return pool
+    return pool, Lock()
 
 
 def render_settings(samples: int, passes: str | Sequence[str], device: str) -> RenderSettings:

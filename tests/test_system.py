@@ -128,6 +128,15 @@ def test_a_process_computes_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> No
         assert pool.submit(threads_of_algebra).result() == 0
 
 
+def test_a_program_without_a_guard_is_not_run_again_by_a_process(tmp_path: Path) -> None:
+    """`if __name__ == "__main__"`, which Python's own pools need."""
+    program = tmp_path / "program.py"
+    pool = "with processes.process_pool(1) as pool:\n    print(pool.submit(abs, -2).result(), __file__)\n"
+    program.write_text(f"from synth3dlanes.system import processes\nprint('once', flush=True)\n{pool}")
+    ran = subprocess.run([sys.executable, program], capture_output=True, text=True, check=True)
+    assert ran.stdout == f"once\n2 {program}\n", ran.stderr
+
+
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
 def test_a_command_says_so_in_a_line_and_ends_with_1(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -23,8 +23,11 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from multiprocessing.connection import Connection, Pipe, wait
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread, current_thread, main_thread
 from types import TracebackType
 from typing import Any, Literal
 
@@ -212,21 +215,23 @@ class Pool:
         stderr = self._scratch / f"{slot}.txt"
         core = self._cores[slot % len(self._cores)]
         with stderr.open("ab") as stream:
-            process = subprocess.Popen(
-                [sys.executable, "-P", __file__, str(theirs.fileno()), str(core)],
-                stdin=subprocess.DEVNULL,
-                stdout=stream,
-                stderr=stream,
-                pass_fds=[theirs.fileno()],
-                env={
-                    **MEMORY,
-                    **os.environ,
-                    PARENT: str(os.getpid()),
-                    # What a killed worker leaves goes with the rest.
-                    **dict.fromkeys((SCRATCH, "TMPDIR"), str(self._scratch)),
-                    **self.masks[slot % len(self.masks)],
-                },
-                start_new_session=True,
+            process = _of_lasting_thread(
+                lambda: subprocess.Popen(
+                    [sys.executable, "-P", __file__, str(theirs.fileno()), str(core)],
+                    stdin=subprocess.DEVNULL,
+                    stdout=stream,
+                    stderr=stream,
+                    pass_fds=[theirs.fileno()],
+                    env={
+                        **MEMORY,
+                        **os.environ,
+                        PARENT: str(os.getpid()),
+                        # What a killed worker leaves goes with the rest.
+                        **dict.fromkeys((SCRATCH, "TMPDIR"), str(self._scratch)),
+                        **self.masks[slot % len(self.masks)],
+                    },
+                    start_new_session=True,
+                )
             )
         theirs.close()
         with suppress(BrokenPipeError):
@@ -258,6 +263,37 @@ class Pool:
             worker.process.kill()
             worker.process.wait()
             worker.pipe.close()
+
+
+def _of_lasting_thread(start: Callable[[], subprocess.Popen[bytes]]) -> subprocess.Popen[bytes]:
+    """Start a process from a thread that lasts as long as this process: Linux ends a worker with the thread, not the
+    process, that started it (`PR_SET_PDEATHSIG`)."""
+    if current_thread() is main_thread():
+        return start()
+    started: SimpleQueue[subprocess.Popen[bytes] | OSError] = SimpleQueue()
+    _starts(os.getpid()).put((start, started))
+    found = started.get()
+    if isinstance(found, OSError):
+        raise found
+    return found
+
+
+@cache
+def _starts(pid: int) -> SimpleQueue[tuple[Callable[[], Any], SimpleQueue[Any]]]:
+    """What a thread of the process of this number is to start, each with the queue for the answer. A fork has no thread
+    of its parent's."""
+    asked: SimpleQueue[tuple[Callable[[], Any], SimpleQueue[Any]]] = SimpleQueue()
+
+    def serve() -> None:
+        while True:
+            start, started = asked.get()
+            try:
+                started.put(start())
+            except OSError as error:
+                started.put(error)
+
+    Thread(target=serve, name=f"starts of {pid}", daemon=True).start()
+    return asked
 
 
 def call(limits: Limits, function: Callable[..., Any], *args: Any, pinned: bool = False) -> Outcome:

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -33,7 +34,7 @@ class QuietPool(ProcessPoolExecutor):
 
     def submit(self, task: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Submit a task; processes that start for it inherit what is blocked here."""
-        with _held_back():
+        with _held_back(), _program_hidden():
             blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
                 return super().submit(task, *args, **kwargs)
@@ -58,6 +59,19 @@ def _held_back() -> Iterator[None]:
             signal.signal(stopping, handler)
     for number in came[:1]:
         handlers[signal.Signals(number)](number, None)
+
+
+@contextmanager
+def _program_hidden() -> Iterator[None]:
+    """Processes that start here do not run the user's program again, as Python's do for functions that it defines: all
+    tasks are functions of modules, and a program without `if __name__ == "__main__"` would begin anew in each."""
+    program = vars(sys.modules["__main__"])
+    hidden = {name: program[name] for name in program.keys() & {"__spec__", "__file__"}}
+    program |= dict.fromkeys(hidden)
+    try:
+        yield
+    finally:
+        program |= hidden
 
 
 def _begin() -> None:
