@@ -48,7 +48,7 @@ CHECKS = (
           "and signs that count other pixels than their ids show, with `lidar` other points"),
     Check("bonnet", check_bonnet, "a bonnet of the host that is not in the picture", _needs("semantic")),
     Check("roadside", partial(check_seen, "roadside"), "rails, posts and buildings on a pavement"),
-    Check("frame", check_frame, "black, white or pink images", frozenset({"image"})),
+    Check("frame", check_frame, "black or white images", frozenset({"image"})),
     Check("standing", partial(check_seen, "standing"), "wheels, trunks and structures that do not touch the ground"),
     Check("lidar", check_lidar, "points that are not on the ground, in the body or in the paint that their ids say, "
           "and beams through cars", _needs("lidar")),
@@ -59,7 +59,7 @@ CHECKS = (
     Check("ridges", check_ridges, "paint in the image that is not where its delimiter is; in photographs of a drive, "
           "paint that is aside of all its lines", frozenset({"aim", "image"})),
     Check("sharpness", check_sharpness, "images of lower resolution than their size", _needs("aim image")),
-    Check("colours", check_colours, "swapped colour channels", _needs("aim image")),
+    Check("colours", check_colours, "pink ground, swapped colour channels", _needs("aim image")),
     Check("appearance", check_appearance, "by clear daylight: gray pictures, swapped or turned colours, black parts, "
           "white lines that are yellow, lines whose paint is missing",
           _needs("aim image depth semantic")),

@@ -33,6 +33,7 @@ MAX_CLIPPED, MIN_MEAN = 0.5, 8.0
 # Blender shows missing textures in pink, which ground is not.
 MAX_PINK = 0.02
 GROUND = ("terrain", "road", "shoulder", "marking")
+GROUNDS = (GROUND, ("terrain",))
 
 # Sampled places: metres ahead of the camera, metres beside the pavement, and least distance from any pavement.
 AHEAD_M, ASIDE_M, CLEAR_M = np.arange(6.0, 80.0, 2.0), np.arange(6.0, 20.0, 2.0), 1.5
@@ -75,11 +76,10 @@ def check_colours(evidence: Evidence) -> Iterator[Result]:
     """Findings if ground is pink, or terrain bluer than it is red."""
     image, passes, scene = evidence.picture, evidence.passes, evidence.scene
     if "semantic" in passes:
-        ground, terrain = (
-            np.isin(passes["semantic"], [SEMANTIC_IDS[name] for name in of]) for of in (GROUND, GROUND[:1])
-        )
-        near = passes["depth"] < TERRAIN_WITHIN_M if "depth" in passes else terrain
-        of_ground, pixels = image[ground], image[terrain & near]
+        is_ground, is_terrain = (np.isin(passes["semantic"], [SEMANTIC_IDS[name] for name in of]) for of in GROUNDS)
+        if "depth" in passes:
+            is_terrain &= passes["depth"] < TERRAIN_WITHIN_M
+        of_ground, pixels = image[is_ground], image[is_terrain]
     else:
         column, row = _terrain_img(evidence).astype(int).T
         of_ground = pixels = image[row, column]

@@ -270,6 +270,27 @@ def other_cell(value: Any, rng: Rng, may_be_null: bool) -> Any:
     return value + "\x1b" if isinstance(value, str) else float(rng.choice([value + 1e-5, -value - 1, np.nan, np.inf]))
 
 
+def test_an_edited_column_of_the_index_is_named_with_both_values(dataset: Path) -> None:
+    path = dataset / "train/00000.parquet"
+    table = pq.read_table(path)
+    rows, expected = table.to_pylist(), {}
+    changes: dict[str, Callable[[Any], Any]] = {
+        **dict.fromkeys(("lane_width_m", "max_grade", "n_cars"), lambda value: value + 1),
+        "flip_lateral": lambda value: not value,
+        "junction": lambda value: "nowhere",
+        "sha256": lambda value: "0" * 64,
+    }
+    for row, (column, change) in zip(rows, changes.items(), strict=False):
+        before, row[column] = row[column], change(row[column])
+        words = f"{column}: expected {json.dumps(before)}, got {json.dumps(row[column])}"
+        expected[row["index"]] = "SHA-256" if column == "sha256" else words
+    pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
+    report = check(dataset)
+    assert report.failed == [name(index) for index in expected]
+    for index, words in expected.items():
+        assert any(words in problem.reason for problem in report.problems if problem.where == name(index)), words
+
+
 @pytest.mark.parametrize(
     ("column", "change", "words"),
     [

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -48,14 +47,14 @@ def seen(scene: Scene) -> Labels:
     return examining.seen(ground_truth(scene)).with_seen_shares((1.0,) * len(scene.cars))
 
 
-def draw(root: Path, recipe: Recipe = RECIPE, n: int = N, size: tuple[int, int] = (8, 8)) -> Path:
+def draw(root: Path, recipe: Recipe = RECIPE, n: int = N) -> Path:
     """A data set of scenes that were never rendered. Of images of another size than the camera's no pixel is asked."""
     description = {**recipe.description(), "shard_size": 1000}
     with claim(root, description, recipe.scenes.split, n, [0]) as folder:
         shard = Shard(folder, 0, 1000, recipe.names, recipe_text(description))
         for index in range(n):
             scene = recipe.scene(index)
-            text, image = scene_module.to_json(scene), np.full((*size, 3), 100, np.uint8)
+            text, image = scene_module.to_json(scene), np.full((8, 8, 3), 100, np.uint8)
             shard.write_part(index, encode(Picture(image, seen(scene)), text, "png"))
         shard.join(n)
     return root
@@ -101,18 +100,20 @@ def test_a_data_set_as_drawn_has_nothing_said_about_it(drawn: Path) -> None:
     assert problems(drawn) == []
 
 
-@pytest.mark.parametrize("path", ["light.exposure", "camera.offset_m", "trees.0.x_m", "markings.wear", "air.overcast"])
-def test_an_edited_scene_is_named_with_what_was_edited(dataset: Path, path: str) -> None:
-    scene = RECIPE.scene(1)
-    changed = change_scene(scene, [f"{path}=0.25"])
-    edit(dataset, 1, lambda document: document.update(changed.model_dump(mode="json")))
-    (found,) = problems(dataset)
-    assert found.where == "train:00000001"
-    *steps, last = path.split(".")
-    value: object = scene.model_dump(mode="json")
-    for step in (*steps, last):
-        value = value[int(step)] if isinstance(value, list) else value[step]
-    assert found.reason.endswith(f"{path}: expected {value}, got 0.25")
+def test_edited_scenes_are_named_with_what_was_edited(dataset: Path) -> None:
+    paths, before = ("light.exposure", "trees.0.x_m", "camera.offset_m", "markings.wear"), []
+    for index, path in enumerate(paths):
+        scene = RECIPE.scene(index)
+        changed = change_scene(scene, [f"{path}=0.25"]).model_dump(mode="json")
+        edit(dataset, index, lambda document, changed=changed: document.update(changed))
+        value: object = scene.model_dump(mode="json")
+        for step in path.split("."):
+            value = value[int(step)] if isinstance(value, list) else value[step]
+        before.append(value)
+    found = problems(dataset)
+    assert [problem.where for problem in found] == [f"train:{index:08d}" for index in range(N)]
+    for problem, path, value in zip(found, paths, before, strict=True):
+        assert problem.reason.endswith(f"{path}: expected {value}, got 0.25")
 
 
 @pytest.mark.parametrize("rewritten", [{"split": "test"}, {"split": "test", "seed": 8}, {"split": "test", "index": 0}])
@@ -128,14 +129,6 @@ def test_a_split_of_another_splits_scenes_is_found_whatever_numbers_they_have(da
     found = problems(dataset)
     assert sorted(problem.where for problem in found) == [f"test:{index:08d}" for index in range(N)]
     assert all("not what dataset.json draws: " in problem.reason for problem in found)
-
-
-def test_one_scene_of_another_split_is_named(dataset: Path) -> None:
-    edit(dataset, 2, lambda document: document.update({**json.loads(RECIPE.scene(9).model_dump_json()), "index": 2}))
-    (found,) = problems(dataset)
-    assert found.where == "train:00000002"
-    assert "not what dataset.json draws: " in found.reason
-    assert found.reason.endswith(" more")
 
 
 @pytest.mark.parametrize(
@@ -282,27 +275,3 @@ def test_a_set_made_of_older_shards_does_not_say_more_than_they_do(dataset: Path
     split_dataset(Reader(f"{dataset}/train"), {"all": 1}, 0, str(tmp_path / "cut"))
     assert recipes(tmp_path / "merged") == recipes(tmp_path / "cut") == {""}
     assert problems(tmp_path / "merged") == problems(tmp_path / "cut") == []
-
-
-@pytest.fixture(scope="module")
-def with_images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return draw(tmp_path_factory.mktemp("images") / "data", n=2, size=(72, 96))
-
-
-@pytest.mark.parametrize("column", ["lane_width_m", "max_grade", "n_cars", "flip_lateral", "junction", "sha256"])
-def test_an_edited_column_of_the_index_is_named(
-    with_images: Path, tmp_path: Path, only: Callable[..., None], column: str
-) -> None:
-    only("index")
-    dataset = Path(shutil.copytree(with_images, tmp_path / "data"))
-    path = dataset / "train/00000.parquet"
-    table = pq.read_table(path)
-    field, values = table.schema.field(column), table[column].to_pylist()
-    before = values[1]
-    others = {"junction": "nowhere", "sha256": "0" * 64, "flip_lateral": before is False}
-    values[1] = others[column] if column in others else before + 1
-    at = table.schema.get_field_index(column)
-    pq.write_table(table.set_column(at, field, pa.array(values, field.type)), path)
-    found = [problem for problem in check(dataset).problems if problem.where == "train:00000001"]
-    words = "SHA-256" if column == "sha256" else f"{column}: expected {json.dumps(before)}, got {json.dumps(values[1])}"
-    assert any(words in problem.reason for problem in found)

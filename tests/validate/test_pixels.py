@@ -1,7 +1,6 @@
 """What is wrong with the pixels of one sample is found in that sample, and named: by line, by car, and in any case by
 what is wrong. Planted in images and passes as they were rendered, which are clean."""
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -83,9 +82,6 @@ def test_a_pink_van_is_no_missing_texture_and_what_lies_behind_a_crest_has_no_co
     recipe = Recipe(Scenes(load_params("tusimple_camera"), 911, "train"), RenderSettings(samples=1), "jpg")
     sample = evidence_of(make_sample(recipe, index).members)
     assert findings(sample, "frame", "colours") == []
-    pink = sample.picture.copy()
-    pink[len(pink) // 3 :] = (255, 0, 255)
-    assert ("pink" in reasons(replace(sample, image=pink), "frame")) == (index == 1807)
 
 
 def test_leaves_with_red_and_green_exchanged_are_found_by_themselves(samples):
@@ -187,18 +183,6 @@ def test_a_fault_of_passes_is_found_in_every_sample_that_has_it(samples, fault):
         assert words in reasons(plant(sample), *OF_PASSES_ALONE)
 
 
-OF_TABLE = {
-    fault.name: fault for fault in FAULTS if fault.name.startswith(("normals", "instance", "ids of", "depth x"))
-}
-
-
-@pytest.mark.parametrize("name", first(2, OF_TABLE))
-def test_a_fault_of_the_table_is_found_in_every_sample_without_the_image(rendered, name):
-    for members in read_members(rendered).values():
-        OF_TABLE[name].spoil(members)
-        assert re.search(OF_TABLE[name].words, reasons(evidence_of(members), *OF_PASSES_ALONE))
-
-
 OF_ANOTHER = {
     "depth": ("sky", "depth:"),
     "normal": ("normals", "normal:"),
@@ -284,9 +268,13 @@ def test_a_fault_of_the_image_is_found_in_every_sample_that_has_it(samples, faul
         assert words in reasons(replace(sample, image=as_jpeg(plant(sample.image))), *OF_IMAGE_ALONE)
 
 
-def test_the_image_of_another_sample_has_no_edges_here(samples):
+def test_the_image_of_another_sample_has_no_edges_and_no_paint_here(samples):
+    n_bare = 0
     for sample, other in zip(samples, [*samples[1:], samples[0]], strict=True):
-        assert "edges where the passes have them" in reasons(replace(sample, image=other.image), "alignment")
+        wrong = replace(sample, image=other.image)
+        assert "edges where the passes have them" in reasons(wrong, "alignment")
+        n_bare += "image: expected" in reasons(replace(wrong, passes={}), "ridges")
+    assert n_bare >= len(samples) / 2, "without passes"
 
 
 @pytest.mark.parametrize("fault", first(2, ["3 px right", "BGR", "stretched by 5 %", "half resolution, BILINEAR"]))
@@ -298,33 +286,10 @@ def test_without_passes_the_image_still_tells_where_it_shows_paint_and_terrain(s
     assert sum(told) >= len(samples) - 1
 
 
-OF_PASSES, OF_IMAGES = (
-    [next(fault for fault in FAULTS if fault.name == name) for name in names]
-    for names in (
-        ("normals negated", "instance ids zero", "ids of road and shoulder swapped"),
-        ("image 3 px to the right", "image BGR", "image of half its resolution"),
-    )
-)
-
-
-@pytest.mark.parametrize("faults", first(1, [OF_PASSES, OF_IMAGES]))
-def test_validate_names_the_samples_that_were_spoilt_and_no_other(dataset, only, faults):
-    only(*OF_PASSES_ALONE, *OF_IMAGE_ALONE)
-
-    def spoil_each(samples: dict[int, Members]) -> None:
-        for index, fault in enumerate(faults, start=1):
-            fault.spoil(samples[index])
-
-    seal(dataset, spoil_each)
-    report = check(dataset)
-    assert report.failed == [f"train:{index:08d}" for index in range(1, len(faults) + 1)]
-    for name, fault in zip(report.failed, faults, strict=True):
-        assert any(problem.where == name and re.search(fault.words, problem.reason) for problem in report.problems)
-
-
 def test_an_image_that_shows_no_lane_needs_no_detail(dataset, only):
     """It may be all clouds, or the smooth back of a van."""
     only("sharpness")
+    half = next(fault for fault in FAULTS if fault.name == "image of half its resolution")
 
     def hide_lanes(labels: Labels) -> Labels:
         lanes = [replace(lane, in_image=np.zeros_like(lane.in_image)) for lane in labels.lanes]
@@ -332,7 +297,7 @@ def test_an_image_that_shows_no_lane_needs_no_detail(dataset, only):
 
     def blur_all_and_hide_lanes_of_one(samples: dict[int, Members]) -> None:
         for members in samples.values():
-            OF_IMAGES[-1].spoil(members)
+            half.spoil(members)
         relabel(1, hide_lanes)(samples)
 
     seal(dataset, blur_all_and_hide_lanes_of_one)
