@@ -1,5 +1,5 @@
-"""nuScenes (v1.0) with its map expansion: for each picture its image and lines of which rows are made, for each instant
-a sweep, and with the first picture of a scene its map.
+"""nuScenes (v1.0) with its map expansion: for each picture its image and lines, of which `nuscenes_tables` makes rows,
+for each instant a sweep, and with the first picture of a scene its map.
 
 | theirs | ours | unit, frame |
 |---|---|---|

@@ -1,5 +1,5 @@
-"""The tables, maps and masks of nuScenes that many scenes share, made of the lines of their pictures: the number of the
-scene's first picture, its part, the reach of its map, and a document.
+"""The tables, maps and masks of nuScenes that many scenes share, made of the lines that pictures write to them. A line
+has the number of the scene's first picture, its part, the reach of its map, and a document.
 
 In the global frame the scenes of a place lie beside each other, their level frames in the middles of cells.
 """

@@ -189,10 +189,7 @@ FAULTS = {
     "length for width": (rows(BOXES, each(length_m=lambda r: r["width_m"], width_m=lambda r: r["length_m"])), "m off"),
     "another class": (rows(BOXES, each(category=lambda row: "PEDESTRIAN")), "got PEDESTRIAN"),
     "a box is missing": (rows(BOXES, lambda rows: rows[1:]), "got it in no row"),
-    "points on a box": (
-        rows(BOXES, each(num_interior_pts=lambda row: 7)),
-        "expected the number of points 0, got 7",
-    ),
+    "points on a box": (rows(BOXES, each(num_interior_pts=lambda row: 7)), "expected the number of points 0, got 7"),
     "swapped tracks": (rows(BOXES, swapped_tracks("timestamp_ns", "track_uuid")), "as before, got object"),
     "no poses": (rows(POSES, lambda rows: []), "expected a pose at"),
     "sides": (

@@ -226,7 +226,7 @@ FAULTS = {
         numbers_of("Tr_velo_to_cam", 11, 0.1),
         "points of the lidar: expected it as in the labels, got it 0.1 m off",
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.render

@@ -458,22 +458,12 @@ FAULTS = {
     "a vehicle in the air": (table("ego_pose", moved("translation", 2, 0.5)), "level and at height 0"),
     "vehicle from global": (table("ego_pose", each(mirrored)), "lane"),
     "w is last": (table("calibrated_sensor", each(w_last)), "camera CAM_FRONT: expected it as in the labels"),
-    "pixels from the corner": (
-        table("calibrated_sensor", each(half_a_pixel)),
-        "got it 0.5 px off",
-    ),
+    "pixels from the corner": (table("calibrated_sensor", each(half_a_pixel)), "got it 0.5 px off"),
     "boxes 10 cm aside": (table("sample_annotation", moved("translation", 1, 0.1)), "got it 0.1 m off"),
     "boxes turned by 6 degrees": (table("sample_annotation", each(turned)), "m off"),
-    "length for width": (
-        table("sample_annotation", each(length_first)), "m off"
-    ),
-    "another class": (
-        table("category", each(lambda row: row.update(name="human.pedestrian"))), "expected the class"
-    ),
-    "another attribute": (
-        table("attribute", other_names),
-        "expected the attribute",
-    ),
+    "length for width": (table("sample_annotation", each(length_first)), "m off"),
+    "another class": (table("category", each(lambda row: row.update(name="human.pedestrian"))), "expected the class"),
+    "another attribute": (table("attribute", other_names), "expected the attribute"),
     "points on a box": (
         table("sample_annotation", each(lambda row: row.update(num_lidar_pts=7))),
         "expected the number of points 0, got 7",
@@ -492,9 +482,7 @@ FAULTS = {
     ),
     "left turns to the right": (layer("arcline_path_3", turned_by_centre), "expected"),
     "sides": (layer("lane", each(swapped_sides)), "on that side, got -"),
-    "no links": (
-        layer("connectivity", without_links), "to follow it, got none"
-    ),
+    "no links": (layer("connectivity", without_links), "to follow it, got none"),
     "no dividers": (layer("lane_divider", list.clear), "expected a lane divider along it"),
     "no middle of the road": (layer("road_divider", list.clear), "expected a road divider along it"),
     "edges": (other(MAP, edges_as_dividers), "expected no divider along the edge of a road"),
