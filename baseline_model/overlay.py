@@ -22,7 +22,7 @@ from synth3dlanes.labels.labels import Labels, LaneKind
 from synth3dlanes.system.arrays import Points3, Polyline2
 from synth3dlanes.system.files import Folder, encoded
 
-from .curves import Pose, road_from_cam
+from .curves import plane_pose, road_from_cam
 from .data import CameraImage, img_from_cam
 from .lanes import Prediction
 
@@ -197,7 +197,7 @@ def _lines(
     prediction: Prediction, labels: Labels | None, img_from_cam: Float[np.ndarray, "3 3"], threshold: float
 ) -> Iterator[Line]:
     """Labels and detections where they are seen, up to FAR_M."""
-    pose = Pose(labels.camera.pitch_rad, labels.camera.height_m) if labels is not None else prediction.pose
+    pose = plane_pose(labels) if labels is not None else prediction.pose
     to_road = np.eye(4) if pose is None else road_from_cam(pose)
 
     def parts(kind: LaneKind, is_label: bool, xyz_cam: Points3, is_seen: Bool[np.ndarray, " n"]) -> Iterator[Line]:
