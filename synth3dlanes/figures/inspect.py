@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
@@ -133,7 +133,7 @@ def draw_image(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"] | N
 def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Sequence[CameraLabel] = ()) -> None:
     """View from above, driving direction to the right: roads, lanes, objects, trees, the fields of view of the camera
     and of the rig's other cameras, and the lidar's points in the colours of their semantic ids."""
-    for left, right in view.roads.values():
+    for left, right in view.roads:
         axes.add_patch(Polygon(np.concatenate([left, right[::-1]])[:, [1, 0]], color=colors.ROAD, zorder=1))
     for camera in (*others, view.labels.camera):
         _frustum_from_above(axes, view, camera)
@@ -160,7 +160,7 @@ def draw_top(axes: Axes, view: SceneView, sweep: Sweep | None = None, others: Se
 
 def draw_side(axes: Axes, view: SceneView) -> None:
     """Side view: heights over the road plane at the host against the distance ahead."""
-    ground = view.ground_along_main
+    ground = view.ground_along_host
     if len(ground):
         floor = ground[:, 2].min() - 5
         axes.fill_between(ground[:, 1], ground[:, 2], floor, color=colors.GROUND, alpha=0.5, zorder=1)
@@ -181,7 +181,7 @@ def draw_side(axes: Axes, view: SceneView) -> None:
     margin = max(0.5, 0.08 * (high - low))
     axes.set(xlim=(-view.behind_m, AHEAD_M), ylim=(low - margin, high + margin))
     axes.set(xlabel="y forward [m]", ylabel="z up [m]")
-    axes.set_title(f"from the side{' (ground along the main road in green)' * (len(ground) > 0)}")
+    axes.set_title(f"from the side{' (ground along the way of the host in green)' * (len(ground) > 0)}")
 
 
 def draw_3d(axes: Axes3D, view: SceneView) -> None:
@@ -190,15 +190,15 @@ def draw_3d(axes: Axes3D, view: SceneView) -> None:
     if grid is not None:
         look = {"color": colors.GROUND, "edgecolor": "#8fa883", "linewidth": 0.2, "alpha": 0.55}
         axes.plot_surface(*np.moveaxis(grid, -1, 0), **look, zorder=0)
-    for left, right in view.roads.values():
-        keep = (np.abs(left[:, 0]) < _HALF_WIDTH_3D_M) & (np.abs(right[:, 0]) < _HALF_WIDTH_3D_M)
+    for left, right in view.roads:
+        keep = _in_space(view, left) & _in_space(view, right)
         quads = np.stack([left[:-1], left[1:], right[1:], right[:-1]], 1)[keep[1:] & keep[:-1]]
         axes.add_collection3d(art3d.Poly3DCollection(quads, facecolor=colors.ROAD, edgecolor="none", zorder=1))
     for lane, points_road in zip(view.labels.lanes, view.lanes_road, strict=True):
         points_road = np.where(np.abs(points_road[:, :1]) < _HALF_WIDTH_3D_M, points_road, np.nan)
         _plot(axes, lane, points_road)
     for item in view.objects:
-        if all(_in_space(view, corner) for corner in item.corners_road):
+        if _in_space(view, item.corners_road).all():
             sides, face = _box(item.corners_road, item.height_m), colors.hexadecimal(item.color)
             axes.add_collection3d(
                 art3d.Poly3DCollection(sides, facecolor=face, edgecolor=colors.INK, linewidth=0.4, zorder=5)
@@ -253,8 +253,9 @@ def _lateral_extent(view: SceneView) -> tuple[float, float]:
     return (low + high) / 2 - half_m, (low + high) / 2 + half_m
 
 
-def _in_space(view: SceneView, point_road: Float[np.ndarray, "3"]) -> bool:
-    return bool(abs(point_road[0]) < _HALF_WIDTH_3D_M and -view.behind_m < point_road[1] < AHEAD_M)
+def _in_space(view: SceneView, points_road: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
+    x, y = points_road[..., 0], points_road[..., 1]
+    return np.asarray((np.abs(x) < _HALF_WIDTH_3D_M) & (-view.behind_m < y) & (y < AHEAD_M))
 
 
 def _box(corners: Float[np.ndarray, "4 3"], height_m: float) -> list[Float[np.ndarray, "4 3"]]:

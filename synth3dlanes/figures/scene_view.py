@@ -11,11 +11,10 @@ from jaxtyping import Float
 from synth3dlanes.figures.colors import Rgb
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.labels.labels import CameraLabel, Labels
-from synth3dlanes.roads.maps.cubics import SAME_M
-from synth3dlanes.roads.roads import Road
+from synth3dlanes.roads.network import SEARCH_RATIO
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import KIND_OF_CATEGORY
-from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
+from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.world.placement import PlacedObject
 from synth3dlanes.world.solids import Body
 from synth3dlanes.world.world import World, resolve
@@ -70,41 +69,22 @@ class SceneView:
         return np.asarray(self.labels.camera.road_from_cam @ invert(self.labels.camera.world_from_cam))
 
     @cached_property
-    def roads(self) -> dict[str, tuple[Points3, Points3]]:
-        """Both edges of each road in range, shoulders included, by its id."""
+    def roads(self) -> list[tuple[Points3, Points3]]:
+        """Both edges of each strip of pavement in range, shoulders included."""
         if self.world is None:
-            return {}
-        edges_world = {}
-        for road in self.world.network.roads:
-            s = self._stations(self.world, road)
-            if s.size > 1:
-                edges_world[road.id] = road.points(s, road.left(s)), road.points(s, road.right(s))
-        return {
-            name: (transform(self.road_from_world, left), transform(self.road_from_world, right))
-            for name, (left, right) in edges_world.items()
-        }
-
-    def _stations(self, world: World, road: Road) -> Scalars:
-        """Stations along a road, on both sides of where a section begins; of one without ends, those near the host.
-        None where it is farther away than AHEAD_M."""
-        network, camera = world.network, world.view.camera
-        if np.isfinite(road.end_m - road.start_m):
-            begins = np.array([section.start_m for section in road.sections[1:]])
-            s = np.union1d(road.stations, [begins - SAME_M, begins])
-        else:
-            s = network.stations(np.arange(camera.y_m - self.behind_m, camera.y_m + AHEAD_M + 0.5))
-            s = s[(s >= road.start_m) & (s <= road.end_m)]
-        away_m = np.hypot(*(road.xy(s, 0.0) - network.host_points(camera, np.zeros(1))[0, :2]).T)
-        return s if (away_m < AHEAD_M).any() else s[:0]
+            return []
+        strips = self.world.ground.paved.strips(self.world.view.world_from_host[:2, 3], AHEAD_M / SEARCH_RATIO)
+        return [
+            (transform(self.road_from_world, left), transform(self.road_from_world, right)) for left, right in strips
+        ]
 
     @cached_property
-    def ground_along_main(self) -> Points3:
-        """The surface along the line of the host's way."""
+    def ground_along_host(self) -> Points3:
+        """The surface along the host's way."""
         if self.world is None:
             return np.zeros((0, 3))
-        y_m = self.world.view.camera.y_m
-        along_world = self.world.network.along_host(np.arange(y_m - self.behind_m, y_m + AHEAD_M + 0.5))
-        return transform(self.road_from_world, along_world)
+        ahead_m = np.arange(-self.behind_m, AHEAD_M + 0.5)
+        return transform(self.road_from_world, self.world.network.host_points(self.world.view.camera, ahead_m))
 
     @property
     def ramp_foot(self) -> Float[np.ndarray, "3"] | None:

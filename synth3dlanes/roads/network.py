@@ -357,11 +357,6 @@ class Network:
         places = ((at, self.stations_between(at.start_m, at.end_m, xy_world, reach_m)) for at in self.delimiters)
         return {line: s for line, s in places if len(s) > 1 and _is_near(line.xy_world(s), xy_world, reach_m)}
 
-    def along_host(self, driven_m: Scalars) -> Points3:
-        """Points on the line of the host's way at stations as it drives; those beyond its ends are left out."""
-        within = np.clip(self.stations(driven_m), self.way.start_m, self.way.end_m)
-        return self.way.points_world(np.unique(within)[:: int(self.onwards)])
-
 
 def _is_near(points: Float[np.ndarray, "n _"], xy_world: Float[np.ndarray, "2"], reach_m: float) -> bool:
     """Whether any of some points is within about `reach_m` of a place."""

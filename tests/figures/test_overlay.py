@@ -194,7 +194,7 @@ def test_cars_stand_at_their_size_where_the_scene_puts_them(flat_scene):
 
 def test_roads_reach_from_shoulder_to_shoulder(flat_scene):
     scene = flat_scene
-    left, right = SceneView(scene, ground_truth(scene)).roads["main"]
+    ((left, right),) = SceneView(scene, ground_truth(scene)).roads
     half_m = 1.5 * 3.5 + 0.4 * 3.5
     assert np.allclose(left[:, 0], -half_m)
     assert np.allclose(right[:, 0], half_m)
