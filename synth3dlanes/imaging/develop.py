@@ -60,11 +60,9 @@ def develop(
         linear = add_dirt(linear, sensor.dirt, scene.glass_stream("dirt"))
     if sensor.vignette > 0:
         linear = add_vignette(linear, view.camera, sensor.vignette)
-    if not view.camera.lens.is_pinhole:
-        linear = np.where(is_seen[..., None], linear, np.float32(0))
     if sensor.noise > 0:
         linear = add_noise(linear, sensor.noise, scene.picture_stream("sensor_noise"), amplified)
-    return tonemap(linear)
+    return tonemap(np.where(is_seen[..., None], linear, np.float32(0)))
 
 
 def _is_seen(camera: HostCamera) -> Bool[np.ndarray, "h w"]:

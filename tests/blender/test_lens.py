@@ -77,7 +77,7 @@ def test_a_fisheye_is_black_out_of_its_field_and_its_passes_are_empty():
     # Turns back at 1 rad.
     ending = Lens(model="fisheye", coefficients=(-1 / 3, 0, 0, 0))
     scene = scene_through(ending, 200.0)
-    sensor = {"motion_blur_m": 0.5, "flare": 0.5, "dirt": 0.5, "drops": 0.5}
+    sensor = {"motion_blur_m": 0.5, "flare": 0.5, "dirt": 0.5, "drops": 0.5, "noise": 0.05}
     scene = changed(scene, sensor=sensor, weather={"kind": "rain", "rain": 1.0}, air={"visibility_m": 500.0})
     picture = take_picture(resolve(scene), SETTINGS)
     empty = np.isnan(rays_of_pixels(scene.camera)).any(axis=-1)
