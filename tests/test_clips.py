@@ -17,7 +17,7 @@ from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels import labels as labels_format
-from synth3dlanes.labels.labels import Labels, Lane
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.params.params import Params, load_params
 from synth3dlanes.params.rig_files import load_rig
@@ -177,9 +177,8 @@ def test_pictures_of_a_world_have_the_same_things_at_the_same_places(preset, sho
     nothing of our roads; signs, and cars of other views, stand where they stood."""
     compared = 0
     for index in range(1 if preset == "town" else 3):
-        scenes = Scenes(
-            load_params(preset, ("road.topology=1", "works.present=false", "roadside.n_gantries=1")), shots=shots
-        )
+        own = load_params(preset, ("road.topology=1", "works.present=false", "roadside.n_gantries=1"))
+        scenes = Scenes(own, shots=shots)
         drawn = sample_world(scenes, index * shots.per_scene)
         worlds = (world_in_shot(scenes, drawn, shots.place(i)) for i in range(shots.per_scene))
         first, *later = [label(world, world.view) for world in worlds]
@@ -189,9 +188,8 @@ def test_pictures_of_a_world_have_the_same_things_at_the_same_places(preset, sho
                 continue
             order = np.argsort(y)
             spline = CubicSpline(y[order], np.column_stack([x, z])[order])
-            for points in (
-                in_world(labels, other) for labels in later for other in labels.lanes if other.id == lane.id
-            ):
+            for seen, other in ((labels, at) for labels in later for at in labels.lanes if at.id == lane.id):
+                points = transform(seen.camera.world_from_cam, other.xyz_cam)
                 # Splines are loose at ends of lines and where the road's curvature jumps, 100 m from its middle.
                 inner = points[(points[:, 1] > y.min() + 5) & (points[:, 1] < min(y.max(), 100) - 5)]
                 assert np.abs(spline(inner[:, 1]) - inner[:, [0, 2]]).max(initial=0) < 1e-3
@@ -202,10 +200,6 @@ def test_pictures_of_a_world_have_the_same_things_at_the_same_places(preset, sho
                 np.testing.assert_allclose(middle(labels, item), places[item.id], atol=1e-3)
                 compared += 1
     assert compared > (15 if preset == "town" else 200)
-
-
-def in_world(labels: Labels, lane: Lane) -> np.ndarray:
-    return np.asarray(transform(labels.camera.world_from_cam, lane.xyz_cam))
 
 
 def standing(labels: Labels, shots: Shots) -> list[ObjectLabel]:
