@@ -91,11 +91,7 @@ def test_the_wheel_has_packages_of_our_names_alone(wheel: Path) -> None:
         names = archive.namelist()
         (metadata,) = (archive.read(name).decode() for name in names if name.endswith(".dist-info/METADATA"))
     tops = {name.split("/")[0] for name in names}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {
-        "synth3dlanes",
-        "synth3dlanes_baseline",
-        "synth3dlanes_cli",
-    }
+    assert {top for top in tops if not top.endswith(".dist-info")} == {name.split("/")[0] for name in PACKAGES}
     assert {"synth3dlanes/py.typed", "synth3dlanes/_assets/assets.blend", "synth3dlanes/_assets/LICENSE"} <= set(names)
     assert "\nLicense-Expression: MIT\n" in metadata
     assert any(name.endswith("/licenses/LICENSE") for name in names)
