@@ -86,7 +86,7 @@ class Walkways:
 
     def __init__(self, network: Network, places: Points2, reach_m: float) -> None:
         self.strips = list[Walkway]()
-        if any(road.sections for road in network.roads):
+        if any(lane.kind == "walkway" for road in network.roads for at in road.sections for lane in at.lanes):
             low, high = network.index.boxes
             near = ((low < places.max(axis=0) + reach_m) & (high > places.min(axis=0) - reach_m)).all(axis=1)
             self.strips += [strip for i in np.flatnonzero(near).tolist() for strip in _strips(network.roads[i])]
