@@ -86,13 +86,13 @@ def test_straight_lanes_score_as_counted_by_hand(true_m, found, expected):
 
 @pytest.fixture
 def scored_pairs():
-    """Labels of random lanes, each with its lanes moved sideways, with scores at random."""
+    """Labels of random lanes, each with its lanes moved sideways, with scores at random, many of them equal."""
     rng = np.random.default_rng(5)
     pairs = []
     for _ in range(30):
         labels = roads.random(rng)
         found = roads.as_prediction(labels, shift_m=rng.uniform(-2, 2))
-        lanes = [dataclasses.replace(lane, score=float(rng.uniform(0, 1))) for lane in found.lanes]
+        lanes = [dataclasses.replace(lane, score=round(rng.uniform(0, 1), 1)) for lane in found.lanes]
         pairs.append((labels, _with_lanes(found, lanes)))
     return pairs
 
