@@ -198,6 +198,9 @@ def fit(
     training had, and cropped or extended by its border pixels, so that lanes appear as wide and as long as in training.
     """
     (height, width), from_px = size_px, size_of(image)
+    if not 0 < intrinsics[2] < from_px[1]:
+        told = f"an image of {from_px[1]}x{from_px[0]} px, got {intrinsics[2]:g}: are they those of another size?"
+        raise InputError(f"intrinsics: expected a centre between the left and the right edge of {told}")
     fx, fy, cx, cy = scale(intrinsics, from_px, size_px)
     new_fx, new_fy = (fx, fy) if trained is None else trained.nearest(fx, fy)
     if max(new_fx / fx, new_fy / fy) > MOST_ENLARGED:

@@ -64,7 +64,8 @@ def info(folder: str, as_json: bool) -> None:
         else ""
     )
     cameras = f", cameras {', '.join(found.cameras)}" if found.cameras else ""
-    click.echo(f"{found.preset}: {', '.join(found.image_sizes)} px{cameras}{clip}")
+    sizes = f": {', '.join(found.image_sizes)} px" if found.image_sizes else ""
+    click.echo(f"{found.preset}{sizes}{cameras}{clip}")
     if "where" in recipe:
         click.echo(f"where {recipe['where']}")
     if "derived" in recipe:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from synth3dlanes.dataset.address import can_list, connect, splits_near, translate_store_errors
-from synth3dlanes.dataset.description import DESCRIPTION, parse_description
+from synth3dlanes.dataset.description import DESCRIPTION, drive_of, parse_description
 from synth3dlanes.dataset.index import read_indices
 from synth3dlanes.dataset.listing import data_set_of, inner_data_sets, read_shards
 from synth3dlanes.params.params_text import preset_of
@@ -30,8 +30,8 @@ class SplitInfo:
 class DatasetInfo:
     """A data set: the recipe of its samples and what it says in short, and its splits.
 
-    `preset` is what the parameters are called, `image_sizes` are as "480x360", `cameras` the names of a rig's, and
-    `frames_per_second` is None where scenes have one frame.
+    `preset` is what the parameters are called, or which real drive was lifted, `image_sizes` are as "480x360" (none of
+    a drive), `cameras` the names of a rig's, and `frames_per_second` is None where scenes have one frame.
     """
 
     recipe: dict[str, Any]
@@ -57,7 +57,7 @@ def dataset_info(url: str) -> DatasetInfo:
         raise FormatError(line)
     with translate_store_errors(url):
         found = tuple(_split(root_url, recipe, name, asked) for name, asked in splits.items())
-    shots = recipe.get("shots", {})
+    shots, drive = recipe.get("shots", {}), drive_of(recipe)
     own, frames = shots.get("cameras", []), int(shots.get("frames", 1))
     # People may have edited them: what is no camera is left out.
     cameras = [camera for camera in own or [recipe["params"].get("camera")] if isinstance(camera, dict)]
@@ -66,7 +66,7 @@ def dataset_info(url: str) -> DatasetInfo:
     )
     return DatasetInfo(
         {key: value for key, value in recipe.items() if key != "splits"},
-        preset_of(recipe["params"]),
+        preset_of(recipe["params"]) if drive is None else f"real drive {drive}",
         tuple(dict.fromkeys(sizes)),
         tuple(str(camera["name"]) for camera in cameras if camera.get("name")),
         frames,

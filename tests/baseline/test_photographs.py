@@ -83,6 +83,9 @@ def test_pictures_like_those_of_training_are_only_resized(trained):
     found, intrinsics = fit(image, (831.4, 831.4, 470.0, 370.0), SIZE_PX, trained)
     np.testing.assert_array_equal(found, resize(image, SIZE_PX))
     assert intrinsics == pytest.approx((415.7, 415.7, 235.0, 185.0))
+    for cx in (0.0, 960.0):
+        with pytest.raises(InputError, match=f"edge of an image of 960x720 px, got {cx:g}: are they those of another"):
+            fit(image, (831.4, 831.4, cx, 370.0), SIZE_PX, trained)
 
 
 def test_focal_lengths_of_training_are_measured_in_pixels_of_the_network():
