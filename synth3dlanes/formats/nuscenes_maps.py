@@ -635,7 +635,7 @@ def _faces_others(line: Lane, own: Lane, centers: Mapping[str, Lane]) -> bool:
     is_onward = _goes_on(own, xy)
     for other in centers.values():
         its = other.xyz_cam[:, :2]
-        if is_beside(xy, its).sum() > LEAST_COMPARED and _goes_on(other, xy) != is_onward:
+        if is_beside(xy, its).sum() > min(LEAST_COMPARED, len(xy) / 2) and _goes_on(other, xy) != is_onward:
             apart_m = float(np.median(distances(xy, its)))
             if apart_m < min(float(np.median(distances(middle, its))), FACING_M):
                 return True
