@@ -126,7 +126,7 @@ def _counted(evidence: Evidence) -> Labels:
 def _document(labels: Labels, unknown: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """The JSON form of labels without what is unknown of each group."""
     document: dict[str, Any] = json.loads(to_json(labels))
-    parts = [(document, RENDERED)]
+    parts: list[tuple[dict[str, Any], Sequence[str]]] = [(document, RENDERED)]
     parts += [(item, unknown.get(group, RENDERED)) for group in GROUPS for item in document[group] or ()]
     for part, keys in parts:
         for key in keys:
