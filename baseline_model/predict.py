@@ -29,6 +29,7 @@ from .workers import ImageProgress, ahead, told
 
 ASSUMED_FOV_DEG = 60.0
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
+UNREAD_SUFFIXES = (".tif", ".tiff", ".gif", ".heic", ".avif", ".jp2", ".ppm", ".pgm", ".dng")
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".ts")
 
 
@@ -51,6 +52,9 @@ def open_pictures(source: str | Path, intrinsics: Intrinsics | None) -> Pictures
     field of view of 60 degrees."""
     if is_video(source):
         return _of_video(Path(source), intrinsics)
+    if unread := image_files(source, UNREAD_SUFFIXES):
+        told = f"got {counted(len(unread), 'file')} of other kinds: convert or move them"
+        raise InputError(f"{unread[0]}: expected images ({', '.join(IMAGE_SUFFIXES)}), {told}")
     files = image_files(source)
     if not files:
         return _labelled(source, intrinsics)
@@ -77,13 +81,13 @@ def is_video(source: str | Path) -> bool:
     return "://" not in str(source) and Path(source).suffix.lower() in VIDEO_SUFFIXES
 
 
-def image_files(source: str | Path) -> list[Path]:
+def image_files(source: str | Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> list[Path]:
     """The image file that a path names, or those of a folder by name."""
     if "://" in str(source):
         return []
     source = Path(source)
     files = [source] if source.is_file() else sorted(source.iterdir()) if source.is_dir() else []
-    return [file for file in files if file.suffix.lower() in IMAGE_SUFFIXES]
+    return [file for file in files if file.suffix.lower() in suffixes]
 
 
 def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:

@@ -167,6 +167,9 @@ def test_no_picture_replaces_an_image_or_another_picture(checkpoint, split, tmp_
     detected(checkpoint, tmp_path, tmp_path / "out")
     drawn = {f"{stem}{ending}" for stem in ("road", "road.png") for ending in (".png", ".overlay.jpg")}
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"predictions.jsonl", *drawn}
+    (tmp_path / "left_out.TIF").write_bytes(before)
+    with pytest.raises(InputError, match=r"left_out\.TIF: expected images \(\.jpg, .* got 1 file of other kinds"):
+        detected(checkpoint, tmp_path, tmp_path / "out")
 
 
 def test_flat_ground_is_exact_on_a_plane_and_wrong_on_a_hill():
