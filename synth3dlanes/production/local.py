@@ -111,13 +111,14 @@ class _Run:
         self.expected.require_room(self.root, self.room.mark)
         try:
             self._loop()
-        except OSError as error:
-            self.tally.problem = f"{self.root}: {told(error)}"
-        except FormatError:
+        except (OSError, FormatError) as error:
             # A join during which the data set's folder is moved away finds half a shard.
-            if not self._has_moved():
+            if self._has_moved():
+                self.tally.problem = f"{self.root}: the folder is gone"
+            elif isinstance(error, OSError):
+                self.tally.problem = f"{self.root}: {told(error)}"
+            else:
                 raise
-            self.tally.problem = f"{self.root}: the folder is gone"
         finally:
             for shard in self.opened:
                 with suppress(OSError, LinkError):

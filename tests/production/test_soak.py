@@ -197,10 +197,8 @@ def test_a_disk_with_no_more_files_makes_the_run_wait_until_there_may_be_some(tm
         assert soak.files(disk / "out") == {name: whole[name] for name in shards}
 
 
-@pytest.mark.parametrize(
-    ("moment", "told"), [("while samples are made", "No such file"), ("during a join", "the folder is gone")]
-)
-def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole, monkeypatch, moment, told):
+@pytest.mark.parametrize("moment", ["while samples are made", "during a join"])
+def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole, monkeypatch, moment):
     """It goes at once: a tree that is removed file by file meets files that workers add."""
     out, read = tmp_path / "out", write.read_bounded
 
@@ -222,9 +220,7 @@ def test_a_vanished_folder_is_named_and_comes_back(tmp_path, whole, monkeypatch,
         monkeypatch.setattr(write, "read_bounded", read_and_vanish)
     report = generate(plan(out), tell)
     assert report.exit_code == 1
-    assert str(out) in report.problem
-    assert told in report.problem
-    assert "remove" not in report.problem, "its shards are not blamed"
+    assert report.problem == f"{out}: the folder is gone"
     monkeypatch.undo()
     shutil.rmtree(out, ignore_errors=True)
     (tmp_path / "moved").rename(out)
