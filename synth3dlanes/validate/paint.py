@@ -248,10 +248,8 @@ def painted_symbols(world: World) -> list[Painted]:
 
 def _beyond_outline(paint: BaseGeometry, xy_world: Points2) -> Scalars:
     low, high = np.reshape(paint.bounds, (2, 2))
-    near, beyond_m = (
-        ((xy_world > low - NEAR_M) & (xy_world < high + NEAR_M)).all(axis=1),
-        np.full(len(xy_world), np.inf),
-    )
+    near = ((xy_world > low - NEAR_M) & (xy_world < high + NEAR_M)).all(axis=1)
+    beyond_m = np.full(len(xy_world), np.inf)
     signs = np.where(shapely.intersects_xy(paint, xy_world[near]), -1, 1)
     beyond_m[near] = signs * shapely.distance(paint.boundary, np.asarray(shapely.points(xy_world[near])))
     return beyond_m

@@ -29,8 +29,9 @@ SMOOTH = 1.2
 KERB_NEARER_M = 0.3
 # Distance beyond which a kerb is thinner than a pixel: a constant, and metres for each pixel of the focal length.
 KERBS_M, KERBS_M_A_PX = 80.0, 0.24
-# Pixels of an object whose depths differ by a smaller factor show one surface without a gap.
-ONE_SURFACE = 1.05
+# Pixels of an object whose inverse depths are off a plane's, which are linear over the image, by less than this share
+# show one surface without a gap.
+OFF_PLANE = 0.0125
 # A point is left out if the rows next to it look at less than this share of its distance.
 MIN_NEXT = 0.6
 # A surface nearer than a point by this factor and distance hides it; the point's own surface differs by less in depth
@@ -111,12 +112,23 @@ def _sight(camera: CameraLabel, lane: Lane, strip: Strip, uv: Points2, passes: P
         shown &= shows_kerbs
     asked = lane.in_image & (own_depth.min(axis=0) > MIN_NEXT * y_m)
     # Pixels of several bodies, or of several parts of one, may have a slit between them that shows the point.
-    is_one = depth.max(axis=0) < ONE_SURFACE * depth.min(axis=0)
+    is_one = _off_plane(depth) < OFF_PLANE
     return Sight(
         asked & ~nearer.any(axis=0) & shown,
         asked & (nearer & ~objects).all(axis=0),
         asked & (nearer & objects).all(axis=0) & is_one,
     )
+
+
+def _off_plane(depth: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " n"]:
+    """How far the inverse depths of sixteen pixels are at most from those of one plane, as shares of their mean."""
+    row, column = np.divmod(np.arange(len(depth)), 4)
+    plane = np.column_stack([np.ones(len(depth)), row, column])
+    # Nothing is at infinity, and beside a fisheye depths may be 0: there is no plane.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = 1 / depth
+        off = inverse - plane @ (np.linalg.pinv(plane) @ inverse)
+        return np.asarray(np.abs(off).max(axis=0) / np.abs(inverse.mean(axis=0)))
 
 
 def _own_depth(camera: CameraLabel, strip: Strip, rows: Squares, columns: Squares) -> Float[np.ndarray, "k n"]:

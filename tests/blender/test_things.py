@@ -273,3 +273,9 @@ def test_a_wall_hides_the_points_behind_it_and_no_others():
         assert seen[(around != SEMANTIC_IDS["barrier"]).all(axis=0)].all()
         hidden += int(is_wall.sum())
     assert hidden > 20
+    lanes = behind.labels.lanes
+    unhidden = tuple(replace(lane, object_visible=np.ones(len(lane.xyz_cam), dtype=bool)) for lane in lanes)
+    sample = Evidence(walled, behind.labels, behind.image, behind.passes)
+    assert not findings(sample, "points")
+    found = findings(replace(sample, labels=replace(behind.labels, lanes=unhidden)), "points")
+    assert {finding.lane for finding in found} >= {"main_3", "main_line_3"}
