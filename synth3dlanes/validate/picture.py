@@ -289,17 +289,16 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
         beside = linear[binary_dilation(at, iterations=AROUND_PX) & paved]
         if not len(beside):
             continue
-        red, _, blue = _chroma(linear[at]) - _chroma(beside)
-        if color == "white":
-            words = "white paint, got yellow ({:+.2f} of red over blue)"
-            yield from _judged("appearance.yellow", float(red - blue), words, most=MAX_YELLOW, lane=lane.id)
         # In red, of which yellow paint has as much as white one.
         times = brighter(linear[at][:, 0], beside[:, 0], evidence.paint.contrast("white"))
-        if np.isfinite(times):
-            words = (
-                f"its {at.sum()} pixels of paint brighter than the road around them, got them {{:.2f}} times as bright"
-            )
-            yield from _judged("appearance.brighter", times, words, BRIGHTER, lane=lane.id)
+        if not np.isfinite(times):
+            continue
+        words = f"its {at.sum()} pixels of paint brighter than the road around them, got them {{:.2f}} times as bright"
+        yield from _judged("appearance.brighter", times, words, BRIGHTER, lane=lane.id)
+        if color == "white":
+            red, _, blue = _chroma(linear[at]) - _chroma(beside)
+            words = "white paint, got yellow ({:+.2f} of red over blue)"
+            yield from _judged("appearance.yellow", float(red - blue), words, most=MAX_YELLOW, lane=lane.id)
 
 
 def _may_glare(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, " n"]:
@@ -309,9 +308,9 @@ def _may_glare(evidence: Evidence, at: Bool[np.ndarray, "h w"]) -> Bool[np.ndarr
 
 
 def brighter(paint: Float[np.ndarray, " n"], beside: Float[np.ndarray, " m"], contrast: float) -> float:
-    """How many times brighter paint is than the pavement beside it; infinite in glare, which whitens both, and where
-    the edge of a shadow may run along the line: paint that is `contrast` times as bright in equal light may be as dark
-    there as the road."""
+    """How many times brighter paint is than the pavement beside it; infinite where neither that nor its colour tells
+    anything: in glare, which whitens both, and where the edge of a shadow, which is blue, may run along the line: paint
+    that is `contrast` times as bright in equal light may be as dark there as the road."""
     dark, of_road, light = np.quantile(beside, (0.2, 0.5, 0.8))
     if of_road >= MAX_LIGHT or light > min(MOST_UNEVEN, contrast / BRIGHTER) * dark:
         return np.inf

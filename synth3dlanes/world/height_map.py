@@ -13,9 +13,10 @@ SHAPE = (200, 100)
 # Steps in which all cells are looked for. Those on steep ground need more: these steps are longer by what the one
 # before left, at most LONGER times, and each must end NEARER times as far from there.
 STEPS, MOST_STEPS, CLOSE_M, NEARER, LONGER = 12, 60, 1e-4, 0.95, 10.0
-# Cells that end farther than LOST_M from the ground are searched up and down to REACH_M in pieces, and within the piece
-# by halves.
-LOST_M, REACH_M, PIECE_M, HALVES = 0.01, 30.0, 0.25, 12
+# Cells that end farther than LOST_M from the ground are searched up and down in pieces, which beyond REACH_M grow by
+# this factor up to FARTHEST_M (a valley whose side climbs 100 m over the plane of its bottom), and within the piece by
+# halves.
+LOST_M, REACH_M, PIECE_M, GROWING, FARTHEST_M, HALVES = 0.01, 30.0, 0.25, 1.05, 200.0, 12
 
 
 def cells_road(height_m: Float[np.ndarray, "200 100"]) -> Float[np.ndarray, "20000 3"]:
@@ -62,15 +63,18 @@ def _searched(
         points_world = transform(world_from_road, np.column_stack([points_road[at, :2], height_m]))
         return np.asarray(ground.height_near(points_world) - points_world[:, 2])
 
-    tried_m = np.arange(-REACH_M, REACH_M + PIECE_M / 2, PIECE_M)
+    beyond_m = REACH_M * GROWING ** np.arange(1, 1 + np.log(FARTHEST_M / REACH_M) / np.log(GROWING))
+    up_m = np.concatenate([np.arange(0, REACH_M + PIECE_M / 2, PIECE_M), beyond_m])
+    tried_m = np.concatenate([-up_m[:0:-1], up_m])
+    pieces_m = np.diff(tried_m)
     n, all_m = len(points_road), np.tile(tried_m, len(points_road))
     is_above = below(np.repeat(np.arange(n), len(tried_m)), all_m).reshape(n, len(tried_m)) < 0
     begins = ~is_above[:, :-1] & is_above[:, 1:]
-    nearest = np.where(begins, np.abs(tried_m[:-1] + PIECE_M / 2), np.inf).argmin(axis=1)
+    nearest = np.where(begins, np.abs(tried_m[:-1] + pieces_m / 2), np.inf).argmin(axis=1)
     found = np.flatnonzero(begins.any(axis=1))
-    low_m = tried_m[nearest[found]]
+    low_m, piece_m = tried_m[nearest[found]], pieces_m[nearest[found]]
     for half in range(1, HALVES + 1):
-        middle_m = low_m + PIECE_M / 2**half
+        middle_m = low_m + piece_m / 2**half
         low_m = np.where(below(found, middle_m) < 0, low_m, middle_m)
     heights_m = points_road[:, 2].copy()
     heights_m[found] = low_m

@@ -99,10 +99,10 @@ def test_lane_points_lie_on_the_map():
     assert np.nanmax(gaps) < 0.01
 
 
-@pytest.mark.parametrize(("seed", "index"), [(7, 2), (771105, 13), (88101, 6)])
+@pytest.mark.parametrize(("seed", "index"), [(7, 2), (771105, 13), (88101, 6), (8300000, 6)])
 def test_every_cell_of_a_steep_ramp_or_hill_is_on_it(seed, index):
-    """Of a ramp that rises 1 in 2.4, of a hillside as steep as 1 in 0.1 to the tilted plane of its road, and of one
-    that hangs over it."""
+    """Of a ramp that rises 1 in 2.4, of a hillside as steep as 1 in 0.1 to the tilted plane of its road, of one that
+    hangs over it, and of a valley's side that climbs 115 m over it."""
     world = sample_world(Scenes(load_params("appendix_i"), seed, "train"), index)
     points_world = transform(
         world.view.world_from_road, cells_road(height_map(world.ground, world.view.world_from_road))
