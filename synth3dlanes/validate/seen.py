@@ -69,7 +69,7 @@ FEET_STEP = 8
 ROOM_M, LOW_M = 0.05, 0.5
 # One in MAP_STEP cells of the height map is asked; in 26 scenes with and without maps up to 0.0021 of them, at kerbs,
 # are farther from the ground.
-MAP_STEP, MAX_MAP_M, MAP_SHARE = 7, 0.002, 0.005
+MAP_STEP, MAX_MAP_M, MAP_SHARE, FACE_M = 7, 0.002, 0.005, 0.005
 
 # Semantic ids of what stands on the ground.
 OBJECTS_IDS = [kind.semantic_id for kind in SEMANTIC_KINDS if kind.series and not kind.is_ground]
@@ -394,10 +394,12 @@ def _outline(body: Body) -> Points2:
 
 
 def _cells(evidence: Evidence, _: None) -> Iterator[PartSeen]:
-    """Cells of the height map, which says nothing about steep walls."""
+    """Cells of the height map, some of which are on the upright face of a kerb, between the heights around them."""
     points_road = cells_road(evidence.passes["height"].astype(float))[::MAP_STEP]
     points_world = transform(evidence.world.view.world_from_road, points_road)
-    yield PartSeen("", points_world[:, 2] - evidence.world.ground.height_near(points_world))
+    around = np.array([(x, y, 0) for x in (-FACE_M, 0, FACE_M) for y in (-FACE_M, 0, FACE_M)])
+    over_m = points_world[:, 2] - [evidence.world.ground.height_near(points_world + by) for by in around]
+    yield PartSeen("", np.maximum(over_m.min(axis=0), 0) + np.minimum(over_m.max(axis=0), 0))
 
 
 ROWS = (

@@ -5,6 +5,7 @@ grid.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -160,11 +161,12 @@ def polygons_between(pairs: Sequence[tuple[Points2, Points2]]) -> list[BaseGeome
 
 def clipped(area: BaseGeometry, box: tuple[float, float, float, float]) -> BaseGeometry:
     """What of an area is within (x0, y0, x1, y1)."""
-    try:
-        return shapely.clip_by_rect(area, *box)
-    except shapely.errors.GEOSException:
-        # The fast way refuses parts that only touch the box.
-        return intersection(area, shapely.box(*box))
+    with suppress(shapely.errors.GEOSException):
+        found = shapely.clip_by_rect(area, *box)
+        if found.is_valid:
+            return found
+    # The fast way refuses parts that only touch the box, and joins polygons that touch each other along a line.
+    return intersection(area, shapely.box(*box))
 
 
 def polygons_of(area: BaseGeometry) -> list[shapely.Polygon]:

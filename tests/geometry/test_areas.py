@@ -1,6 +1,7 @@
 """Overlays of areas, which never fail, and areas cut by the lines of grids, against overlays of shapely."""
 
 import ast
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from synth3dlanes.roads.maps.given_map import read_opendrive
 from synth3dlanes.world import areas
 from synth3dlanes.world.areas import (
     NOTHING,
+    clipped,
     difference,
     intersection,
     outlined,
@@ -122,6 +124,18 @@ def test_distances_are_those_of_shapely_itself(points: list[tuple[float, float]]
     np.testing.assert_array_equal(np.abs(signed_distance(outlined(area), xy)), np.abs(expected))
     np.testing.assert_array_equal(signed_distance(outlined(area), xy) < 0, expected < 0)
     assert np.isinf(signed_distance(outlined(shapely.MultiPolygon()), xy)).all()
+
+
+def test_what_is_clipped_of_parts_that_meet_in_a_hair_is_valid_and_whole() -> None:
+    """GEOS' fast way joins them in some boxes; a ring of a roundabout had a slit of half a metre for it."""
+    hair = np.nextafter(0.61, 1)
+    left = shapely.Polygon([(-8.1, -7.2), (0.11, -7.2), (0.61, 7.3), (-8.1, 7.3)])
+    right = shapely.Polygon([(0.11, -7.2), (8.2, -7.2), (8.2, 7.3), (hair, 7.3)])
+    for low, high in combinations(np.arange(-20, 21, 1.25).tolist(), 2):
+        box = (-0.01, low - 0.01, 1.26, high + 0.01)
+        found = clipped(shapely.MultiPolygon([left, right]), box)
+        assert found.is_valid
+        assert found.area == pytest.approx(intersection(shapely.union(left, right), shapely.box(*box)).area, abs=1e-9)
 
 
 LINES_OF_GRID = np.arange(-20.0, 21.0, 1.25)

@@ -13,8 +13,8 @@ from synth3dlanes.system.schema import SymbolKind
 
 # From where an arm begins: a crosswalk, and the lines before and without one.
 CROSSWALK_M, LINE_BEHIND_CROSSWALK_M, LINE_M = (0.8, 4.4), 5.6, 0.6
-# Distance of arrows before the line; long turn lanes have another ARROWS_APART_M behind it.
-ARROW_M, ARROWS_APART_M = 7.5, 18.0
+# Distance of arrows before the line, and room behind that place; long turn lanes have another ARROWS_APART_M behind it.
+ARROW_M, ARROW_ROOM_M, ARROWS_APART_M = 7.5, 4.0, 18.0
 # Raised medians: least width, distance from lanes to kerbs, step along the street.
 LEAST_MEDIAN_M, MEDIAN_GAP_M, MEDIAN_STEP_M = 1.2, 0.25, 2.0
 ARROWS: dict[frozenset[Turn], SymbolKind] = {
@@ -62,12 +62,14 @@ def paint_of(rules: JunctionRules, has_crosswalks: bool) -> Iterator[MapPaint]:
 
 def _arrows(rules: JunctionRules, arm: Arm, lane: LaneAt, back_m: float) -> Iterator[MapPaint]:
     kind = ARROWS.get(frozenset(turns_of_lane(rules.ways, lane.name)))
-    # The lane has its name up to where the street's section near the junction ends.
-    near_m = arm.street.pieces[0 if arm.at_start else -1].length_m
+    # The lane has its name up to where the street's section near the junction ends; at the other end of a short street
+    # may be a crosswalk.
+    section_m = arm.street.pieces[0 if arm.at_start else -1].length_m
+    free_m = min(section_m, arm.street.length_m - CROSSWALK_M[1])
     if kind is None:
         return
     for at_m in (back_m + ARROW_M, back_m + ARROW_M + ARROWS_APART_M):
-        if at_m + 4 < near_m:
+        if at_m + ARROW_ROOM_M < free_m:
             yield MapPaint(kind=kind, lane=lane.name, s_m=station(arm, at_m))
 
 
