@@ -57,8 +57,9 @@ def _held_back() -> Iterator[None]:
     finally:
         for stopping, handler in handlers.items():
             signal.signal(stopping, handler)
-    for number in came[:1]:
-        handlers[signal.Signals(number)](number, None)
+        # Also where the processes died of it first, which breaks the pool.
+        for number in came[:1]:
+            handlers[signal.Signals(number)](number, None)
 
 
 @contextmanager
