@@ -129,12 +129,20 @@ def test_a_process_computes_by_one_thread(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_program_without_a_guard_is_not_run_again_by_a_process(tmp_path: Path) -> None:
-    """`if __name__ == "__main__"`, which Python's own pools need."""
+    """`if __name__ == "__main__"`, which Python's own pools need. Its threads ask at once."""
     program = tmp_path / "program.py"
-    pool = "with processes.process_pool(1) as pool:\n    print(pool.submit(abs, -2).result(), __file__)\n"
-    program.write_text(f"from synth3dlanes.system import processes\nprint('once', flush=True)\n{pool}")
+    program.write_text("""
+from concurrent.futures import ThreadPoolExecutor
+from synth3dlanes.system.processes import process_pool
+print("once", flush=True)
+def ask(number):
+    with process_pool(1) as pool:
+        return pool.submit(abs, number).result()
+with ThreadPoolExecutor() as threads:
+    print(*threads.map(ask, [-2, -3, -4]), __file__)
+""")
     ran = subprocess.run([sys.executable, program], capture_output=True, text=True, check=True)
-    assert ran.stdout == f"once\n2 {program}\n", ran.stderr
+    assert ran.stdout == f"once\n2 3 4 {program}\n", ran.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])

@@ -62,7 +62,9 @@ def develop(
         linear = add_vignette(linear, view.camera, sensor.vignette)
     if sensor.noise > 0:
         linear = add_noise(linear, sensor.noise, scene.picture_stream("sensor_noise"), amplified)
-    return tonemap(np.where(is_seen[..., None], linear, np.float32(0)))
+    if not is_seen.all():
+        linear = np.where(is_seen[..., None], linear, np.float32(0))
+    return tonemap(linear)
 
 
 def _is_seen(camera: HostCamera) -> Bool[np.ndarray, "h w"]:

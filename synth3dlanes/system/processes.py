@@ -8,7 +8,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
-from threading import current_thread, main_thread
+from threading import Lock, current_thread, main_thread
 from typing import Any
 
 from synth3dlanes.system.errors import WorkerError
@@ -17,6 +17,8 @@ from synth3dlanes.system.machine import workers_here
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # Linear algebra in numpy and scipy has a thread for each core, in each process, which wait for each other.
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+# The program is hidden by one thread at a time: a second one would find, and put back, what is hidden.
+_PROGRAM = Lock()
 
 
 def n_workers(asked: int, n_tasks: int) -> int:
@@ -66,13 +68,14 @@ def _held_back() -> Iterator[None]:
 def _program_hidden() -> Iterator[None]:
     """Processes that start here do not run the user's program again, as Python's do for functions that it defines: all
     tasks are functions of modules, and a program without `if __name__ == "__main__"` would begin anew in each."""
-    program = vars(sys.modules["__main__"])
-    hidden = {name: program[name] for name in program.keys() & {"__spec__", "__file__"}}
-    program |= dict.fromkeys(hidden)
-    try:
-        yield
-    finally:
-        program |= hidden
+    with _PROGRAM:
+        program = vars(sys.modules["__main__"])
+        hidden = {name: program[name] for name in program.keys() & {"__spec__", "__file__"}}
+        program |= dict.fromkeys(hidden)
+        try:
+            yield
+        finally:
+            program |= hidden
 
 
 def _begin() -> None:
