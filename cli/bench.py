@@ -18,19 +18,8 @@ if TYPE_CHECKING:
 @click.command(cls=JobCommand)
 @click.option("--n", type=CountRange(min=1), default=30, help="Number of scenes to time, after a warm-up.")
 @job_options(
-    *(
-        "params",
-        "set",
-        "assets",
-        "workers",
-        "device",
-        "quality",
-        "samples",
-        "passes",
-        "map",
-        "views_per_scene",
-        "frames",
-    ),
+    *("params", "set", "assets", "workers", "device", "quality", "samples", "passes", "map"),
+    *("views_per_scene", "frames"),
     workers=RENDERERS,
     frames="Time clips of this many frames, not pictures.",
 )

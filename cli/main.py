@@ -161,29 +161,8 @@ def main() -> None:
 
 
 for command in (
-    *(
-        generate,
-        sample,
-        render,
-        twins,
-        inspect,
-        gallery,
-        clip,
-        report,
-        stats,
-        info,
-        split,
-        merge,
-        params,
-        list_names,
-        assets,
-        export,
-        lift,
-        validate,
-        bench,
-        drive,
-    ),
-    *(benchmark, train, predict, evaluate, ablation, onnx),
+    *(generate, sample, render, twins, inspect, gallery, clip, report, stats, info, split, merge, params, list_names),
+    *(assets, export, lift, validate, bench, drive, benchmark, train, predict, evaluate, ablation, onnx),
 ):
     main.add_command(command)
 

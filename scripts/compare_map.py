@@ -89,18 +89,7 @@ def _alarms(path: Path, rendered: int) -> str:
     """The problems that `validate` finds in rendered scenes."""
     program = [sys.executable, "-m", "synth3dlanes"]
     with tempfile.TemporaryDirectory() as folder:
-        made = [
-            "generate",
-            "--n",
-            str(rendered),
-            "--out",
-            folder,
-            "--params",
-            PRESET,
-            "--map",
-            str(path),
-            "--passes=all",
-        ]
+        made = ["generate", f"--n={rendered}", f"--out={folder}", f"--params={PRESET}", f"--map={path}", "--passes=all"]
         subprocess.run([*program, *made, "--workers=1", "--quality=draft"], capture_output=True, check=False)
         checked = [*program, "validate", folder, "--workers=1", "--json"]
         told = subprocess.run(checked, capture_output=True, check=False, text=True).stdout

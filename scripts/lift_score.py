@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+import shapely
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels, Lane
@@ -79,16 +80,11 @@ def _offsets(points: np.ndarray, road: np.ndarray) -> tuple[Scalars, Scalars]:
     """How far points are from a line, level and in height, at the line's nearest place; NaN beyond its ends."""
     if len(road) < 2:
         return np.full(len(points), np.nan), np.full(len(points), np.nan)
-    start, along = road[:-1], np.diff(road, axis=0)
-    length = np.maximum((along[:, :2] ** 2).sum(axis=1), 1e-12)
-    share = ((points[:, None, :2] - start[None, :, :2]) * along[None, :, :2]).sum(axis=2) / length
-    clipped = np.clip(share, 0.0, 1.0)
-    gap = points[:, None] - start[None] - clipped[..., None] * along[None]
-    level = np.hypot(gap[..., 0], gap[..., 1])
-    best = level.argmin(axis=1)
-    at = np.arange(len(points))
-    beyond = ((best == 0) & (share[at, best] < 0)) | ((best == len(start) - 1) & (share[at, best] > 1))
-    return np.where(beyond, np.nan, level[at, best]), np.where(beyond, np.nan, np.abs(gap[at, best, 2]))
+    line, places = shapely.LineString(road[:, :2]), shapely.points(points[:, :2])
+    at_m = shapely.line_locate_point(line, places)
+    level_m = np.where((at_m > 0) & (at_m < line.length), shapely.distance(line, places), np.nan)
+    stations_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(road[:, :2], axis=0).T)))
+    return level_m, np.abs(points[:, 2] - np.interp(at_m, stations_m, road[:, 2])) + 0 * level_m
 
 
 def _covered(line: Lane, road: np.ndarray, lines: Sequence[np.ndarray]) -> np.ndarray:
