@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from synth3dlanes_baseline import curves
-from synth3dlanes_baseline.backbone import PIXELS, ImagePathway, lattice_after
+from synth3dlanes_baseline.backbone import PIXELS, ImagePathway
 from synth3dlanes_baseline.config import MODELS
 from synth3dlanes_baseline.curves import Pose, cam_from_road
 from synth3dlanes_baseline.projection import (
@@ -109,23 +109,6 @@ def _well_inside(cells, intrinsics, pose, lattice, size):
     column, row = (u - lattice.offset) / lattice.stride, (v - lattice.offset) / lattice.stride
     first_row = (horizon + 0.005 * fy - lattice.offset) / lattice.stride + 1
     return (column > 0) & (column < size[1] - 1) & (row > first_row) & (row < size[0] - 1)
-
-
-@pytest.mark.parametrize(
-    ("kernel", "step", "padding", "offset"), [(2, 2, 0, 1.0), (4, 2, 1, 1.0), (3, 2, 1, 0.5), (3, 1, 1, 0.5)]
-)
-def test_lattice_is_the_empirical_centre_of_response(kernel, step, padding, offset):
-    layers = [torch.nn.Conv2d(1, 1, kernel, stride=step, padding=padding, bias=False)]
-    lattice = lattice_after(layers, PIXELS)
-    torch.nn.init.constant_(layers[0].weight, 1.0)
-    image = torch.zeros(1, 1, 1, 32).expand(1, 1, 32, 32)
-    index = 5
-    deltas = torch.eye(32)[:, None, None, :].expand(32, 1, 32, 32) + image
-    with torch.no_grad():
-        response = layers[0](deltas)[:, 0, 5, index]
-    centre = float((response * (torch.arange(32) + 0.5)).sum() / response.sum())
-    assert lattice.offset == offset
-    assert lattice.offset + lattice.stride * index == pytest.approx(centre)
 
 
 def test_offsets_through_the_backbones_are_half_their_strides():
