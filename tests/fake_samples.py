@@ -122,17 +122,20 @@ def _sweep(found: Labels) -> Sweep:
 
 
 def data_set(root: Path, indices: Iterable[int], n: int, size: int, split: str = "train", seed: int = 7) -> Path:
-    """Those of these samples that are not there yet, of `n` that are asked for, in shards of `size`; no run writes
-    them, but this process."""
+    """Those of these samples that are not there yet, of `n` that are asked for, in shards of `size`: as `generate`
+    makes them, by this process instead of workers."""
     made, wanted = recipe(seed=seed, split=split), set(indices)
     description = {**made.description(), "shard_size": size}
     numbers = sorted({index // size for index in wanted})
     with claim(root, description, split, n, numbers) as folder:
         for number in numbers:
-            shard = Shard(folder, number, size, made.names, recipe_text(description))
+            shard = Shard(folder, number, size, made.names, recipe_text(description)).claimed()
+            shard.open()
             for index in sorted(wanted.intersection(shard.missing(n))):
                 shard.write_part(index, make(made, index).members)
-            shard.join(n)
+            if shard.needs_join(n):
+                shard.join(n)
+            shard.close()
     return root
 
 

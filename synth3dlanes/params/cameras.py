@@ -9,11 +9,11 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from synth3dlanes.geometry.lens import COEFFICIENTS, MAX_COEFFICIENT, MAX_TILT_RAD, PRISM_AND_TILT, Lens, LensModel
 from synth3dlanes.params.distributions import Choice, Distribution, Integer, Real, Uniform, integers, reals
-from synth3dlanes.params.groups import Group
+from synth3dlanes.params.groups import Group, left_out_at
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import AHEAD_DEG, MAX_PX, Name
 
@@ -36,16 +36,6 @@ VALUE_DECIMALS, COEFFICIENT_DECIMALS = 6, 9
 LAST, GRID, LEAST_BLACK = 1 - 1e-9, 64, 0.005
 
 
-def left_out() -> Any:
-    """A key that may be left out, and is left out of `dataset.json` then."""
-    return Field(default=None, exclude_if=lambda value: value is None)
-
-
-def coefficient() -> Any:
-    """A coefficient of the lens; `dataset.json` leaves out coefficients that are 0."""
-    return Field(default=ZERO, exclude_if=lambda value: value == ZERO)
-
-
 class CameraSpec(Group):
     """A camera on the host. Names are as in `scene.json`, with degrees instead of radians.
 
@@ -56,33 +46,33 @@ class CameraSpec(Group):
     name: Name = ""
     width_px: Annotated[Integer, integers(16, MAX_PX)]
     height_px: Annotated[Integer, integers(16, MAX_PX)]
-    fx_px: Focal | None = left_out()
-    fy_px: Focal | None = left_out()
-    cx_px: Center | None = left_out()
-    cy_px: Center | None = left_out()
-    horizontal_fov_deg: Fov | None = left_out()
+    fx_px: Focal | None = left_out_at(None)
+    fy_px: Focal | None = left_out_at(None)
+    cx_px: Center | None = left_out_at(None)
+    cy_px: Center | None = left_out_at(None)
+    horizontal_fov_deg: Fov | None = left_out_at(None)
     height_m: Annotated[Real, reals(0.3, 10)] = HEIGHT_M
     right_m: Mount = ZERO
     forward_m: Mount = ZERO
     yaw_deg: Angle = ZERO
     pitch_deg: Angle = ZERO
     roll_deg: Angle = ZERO
-    model: LensModel = Field(default="pinhole", exclude_if=lambda value: value == "pinhole")
-    k1: Coefficient = coefficient()
-    k2: Coefficient = coefficient()
-    p1: Coefficient = coefficient()
-    p2: Coefficient = coefficient()
-    k3: Coefficient = coefficient()
-    k4: Coefficient = coefficient()
-    k5: Coefficient = coefficient()
-    k6: Coefficient = coefficient()
-    s1: Coefficient = coefficient()
-    s2: Coefficient = coefficient()
-    s3: Coefficient = coefficient()
-    s4: Coefficient = coefficient()
-    tau_x: Tilt = coefficient()
-    tau_y: Tilt = coefficient()
-    xi: Annotated[Real, reals(0, MAX_COEFFICIENT)] = coefficient()
+    model: LensModel = left_out_at("pinhole")
+    k1: Coefficient = left_out_at(ZERO)
+    k2: Coefficient = left_out_at(ZERO)
+    p1: Coefficient = left_out_at(ZERO)
+    p2: Coefficient = left_out_at(ZERO)
+    k3: Coefficient = left_out_at(ZERO)
+    k4: Coefficient = left_out_at(ZERO)
+    k5: Coefficient = left_out_at(ZERO)
+    k6: Coefficient = left_out_at(ZERO)
+    s1: Coefficient = left_out_at(ZERO)
+    s2: Coefficient = left_out_at(ZERO)
+    s3: Coefficient = left_out_at(ZERO)
+    s4: Coefficient = left_out_at(ZERO)
+    tau_x: Tilt = left_out_at(ZERO)
+    tau_y: Tilt = left_out_at(ZERO)
+    xi: Annotated[Real, reals(0, MAX_COEFFICIENT)] = left_out_at(ZERO)
 
     @model_validator(mode="after")
     def _has_one_focal_length(self) -> "CameraSpec":

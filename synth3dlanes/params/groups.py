@@ -85,11 +85,14 @@ def _is_whole(read: Any, kind: AssetKind) -> bool:
     )
 
 
+def left_out_at(default: Any) -> Any:
+    """A field that may be left out; `dataset.json` leaves it out if it has this value."""
+    return Field(default=default, exclude_if=lambda value: value == default)
+
+
 def added(default: Any) -> Any:
-    """A field that a later version added. Parameters without it have this constant; `dataset.json` leaves it out if it
-    has this value."""
-    constant = Choice((default,), (1.0,))
-    return Field(default=constant, exclude_if=lambda value: value == constant)
+    """A field that a later version added. Parameters without it have this constant."""
+    return left_out_at(Choice((default,), (1.0,)))
 
 
 class Group(BaseModel):

@@ -49,6 +49,7 @@ from synth3dlanes.params.groups import (
     VegetationParams,
     WeatherParams,
     WorksParams,
+    left_out_at,
 )
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.system.errors import InputError
@@ -92,8 +93,8 @@ class Params(Group):
     light: LightParams
     air: AirParams
     sensor: SensorParams
-    symbols: SymbolParams = Field(default=SymbolParams(), exclude_if=lambda group: group == SymbolParams())
-    weather: WeatherParams = Field(default=WeatherParams(), exclude_if=lambda group: group == WeatherParams())
+    symbols: SymbolParams = left_out_at(SymbolParams())
+    weather: WeatherParams = left_out_at(WeatherParams())
     clear: DryParams = _as_in_reference("clear")
     cloudy: DryParams = _as_in_reference("cloudy")
     fog: DryParams = _as_in_reference("fog")
@@ -102,20 +103,18 @@ class Params(Group):
     day: DayParams = _as_in_reference("day")
     dusk: DuskParams = _as_in_reference("dusk")
     night: NightParams = _as_in_reference("night")
-    host: HostParams = Field(default=HostParams(), exclude_if=lambda group: group == HostParams())
-    vegetation: VegetationParams = Field(
-        default=VegetationParams(), exclude_if=lambda group: group == VegetationParams()
-    )
-    roadside: RoadsideParams = Field(default=RoadsideParams(), exclude_if=lambda group: group == RoadsideParams())
+    host: HostParams = left_out_at(HostParams())
+    vegetation: VegetationParams = left_out_at(VegetationParams())
+    roadside: RoadsideParams = left_out_at(RoadsideParams())
     structures: StructureParams = _as_in_reference("structures")
-    motion: MotionParams = Field(default=MotionParams(), exclude_if=lambda group: group == MotionParams())
-    town: TownParams = Field(default=TownParams(), exclude_if=lambda group: group == TownParams())
+    motion: MotionParams = left_out_at(MotionParams())
+    town: TownParams = left_out_at(TownParams())
     town_streets: TownStreetParams = _as_in_reference("town_streets")
-    mountain: MountainParams = Field(default=MountainParams(), exclude_if=lambda group: group == MountainParams())
-    people: PeopleParams = Field(default=PeopleParams(), exclude_if=lambda group: group == PeopleParams())
-    riders: RidersParams = Field(default=RidersParams(), exclude_if=lambda group: group == RidersParams())
-    works: WorksParams = Field(default=WorksParams(), exclude_if=lambda group: group == WorksParams())
-    kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = Field(default=(), exclude_if=lambda kept: not kept)
+    mountain: MountainParams = left_out_at(MountainParams())
+    people: PeopleParams = left_out_at(PeopleParams())
+    riders: RidersParams = left_out_at(RidersParams())
+    works: WorksParams = left_out_at(WorksParams())
+    kept: Annotated[tuple[str, ...], BeforeValidator(_read_kept)] = left_out_at(())
 
     @model_validator(mode="before")
     @classmethod

@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field, ValidationError, model_validator
 
 from synth3dlanes.params.cameras import CameraSpec
-from synth3dlanes.params.groups import Group
+from synth3dlanes.params.groups import Group, left_out_at
 from synth3dlanes.params.lidars import LidarSpec
 from synth3dlanes.scene.host import MAX_BEHIND_M, MAX_CAMERAS, MAX_FRAMES
 from synth3dlanes.scene.settings import MAX_VIEWS
@@ -32,7 +32,7 @@ class Shots(Group):
     fps: Annotated[float, Field(gt=0, le=1000)] = 10.0
     cameras: Annotated[tuple[CameraSpec, ...], Field(max_length=MAX_CAMERAS)] = ()
     lidar: Annotated[LidarSpec | None, Field(exclude_if=is_none)] = None
-    views: Annotated[int, Field(ge=1, le=MAX_VIEWS, exclude_if=lambda views: views == 1)] = 1
+    views: Annotated[int, Field(ge=1, le=MAX_VIEWS)] = left_out_at(1)
 
     @model_validator(mode="after")
     def _is_no_clip(self) -> "Shots":

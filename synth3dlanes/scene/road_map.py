@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from synth3dlanes.system.schema import DocumentPart, Name, Number, SymbolKind
+from synth3dlanes.system.schema import DocumentPart, Name, Number, SymbolKind, is_empty
 
 # The most roads of the part of a map that a scene keeps, and lanes on one side of a road.
 MAX_ROADS, MAX_LANES = 2000, 20
@@ -121,10 +121,6 @@ class MapSpan(DocumentPart):
     to_m: Station
 
 
-def _is_empty(value: tuple[object, ...]) -> bool:
-    return not value
-
-
 class MapRoad(DocumentPart):
     """A road. Without `heights` it lies on the terrain; with them its reference line has these world heights. `banks`
     are angles, positive where the right side is lower. On `bridges` it leaves the ground below it, in `tunnels` the
@@ -137,9 +133,9 @@ class MapRoad(DocumentPart):
     lane_offsets: tuple[Polynomial, ...] = ()
     heights: tuple[Polynomial, ...] = ()
     banks: tuple[Polynomial, ...] = ()
-    shapes: Annotated[tuple[MapShape, ...], Field(max_length=100_000, exclude_if=_is_empty)] = ()
-    bridges: Annotated[tuple[MapSpan, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
-    tunnels: Annotated[tuple[MapSpan, ...], Field(max_length=1000, exclude_if=_is_empty)] = ()
+    shapes: Annotated[tuple[MapShape, ...], Field(max_length=100_000, exclude_if=is_empty)] = ()
+    bridges: Annotated[tuple[MapSpan, ...], Field(max_length=1000, exclude_if=is_empty)] = ()
+    tunnels: Annotated[tuple[MapSpan, ...], Field(max_length=1000, exclude_if=is_empty)] = ()
     junction: Name | None = None
     keeps_left: bool = False
     given_from_m: Station = 0.0

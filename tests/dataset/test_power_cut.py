@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from synth3dlanes.dataset.folder import claim
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge, split_dataset
-from synth3dlanes.dataset.write import Shard
 from synth3dlanes.system import files
 from tests import fake_samples
 from tests.power_cut import survive
@@ -18,19 +16,7 @@ SIZE = 3
 
 
 def generated(root: Path, indices: range = range(8)) -> Path:
-    """A data set as `generate` makes it, by this process instead of workers."""
-    recipe, n = fake_samples.recipe(), 8
-    numbers = sorted({index // SIZE for index in indices})
-    with claim(root, {**recipe.description(), "shard_size": SIZE}, "train", n, numbers) as folder:
-        for number in numbers:
-            shard = Shard(folder, number, SIZE, recipe.names).claimed()
-            shard.open()
-            for index in sorted(set(shard.missing(n)) & set(indices)):
-                shard.write_part(index, fake_samples.make(recipe, index).members)
-            if shard.needs_join(n):
-                shard.join(n)
-            shard.close()
-    return root
+    return fake_samples.data_set(root, indices, 8, SIZE)
 
 
 @pytest.fixture(scope="module")

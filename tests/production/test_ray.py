@@ -76,18 +76,13 @@ def cluster() -> Iterator[soak.Cluster]:
         yield found
 
 
-@pytest.fixture
-def address(cluster: soak.Cluster) -> str:
-    return cluster.address
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> dict[str, bytes]:
     return soak.undisturbed(tmp_path_factory.mktemp("whole"), N)
 
 
-def begin(out: str, n: int, address: str = "") -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "tests.fake_samples", out, str(n), "1", *([address] if address else [])]
+def begin(out: str, n: int, cluster: soak.Cluster) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "tests.fake_samples", out, str(n), "1", cluster.address]
     return subprocess.Popen(
         command, cwd=soak.ROOT, env=soak.ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -107,10 +102,10 @@ def log_of(folder: Path) -> list[dict]:
 
 
 @pytest.mark.thorough
-def test_a_store_is_made_and_continued_on_a_cluster(tmp_path, whole, address):
+def test_a_store_is_made_and_continued_on_a_cluster(tmp_path, whole, cluster):
     url = tmp_path.as_uri()
     for n in (5, N):
-        told = finish(begin(url, n, address))
+        told = finish(begin(url, n, cluster))
     soak.check(tmp_path, N, whole)
     assert {path.name for path in tmp_path.iterdir()} == {
         "README.md",
@@ -128,17 +123,17 @@ def test_a_store_is_made_and_continued_on_a_cluster(tmp_path, whole, address):
     # A shard without its index is not there: whatever stopped its upload, it is made again.
     (tmp_path / "train" / "00001.parquet").unlink()
     (tmp_path / "train" / "00001.tar").write_bytes(b"half a tar")
-    finish(begin(url, N, address))
+    finish(begin(url, N, cluster))
     soak.check(tmp_path, N, whole)
 
 
 @pytest.mark.thorough
-def test_a_second_run_in_the_folder_is_refused(tmp_path, address):
+def test_a_second_run_in_the_folder_is_refused(tmp_path, cluster):
     # Many samples, and stopped in their midst: it holds the folder however long the second takes to begin.
-    first = begin(str(tmp_path), 100 * N, address)
+    first = begin(str(tmp_path), 100 * N, cluster)
     assert next(line for line in first.stdout if "kind='sample'" in line)
     first.send_signal(signal.SIGSTOP)
-    second = begin(str(tmp_path), 100 * N, address)
+    second = begin(str(tmp_path), 100 * N, cluster)
     _, errors = second.communicate()
     first.kill()
     first.communicate()

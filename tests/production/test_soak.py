@@ -2,6 +2,7 @@
 
 import errno
 import importlib.util
+import itertools
 import os
 import shutil
 import signal
@@ -66,33 +67,32 @@ def small_disk(folder: Path, size: str, n_files: int = 0):
         subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
-@pytest.fixture
-def full_disk(tmp_path):
-    with small_disk(tmp_path / "disk", "8M") as folder:
-        yield folder
-
-
 @needs_root
-def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(full_disk, whole):
-    ballast = full_disk / "ballast"
-    paused = []
+@pytest.mark.parametrize(("size", "n_files", "piece"), first(1, [("8M", 0, 4096), ("64M", 100, 0)]))
+def test_a_full_disk_makes_the_run_wait_and_nothing_is_lost(tmp_path, whole, size, n_files, piece):
+    """Full of bytes; or of files, while bytes are free all the time."""
+    told = []
+    with small_disk(tmp_path / "disk", size, n_files) as disk:
+        ballast = disk / "ballast"
 
-    def tell(event):
-        if event.kind == "sample" and event.done == 8:
-            with suppress(OSError), ballast.open("wb", buffering=0) as stream:
-                while stream.write(bytes(4096)):
-                    pass
-        if event.kind == "pause":
-            paused.append(event.message)
-            ballast.unlink(missing_ok=True)
+        def tell(event):
+            told.append(event)
+            if event.kind == "sample" and event.done == 8:
+                ballast.mkdir()
+                with suppress(OSError):
+                    for number in itertools.count():
+                        (ballast / str(number)).write_bytes(bytes(piece))
+            if event.kind == "pause":
+                assert piece or shutil.disk_usage(disk).free > 60 << 20
+                shutil.rmtree(ballast, ignore_errors=True)
 
-    small = plan(full_disk / "out", 20, workers=2)
-    report = generate(small, tell)
-    assert report.exit_code == 0
-    assert paused
-    assert all("waiting for" in message and str(full_disk) in message for message in paused)
-    shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
-    assert soak.files(full_disk / "out") == {name: whole[name] for name in shards}
+        report = generate(plan(disk / "out", 20, workers=2), tell)
+        assert report.exit_code == 0
+        pauses = [event.message for event in told if event.kind == "pause"]
+        assert len(pauses) == sum(event.kind == "resume" for event in told) > 0
+        assert all("waiting for" in message and str(disk) in message for message in pauses)
+        shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
+        assert soak.files(disk / "out") == {name: whole[name] for name in shards}
 
 
 @pytest.mark.thorough
@@ -128,18 +128,19 @@ def test_a_quota_that_is_used_up_makes_the_run_wait_until_it_can_write(tmp_path,
 @pytest.mark.thorough
 @needs_root
 @pytest.mark.timeout(60)
-def test_a_worker_that_tells_late_of_a_full_disk_does_not_make_the_run_wait_again(full_disk, monkeypatch):
-    monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(full_disk))
-    ballast = full_disk / "ballast"
-    ballast.write_bytes(bytes(2 << 20))
+def test_a_worker_that_tells_late_of_a_full_disk_does_not_make_the_run_wait_again(tmp_path, monkeypatch):
     told = []
+    with small_disk(tmp_path / "disk", "8M") as disk:
+        monkeypatch.setenv("SYNTH3DLANES_TEST_MARK", str(disk))
+        ballast = disk / "ballast"
+        ballast.write_bytes(bytes(2 << 20))
 
-    def tell(event):
-        told.append(event.kind)
-        if event.kind == "pause":
-            ballast.unlink()
+        def tell(event):
+            told.append(event.kind)
+            if event.kind == "pause":
+                ballast.unlink()
 
-    report = generate(plan(full_disk / "out", 4, workers=2, maker=fake_samples.find_the_disk_full), tell)
+        report = generate(plan(disk / "out", 4, workers=2, maker=fake_samples.find_the_disk_full), tell)
     assert report.exit_code == 0
     assert told.count("pause") == told.count("resume") == 1
 
@@ -169,32 +170,6 @@ def test_a_store_keeps_what_an_interrupted_run_has_made(tmp_path):
     assert (again.exit_code, again.made) == (0, 10 - stopped.done)
     with pytest.raises(InputError, match="image_format"):
         go(replace(a_plan, recipe=fake_samples.recipe(image_format="jpg")))
-
-
-@pytest.mark.thorough
-@needs_root
-def test_a_disk_with_no_more_files_makes_the_run_wait_until_there_may_be_some(tmp_path, whole):
-    """Bytes are free all the time."""
-    with small_disk(tmp_path / "disk", "64M", n_files=100) as disk:
-        ballast, told = disk / "ballast", []
-
-        def tell(event):
-            told.append(event.kind)
-            if event.kind == "sample" and event.done == 8:
-                ballast.mkdir()
-                with suppress(OSError):
-                    for number in range(100):
-                        (ballast / str(number)).touch()
-            if event.kind == "pause":
-                assert shutil.disk_usage(disk).free > 60 << 20
-                shutil.rmtree(ballast)
-
-        report = generate(plan(disk / "out", 20, workers=2), tell)
-        assert report.exit_code == 0
-        assert "pause" in told
-        assert told.count("pause") == told.count("resume")
-        shards = ("00000.parquet", "00000.tar", "00001.parquet", "00001.tar")
-        assert soak.files(disk / "out") == {name: whole[name] for name in shards}
 
 
 @pytest.mark.parametrize("moment", ["while samples are made", "during a join"])
