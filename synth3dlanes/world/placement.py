@@ -20,9 +20,10 @@ from synth3dlanes.world.motion import thing_at
 
 # Length and width of the host's own body, which is centred on the camera.
 HOST_SIZE_M = (5.0, 2.0)
-# Depth of trunks in the ground, so that none floats on a slope; and how high over the faces that are drawn they may
-# begin, whose roots reach 0.3 m deeper: far from the host these faces are metres long, and cut off the edges of banks.
-TREE_SINK_M, TREE_OVER_M = 0.1, 0.1
+# Depth of trunks in the ground, so that none floats on a slope; and how far under and over the faces that are drawn
+# they may begin, with roots that reach 0.3 m deeper: far from the host these faces are metres long, and cut off the
+# edges of banks and the bottoms of ditches.
+TREE_SINK_M, TREE_UNDER_M, TREE_OVER_M = 0.1, 0.25, 0.1
 UP = np.array([0.0, 0.0, 1.0])
 # Where the wheels of a car are (model frame), as shares of half its track and half its wheelbase.
 WHEELS = np.array([[-1, 1, 0], [1, 1, 0], [-1, -1, 0], [1, -1, 0]])
@@ -86,9 +87,10 @@ def _pose_on(contacts: Points3, middle: Float[np.ndarray, "2"], heading: Float[n
 
 
 def tree_positions(ground: Ground, trees: tuple[Tree, ...]) -> Float[np.ndarray, "n 3"]:
-    """The base points of trees on the ground as built, and as drawn where that is lower."""
+    """The base points of trees on the ground as built, and as drawn where that is elsewhere."""
     xy = np.array([[tree.x_m, tree.y_m] for tree in trees]).reshape(-1, 2)
-    z = np.minimum(ground.height(xy) - TREE_SINK_M, ground.drawn_height(xy) + TREE_OVER_M)
+    drawn_m = ground.drawn_height(xy)
+    z = np.clip(ground.height(xy) - TREE_SINK_M, drawn_m - TREE_UNDER_M, drawn_m + TREE_OVER_M)
     return np.column_stack([xy, z])
 
 

@@ -29,8 +29,9 @@ from synth3dlanes.world.solids import Body
 
 # Cells of junctions, and faces of the kerbs around them, by how far these are from the host.
 CELLS_M, KERBS_M, CELLS_TO_M = (0.75, 2.5, 10.0), (1.0, 2.5, 10.0), (60.0, 150.0)
-# What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M below the bed.
-SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.02
+# What lies beside a surface extends SEAM_M under it and SEAM_FALL_M lower; kerbs reach FOOT_M below the bed,
+# as a road of a map may begin higher than the one it meets.
+SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.15
 # Edges of pavement without a kerb have upright faces that reach as much below the terrain's bed.
 SKIRT_M = 0.09
 # Overlap of a road that begins beside another below that one's edge, and the steps in which this edge is found.
