@@ -12,6 +12,7 @@ from synth3dlanes_cli.main import main
 from scripts.latency import table as latency_table
 from scripts.outputs import Outputs
 from scripts.results import models_page, with_benchmarks
+from scripts.tables import with_tables
 from synth3dlanes.labels.labels import LabelsDocument
 from synth3dlanes.params.groups import DAYTIMES, KINDS, REPLACED
 from synth3dlanes.params.params import REFERENCE, Params, forms, load_params, preset_names
@@ -21,6 +22,7 @@ from synth3dlanes.scene.scene import Scene
 from synth3dlanes.validate.checks import ALWAYS, CHECKS
 
 FOLDER = Path(__file__).parents[1] / "docs"
+WITH_TABLES = ("assets.md", "exports.md", "format.md", "frames.md")
 
 CLI_HEAD = r"""# Commands
 
@@ -122,6 +124,7 @@ def pages() -> dict[str, str]:
         "benchmarks.md": with_benchmarks((FOLDER / "benchmarks.md").read_text()),
         "models.md": models_page(),
         "validate.md": with_checks((FOLDER / "validate.md").read_text()),
+        **{name: with_tables((FOLDER / name).read_text()) for name in WITH_TABLES},
     }
 
 

@@ -36,7 +36,7 @@ def generated() -> dict[str, str]:
 
 GENERATED = [
     "cli.md", "params.md", "scene.schema.json", "labels.schema.json", "outputs.schema.json", "cluster.md",
-    "validate.md", "benchmarks.md", "models.md",
+    "validate.md", "benchmarks.md", "models.md", "assets.md", "exports.md", "format.md", "frames.md",
 ]  # fmt: skip
 
 

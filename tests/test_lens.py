@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from synth3dlanes.geometry.frames import invert, project, road_from_cam, transform
-from synth3dlanes.geometry.lens import PINHOLE, Lens, LensModel
+from synth3dlanes.geometry.lens import COEFFICIENTS, PINHOLE, Lens, LensModel
 
 # By projectPoints of cv2, cv2.fisheye and cv2.omnidir (of opencv-contrib), whose axes are
 # x right, y down, z forward, for this matrix.
@@ -111,10 +111,11 @@ def test_any_coefficients_give_numbers_or_nan(k: list[float], count: int) -> Non
     np.testing.assert_allclose(np.linalg.norm(rays[known], axis=1), 1, atol=1e-9)
 
 
-@pytest.mark.parametrize(("model", "n"), [("pinhole", 1), ("opencv", 5), ("fisheye", 8), ("omni", 4)])
-def test_a_wrong_number_of_coefficients_is_refused(model: LensModel, n: int) -> None:
-    with pytest.raises(ValueError, match="coefficients: expected"):
-        Lens(model=model, coefficients=(0.0,) * n)
+@pytest.mark.parametrize("model", COEFFICIENTS)
+def test_a_wrong_number_of_coefficients_is_refused(model: LensModel) -> None:
+    for n in {len(COEFFICIENTS[model]) + 1, 5 if model == "opencv" else len(COEFFICIENTS[model]) - 1} - {-1}:
+        with pytest.raises(ValueError, match="coefficients: expected"):
+            Lens(model=model, coefficients=(0.0,) * n)
 
 
 def test_a_coefficient_that_no_lens_has_is_refused() -> None:

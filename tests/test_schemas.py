@@ -12,7 +12,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from synth3dlanes.draw.sample import Scenes, sample_scene
-from synth3dlanes.geometry.lens import Lens, LensModel
+from synth3dlanes.geometry.lens import COEFFICIENTS, PINHOLE, Lens
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.labels.labels import Labels, SymbolLabel
 from synth3dlanes.labels.object_labels import as_seen
@@ -29,6 +29,7 @@ from synth3dlanes.scene.scene import Car, Scene, Symbol, Thing
 from synth3dlanes.scene.traffic_elements import LaneSignal
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.truth.ground_truth import ground_truth
+from tests.lenses import LENSES
 from tests.map_scenes import FOUR_WAY, map_scene
 from tests.scenes import FLAT, changed
 from tests.signals import sign, signals_scene
@@ -81,18 +82,14 @@ def test_every_ready_camera_has_labels_and_the_place_of_the_parameters(name: str
     assert CameraSpec.model_validate(spec.model_dump(mode="json")) == spec
 
 
-@pytest.mark.parametrize(
-    ("model", "coefficients"),
-    [
-        ("pinhole", ()),
-        ("opencv", (-0.1, 0.02, 1e-3, 0, 0, 0, 0, 0)),
-        ("fisheye", (0.1,) * 4),
-        ("omni", (0.9, 0.1, 0, 0, 0)),
-    ],
-)
-def test_labels_of_every_lens(model: LensModel, coefficients: tuple[float, ...]) -> None:
-    document = check(changed(camera={"lens": Lens(model=model, coefficients=coefficients)}))
-    assert document["camera"]["lens"]["model"] == model
+@pytest.mark.parametrize("lens", [PINHOLE, *(lens for _, lens in LENSES.values())], ids=lambda lens: lens.model)
+def test_labels_of_every_lens(lens: Lens) -> None:
+    document = check(changed(camera={"lens": lens}))
+    assert document["camera"]["lens"]["model"] == lens.model
+
+
+def test_every_model_of_a_lens_is_tried() -> None:
+    assert {"pinhole", *(lens.model for _, lens in LENSES.values())} == set(COEFFICIENTS)
 
 
 @pytest.mark.parametrize("name", preset_names("rigs"))

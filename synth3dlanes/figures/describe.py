@@ -16,6 +16,7 @@ from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.host import Bonnet, HostCamera
 from synth3dlanes.scene.scene import Scene, Weather
+from synth3dlanes.system.schema import DocumentPart
 from synth3dlanes.system.words import counted
 from synth3dlanes.world.motion import host_driven, host_speed
 
@@ -69,7 +70,7 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
         "sensor": {
             "motion blur": f"{scene.sensor.motion_blur_m:.2f} m",
             "noise": f"{scene.sensor.noise:.1f} levels at middle gray",
-            **({"corners": f"{100 * scene.sensor.vignette:.0f} % darker"} if scene.sensor.vignette else {}),
+            **_changed(scene.sensor, besides=("motion_blur_m", "noise")),
         },
         **({} if (scene.weather, scene.host) == (Weather(), Bonnet()) else {"weather": _weather(scene)}),
         "objects": {
@@ -105,6 +106,13 @@ def describe(shown: ShownScene) -> dict[str, Facts]:
 def _elements(items: Sequence[ObjectLabel]) -> str:
     """What the labelled signals show and signs say."""
     return _counted([f"{item.category} {item.state or item.kind}".replace("_", " ") for item in items])
+
+
+def _changed(part: DocumentPart, besides: tuple[str, ...]) -> Facts:
+    """The values of a part of a scene that are not those of scenes without them; `besides` are told in other words."""
+    defaults = {name: field.default for name, field in type(part).model_fields.items() if name not in besides}
+    values = {name: getattr(part, name) for name, default in defaults.items() if getattr(part, name) != default}
+    return {name.replace("_", " "): f"{value:.4g}" for name, value in values.items()}
 
 
 def _weather(scene: Scene) -> Facts:

@@ -23,6 +23,8 @@ COEFFICIENTS: dict[LensModel, tuple[str, ...]] = {
     "fisheye": ("k1", "k2", "k3", "k4"),
     "omni": ("xi", "k1", "k2", "p1", "p2"),
 }
+# Models without a plane: their radius, which grows with the angle itself, is finite beyond 90 degrees.
+ANGULAR: tuple[LensModel, ...] = ("fisheye",)
 # What OpenCV's model may have beside these: a thin prism, and a sensor tilted about its axes.
 PRISM_AND_TILT = ("s1", "s2", "s3", "s4", "tau_x", "tau_y")
 MAX_COEFFICIENT = 1e4
@@ -40,9 +42,8 @@ NEGLIGIBLE = 1e-15
 
 
 class Lens(DocumentPart):
-    """A distortion model and its coefficients: none for a pinhole, k1 k2 p1 p2 k3 k4 k5 k6 for OpenCV's, after which
-    s1 s2 s3 s4 tau_x tau_y may follow, k1 to k4 for the Kannala-Brandt fisheye, xi k1 k2 p1 p2 for Mei's
-    omnidirectional camera."""
+    """A distortion model and its coefficients, which are those of COEFFICIENTS in order; those of PRISM_AND_TILT may
+    follow in OpenCV's model. `fisheye` is Kannala and Brandt's model, `omni` Mei's of omnidirectional cameras."""
 
     model: LensModel = "pinhole"
     coefficients: tuple[Annotated[float, Field(ge=-MAX_COEFFICIENT, le=MAX_COEFFICIENT)], ...] = ()
@@ -86,7 +87,7 @@ class Lens(DocumentPart):
     @property
     def is_pinhole(self) -> bool:
         """Whether straight lines stay straight."""
-        return not any(self.coefficients) and self.model != "fisheye"
+        return not any(self.coefficients) and self.model not in ANGULAR
 
     def project(self, img_from_cam: Float[np.ndarray, "3 3"], points_cam: AnyPoints3) -> AnyPoints2:
         """Pixels (u, v) of points; NaN for points that are not in the lens's field."""
@@ -130,7 +131,7 @@ def _radial(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     if lens.model == "opencv":
         k1, k2, _, _, k3, k4, k5, k6 = lens.coefficients[:8]
         return np.array([k3, k2, k1, 1.0]), np.array([k6, k5, k4, 1.0])
-    powers = lens.coefficients[1:3] if lens.model == "omni" else lens.coefficients
+    powers = {"fisheye": lens.coefficients, "omni": lens.coefficients[1:3]}.get(lens.model, ())
     return np.array([*powers[::-1], 1.0]), np.ones(1)
 
 
@@ -147,8 +148,8 @@ def _field_rad(lens: Lens) -> float:
     roots = np.concatenate([np.roots(part) for part in parts])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots.real))) & (roots.real > 0)]
     end = float(np.sqrt(real.min())) if real.size else np.inf
-    if lens.model == "fisheye":
-        return min(end, WIDEST_RAD[lens.model])
+    if lens.model in ANGULAR:
+        return min(end, _widest_rad(lens))
     aside, ahead, _ = _lifted(lens, np.array([end, 0.0]))
     return float(np.fmin(np.arctan2(aside, ahead), _widest_rad(lens)))
 
@@ -199,7 +200,7 @@ def _bent(lens: Lens, points_cam: AnyPoints3) -> AnyPoints2:
     angle = np.arctan2(aside, y)
     with np.errstate(invalid="ignore", divide="ignore"):
         angle = np.where((angle < lens.field_rad) & ((aside > 0) | (y > 0)), angle, np.nan)
-        if lens.model == "fisheye":
+        if lens.model in ANGULAR:
             scale = np.where(aside > 0, _radius(lens, angle)[0] / np.where(aside > 0, aside, 1), 0.0) + 0 * angle
             return np.stack([x * scale, z * scale], axis=-1)
         y = np.where(np.isnan(angle), np.nan, y) + lens.xi * np.hypot(aside, y)

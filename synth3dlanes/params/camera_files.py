@@ -29,10 +29,10 @@ LISTED: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "fisheye": (("k1", "k2", "k3", "k4"), (4,)),
     "omni": (("k1", "k2", "p1", "p2"), (4,)),
 }
-# By Kalibr's camera and distortion models. Intrinsics of omni begin with xi.
-KALIBR_MODELS = {
-    "pinhole": {"none": "pinhole", "radtan": "opencv", "equidistant": "fisheye"},
-    "omni": {"none": "omni", "radtan": "omni"},
+# Of each camera model of Kalibr: its intrinsics before fx fy cx cy, and our model for each of its distortion models.
+KALIBR_MODELS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
+    "pinhole": ((), {"none": "pinhole", "radtan": "opencv", "equidistant": "fisheye"}),
+    "omni": (("xi",), {"none": "omni", "radtan": "omni"}),
 }
 ROS_MODELS = {
     "plumb_bob": "opencv",
@@ -161,15 +161,17 @@ def _of_kalibr(cam: Any, where: str) -> dict[str, Any]:
     if not isinstance(cam, dict):
         raise InputError(f"{where}: cam0: expected keys such as intrinsics, got {shown(cam)}")
     kind = cam.get("camera_model", "pinhole")
-    if kind not in ("pinhole", "omni"):
-        raise InputError(f"{where}: camera_model: expected pinhole or omni, got {shown(kind)}")
-    focals, size = (_numbers(_required(cam, key, where)) for key in ("intrinsics", "resolution"))
-    names = ["xi"] * (kind == "omni") + ["fx", "fy", "cx", "cy"]
-    if len(focals) != len(names) or len(size) != 2:
+    if not isinstance(kind, str) or kind not in KALIBR_MODELS:
+        raise InputError(f"{where}: camera_model: expected {' or '.join(KALIBR_MODELS)}, got {shown(kind)}")
+    first, models = KALIBR_MODELS[kind]
+    intrinsics, size = (_numbers(_required(cam, key, where)) for key in ("intrinsics", "resolution"))
+    names = (*first, "fx", "fy", "cx", "cy")
+    if len(intrinsics) != len(names) or len(size) != 2:
         raise InputError(f"{where}: expected intrinsics [{', '.join(names)}] and resolution [width, height]")
-    model = _model(cam.get("distortion_model", "none"), KALIBR_MODELS[kind], where, "distortion_model")
+    model = _model(cam.get("distortion_model", "none"), models, where, "distortion_model")
     lens = _lens(model, _numbers(cam.get("distortion_coeffs", ())), where)
-    return {"width_px": size[0], "height_px": size[1], **_centered(*focals[-4:]), **lens, **_xi(focals[:-4])}
+    lens |= dict(zip(first, intrinsics, strict=False))
+    return {"width_px": size[0], "height_px": size[1], **_centered(*intrinsics[-4:]), **lens}
 
 
 def _of_camodocal(keys: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -192,13 +194,8 @@ def _of_camodocal(keys: Mapping[str, Any], where: str) -> dict[str, Any]:
         "height_px": size[1],
         **_centered(*focals),
         **_lens("omni", distortion, where),
-        **_xi(xi),
+        "xi": xi[0],
     }
-
-
-def _xi(values: list[float]) -> dict[str, float]:
-    """The key of an omnidirectional camera, where there is any."""
-    return {"xi": values[0]} if values else {}
 
 
 def _centered(fx: float, fy: float, cx: float, cy: float) -> dict[str, Any]:

@@ -6,6 +6,7 @@ Pixels, metres and degrees. The place is relative to the host's own on the road:
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain
 from typing import Annotated, Any
 
 import numpy as np
@@ -28,7 +29,7 @@ ZERO = Choice((0.0,), (1.0,))
 # Without a calibration of the place: in the middle of the host, level.
 HEIGHT_M = Choice((1.5,), (1.0,))
 NAMES = COEFFICIENTS["opencv"] + PRISM_AND_TILT
-EVERY_NAME = (*NAMES, "xi")
+EVERY_NAME = tuple(dict.fromkeys(chain(NAMES, *COEFFICIENTS.values())))
 # From this half field of view on, a picture shows what is beside the camera.
 ASIDE_DEG = 85.0
 VALUE_DECIMALS, COEFFICIENT_DECIMALS = 6, 9

@@ -27,16 +27,6 @@ from tests.thorough import first
 N_TRAIN, N_TEST = 7, 4
 FORMATS = {name: open_format(name) for name in format_names()}
 PINHOLE = [name for name, foreign in FORMATS.items() if isinstance(foreign, PinholeFormat)]
-SIZE_PX = {
-    "apollo": (1920, 1080),
-    "openlane": (1920, 1280),
-    "once": (1920, 1020),
-    "tusimple": (1280, 720),
-    "culane": (1640, 590),
-    "curvelanes": (2560, 1440),
-}
-
-
 # A folder for each frame, and lines of many frames in one file; the others have files of their own for tests.
 QUICK = ("openlane", "tusimple")
 
@@ -118,12 +108,12 @@ def test_counts_add_up_and_the_readme_names_every_reason(exported):
 
 def test_images_have_the_formats_size_and_every_line_of_text_ends(exported):
     format_name, out, summary = exported
-    size_px = SIZE_PX[format_name]
+    camera = FORMATS[format_name].camera
     images = [path for path in out.rglob("*.jpg") if path.is_file()]
     assert len(images) == sum(summary.n_frames.values())
     for path in images:
         with Image.open(path) as image:
-            assert image.size == size_px
+            assert image.size == (camera.width_px, camera.height_px)
     assert_every_line_ends(out)
 
 

@@ -14,7 +14,7 @@ from synth3dlanes.draw.given_map import MapPlace
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.formats.comparing import back_along
 from synth3dlanes.formats.export import Export
-from synth3dlanes.formats.format import format_names
+from synth3dlanes.formats.format import PinholeFormat, format_names, open_format
 from synth3dlanes.formats.verify import Verification, verify
 from synth3dlanes.params.camera_files import load_camera
 from synth3dlanes.params.cameras import CameraSpec
@@ -78,14 +78,14 @@ REFUSED = (
     | {("argoverse2", kind): "expected a rig with cameras of Argoverse 2" for kind in ("rig", "town rig")}
 )
 ALL = [(kind, name) for kind in KINDS for name in format_names()]
+RESAMPLED = [name for name in format_names() if isinstance(open_format(name), PinholeFormat)]
 # What differs most from other kinds; each format is in it.
 QUICK = {
     *((kind, "openlane_v2") for kind in ("rig", "roundabout")),
     ("rig", "argoverse2"),
     ("paper", "cosmos"),
     *(("ring rig", name) for name in ("argoverse2", "kitti")),
-    *(("paper", name) for name in ("apollo", "once", "openlane", "tusimple", "culane", "curvelanes", "opendrive")),
-    *(("town", name) for name in ("apollo", "once", "openlane", "tusimple", "culane", "curvelanes", "opendrive")),
+    *((kind, name) for kind in ("paper", "town") for name in ("opendrive", *RESAMPLED)),
     ("town", "lanelet2"),
     *(("streets", name) for name in ("coco", "masks", "yolo")),
     ("clip", "cosmos"),
