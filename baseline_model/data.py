@@ -203,10 +203,12 @@ def fit(
         raise InputError(f"intrinsics: expected a centre between the left and the right edge of {told}")
     fx, fy, cx, cy = scale(intrinsics, from_px, size_px)
     new_fx, new_fy = (fx, fy) if trained is None else trained.nearest(fx, fy)
-    if max(new_fx / fx, new_fy / fy) > MOST_ENLARGED:
+    enlarged = max(new_fx / fx, new_fy / fy)
+    if enlarged > MOST_ENLARGED:
+        least = ", ".join(f"{f_px * enlarged / MOST_ENLARGED:.4g}" for f_px in intrinsics[:2])
         raise InputError(
-            f"intrinsics: expected focal lengths of at least {intrinsics[0] * new_fx / fx / MOST_ENLARGED:.0f} px for "
-            f"an image of {from_px[1]} px, got {intrinsics[0]:g}, {intrinsics[1]:g}"
+            f"intrinsics: expected focal lengths of at least {least} px for an image of {from_px[1]}x{from_px[0]} px, "
+            f"got {intrinsics[0]:.4g}, {intrinsics[1]:.4g}"
         )
     small_px = (max(1, round(height * new_fy / fy)), max(1, round(width * new_fx / fx)))
     small = resize(image, small_px)

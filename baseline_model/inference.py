@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
 from synth3dlanes.labels.labels import Labels
+from synth3dlanes.system.errors import InputError
 
 from .config import ModelConfig
 from .curves import Pose
@@ -75,7 +76,10 @@ class Detector:
         """Each image with its lanes. A thread reads and resizes the next images meanwhile."""
 
         def fitted(one: CameraImage) -> Fitted:
-            found = fit(one.image, one.intrinsics, self.size_px, self.trained)
+            try:
+                found = fit(one.image, one.intrinsics, self.size_px, self.trained)
+            except InputError as error:
+                raise InputError(f"{one.key}: {error}") from None
             if one.image.nbytes > MOST_BYTES:
                 return_freed_memory()
             return (one, *found)

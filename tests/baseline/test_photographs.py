@@ -88,6 +88,15 @@ def test_pictures_like_those_of_training_are_only_resized(trained):
             fit(image, (831.4, 831.4, cx, 370.0), SIZE_PX, trained)
 
 
+def test_the_least_focal_lengths_are_those_that_are_taken():
+    tall = np.zeros((900, 3, 3), dtype=np.uint8)
+    with pytest.raises(InputError, match=r"focal lengths of at least [\d.]+, [\d.]+ px for an image of 3x900 px") as told:
+        fit(tall, (2.6, 2.6, 1.5, 450.0), SIZE_PX, ONE_CAMERA)
+    least = float(str(told.value).split("at least ")[1].split(",")[0])
+    assert least > 2.6
+    fit(tall, (least * 1.001, least * 1.001, 1.5, 450.0), SIZE_PX, ONE_CAMERA)
+
+
 def test_focal_lengths_of_training_are_measured_in_pixels_of_the_network():
     samples = roads.samples(np.random.default_rng(1), 3, (640, 360))
     # conftest: f = 415.7 px at a width of 480 px, so 554.3 px at 640x360, resized by 3/4 and 1.

@@ -155,6 +155,9 @@ def test_image_files_without_intrinsics_are_taken_for_those_of_the_papers_camera
     assert found.path.read_bytes() == given.path.read_bytes()
     assert "60 degrees" in found.text()
     assert "60 degrees" not in given.text()
+    Image.new("RGB", (3, 900)).save(tmp_path / "tall.png")
+    with pytest.raises(InputError, match=r"^tall\.png: intrinsics: expected a centre"):
+        detected(checkpoint, tmp_path / "tall.png", tmp_path / "c", (fx, fy, cx, cy))
 
 
 def test_no_picture_replaces_an_image_or_another_picture(checkpoint, split, tmp_path):
