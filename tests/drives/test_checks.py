@@ -145,7 +145,7 @@ FAULTS = {
         other_lanes(lambda u, v: (u, 400 - v)), "100% of the lowest points of their lines look over the horizon"),
     "lanes of a larger image": (other_lanes(lambda u, v: (2 * u, 2 * v)), "belong to images of another size"),
     "lanes of a camera that looks aside": (
-        other_lanes(lambda u, v: (u + 3 * (v - 200) - 270, v)),
+        other_lanes(lambda u, v: (u - 3 * (v - 200) + 270, v)),
         "on the ground, half of them cross the path at .* degrees or more",
     ),
 }  # fmt: skip
@@ -171,6 +171,27 @@ def test_lines_on_a_road_that_climbs_ahead_are_no_fault(tmp_path):
     rows = [row for frame in open_drive(str(tmp_path)).frames for line in frame.lanes_px for row in line[:, 1]]
     assert np.mean(np.array(rows) < 200) > 0.5
     assert not [line for line in drive_findings(open_drive(str(tmp_path))) if "horizon" in line]
+
+
+@pytest.mark.parametrize("turn", [0.03, -0.03])
+def test_lanes_lead_along_the_bend_that_the_host_drives(tmp_path, turn):
+    """27 m of radius: lines 6 to 40 m ahead lead aside by 13 to 85 degrees; mirrored ones are a fault."""
+    made.write_described(tmp_path, made.road(12, turn))
+    radius_m, angles = made.SPEED_M_S * made.DT_S / turn, np.linspace(6, 40, 12) * turn / (made.SPEED_M_S * made.DT_S)
+    lines = []
+    for t in (-1.75, 1.75):
+        ahead, left = (radius_m - t) * np.sin(angles), radius_m - (radius_m - t) * np.cos(angles)
+        u = made.MIDDLE_PX[0] - made.FOCAL_PX * left / ahead
+        v = made.MIDDLE_PX[1] + made.FOCAL_PX * made.CAMERA_HEIGHT_M / ahead
+        inside = (u >= 0) & (u <= 640) & (v <= 400)
+        lines.append(np.stack([u, v], -1)[inside])
+    of = json.loads((tmp_path / "lanes.json").read_text())
+    for sign in (1, -1):
+        mirrored = [[(made.MIDDLE_PX[0] + sign * (u - made.MIDDLE_PX[0]), v) for u, v in line] for line in lines]
+        images = dict.fromkeys(of["images"], mirrored)
+        (tmp_path / "lanes.json").write_text(json.dumps(of | {"images": images}))
+        found = drive_findings(open_drive(str(tmp_path)))
+        assert [bool(re.search("cross the path", line)) for line in found] == [True] * (sign < 0)
 
 
 @pytest.mark.parametrize(

@@ -236,6 +236,8 @@ MOST_LYING_DEG = 30.0
 LEAST_MOVE_M, MOST_OFF_DEG, BACKWARDS_DEG, TURNED_DEG = 0.3, 20.0, 150.0, 8.0
 # Lanes on the ground, near the host.
 NEAREST_M, FARTHEST_M, LEAST_ON_GROUND, MOST_ACROSS_DEG = 3.0, 40.0, 0.5, 25.0
+# How far before and after a pose its bend is taken.
+BEND_M = 5.0
 # The share of a line's points, from the bottom of the image, that must be on the ground.
 NEAR_SHARE = 0.25
 
@@ -260,7 +262,8 @@ def drive_findings(drive: Drive) -> list[str]:
         findings += of_units + of_ground
         if planes and not of_ground:
             findings += fit_findings(drive, scale, planes[0])
-    return findings + _lanes(drive, [drive.frames[number] for number in spaced], planes)
+    bends = _bends(poses)[np.asarray(spaced) // step]
+    return findings + _lanes(drive, [drive.frames[number] for number in spaced], bends, planes)
 
 
 def _times(drive: Drive, frames: Sequence[DriveFrame], times_s: Scalars) -> list[str]:
@@ -366,9 +369,21 @@ def _heading(drive: Drive, poses: Float[np.ndarray, "n 4 4"]) -> list[str]:
     return [f"{where}: {told}: check the axes of the poses (rfu, flu or rdf)"]
 
 
-def _lanes(drive: Drive, frames: Sequence[DriveFrame], planes: Sequence[GroundPlane]) -> list[str]:
-    """Whether the lanes marked in images are on the ground ahead and lead along it."""
-    lines = [line for frame in frames for line in frame.lanes_px]
+def _bends(poses: Float[np.ndarray, "n 4 4"]) -> Scalars:
+    """By how many radians the host turns left in a metre of its way, at each pose."""
+    heading = np.unwrap(np.arctan2(-poses[:, 0, 1], poses[:, 1, 1]))
+    way_m = np.cumsum([0.0, *np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)])
+    before, after = (np.interp(way_m + side * BEND_M, way_m, heading) for side in (-1, 1))
+    apart_m = np.minimum(way_m + BEND_M, way_m[-1]) - np.maximum(way_m - BEND_M, 0)
+    return np.asarray((after - before) / np.maximum(apart_m, BEND_M))
+
+
+def _lanes(drive: Drive, frames: Sequence[DriveFrame], bends: Scalars, planes: Sequence[GroundPlane]) -> list[str]:
+    """Whether the lanes marked in images are on the ground ahead and lead along it, where the host turns with it."""
+    lines, bend_of = (
+        [line for frame in frames for line in frame.lanes_px],
+        [bend for frame, bend in zip(frames, bends.tolist(), strict=True) for _ in frame.lanes_px],
+    )
     camera = drive.camera
     if not lines or not planes:
         return []
@@ -386,7 +401,8 @@ def _lanes(drive: Drive, frames: Sequence[DriveFrame], planes: Sequence[GroundPl
     if on_ground.mean() < LEAST_ON_GROUND:
         told = f"{1 - on_ground.mean():.0%} of the lowest points of their lines look over the horizon"
         return [f"{where}: {told}: check the camera's place and axes, and that rows of pixels count from the top"]
-    angles_deg = [angle for ground in grounds if (angle := _across_deg(ground)) is not None]
+    across_deg = (_across_deg(ground, bend) for ground, bend in zip(grounds, bend_of, strict=True))
+    angles_deg = [angle for angle in across_deg if angle is not None]
     if angles_deg and (across := float(np.median(angles_deg))) > MOST_ACROSS_DEG:
         told = f"on the ground, half of them cross the path at {across:.0f} degrees or more"
         return [f"{where}: {told}: check the camera's place and axes"]
@@ -406,11 +422,13 @@ def _on_ground(drive: Drive, line: Float[np.ndarray, "n 2"], plane: GroundPlane)
         return np.where(((falls < 0) & (reach > 0))[:, None], rays * reach[:, None], np.nan)
 
 
-def _across_deg(ground: Points3) -> float | None:
-    """The angle between a line's near part and straight ahead; None where too little of it is near."""
+def _across_deg(ground: Points3, bend: float) -> float | None:
+    """The angle between a line's near part and the host's way, which leads straight ahead or along its bend; None where
+    too little of it is near."""
     with np.errstate(invalid="ignore"):
         near = ground[(ground[:, 1] > NEAREST_M) & (np.linalg.norm(ground, axis=1) < FARTHEST_M)]
     if len(near) < 2 or np.ptp(near[:, :2], axis=0).max() < 2:
         return None
     along = np.linalg.svd(near[:, :2] - near[:, :2].mean(axis=0), full_matrices=False)[2][0]
-    return float(np.degrees(np.arctan2(abs(along[0]), abs(along[1]))))
+    left_rad, turned_rad = np.arctan2(-along[0] * np.copysign(1, along[1]), abs(along[1])), bend * near[:, 1].mean()
+    return float(np.degrees(abs(left_rad - np.clip(left_rad, min(0.0, turned_rad), max(0.0, turned_rad)))))
