@@ -28,7 +28,7 @@ from synth3dlanes.world.ground import Ground
 
 # Distance of poles from the pavement of traffic. A pole that a file has on the pavement is moved beside it and gets an
 # arm, at most ARM_M long; room is looked for in steps of ARM_STEP_M.
-OFF_M, ARM_M, ARM_STEP_M, GRAZES_M = 0.3, 14.0, 0.25, 1.0
+OFF_M, ARM_M, ARM_STEP_M, GRAZES_M = 0.3, 25.0, 0.25, 1.0
 # Heads and boards within SAME_PLACE_M are above each other, ABOVE_M apart, up to HIGHEST_M.
 SAME_PLACE_M, ABOVE_M, HIGHEST_M = 0.6, 0.06, 9.0
 HIGH_M = {TrafficSignal: 1.24, TrafficSign: 1.1}

@@ -61,7 +61,7 @@ ElementKind = LensForm | Literal["lane"] | SignKind | FaceKind
 ElementState = SignalState | LaneState
 GovernedLanes = Annotated[tuple[Name, ...], Field(max_length=MAX_LANES)]
 Mounting = Annotated[float, Field(gt=0, le=12)]
-Reach = Annotated[float, Field(ge=-20, le=20)]
+Reach = Annotated[float, Field(ge=-25, le=25)]
 
 
 class Phase(DocumentPart):

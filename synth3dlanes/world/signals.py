@@ -41,6 +41,8 @@ HOOD = np.stack([HOOD, HOOD - [0, HOOD_M, 0]])
 # A signal over a lane, and how far the pole is behind what it carries.
 LANE_HEAD_M, BEHIND_M = np.array([0.95, 0.2, 0.95]), 0.1
 BESIDE_POLE_M = 0.05
+# Arms over wide roads are as thick as beams of gantries.
+LONG_ARM_M, LONG_ARM_RADIUS_M = 12.0, 0.2
 # Lights from the top, and which of them shine.
 LIGHTS: tuple[Color, ...] = (RED_LIGHT, AMBER_LIGHT, GREEN_LIGHT)
 SHINING: dict[SignalState, tuple[int, ...]] = {
@@ -125,6 +127,7 @@ def pole_body(item: TrafficSignal | TrafficSign, frame: GroundFrame) -> Body:
     (_, _, height_m), reach_m = place.size_m, item.reach_m
     has_arm, middle_m = abs(reach_m) > BESIDE_POLE_M, item.height_m + height_m / 2
     radius_m = (0.11 if abs(reach_m) > 2 else 0.06) if is_signal else 0.035
+    radius_m = LONG_ARM_RADIUS_M if abs(reach_m) > LONG_ARM_M else radius_m
     top_m = middle_m + 0.3 if has_arm else item.height_m + 0.95 * height_m
     color = DARK_METAL if is_signal else METAL
     quads.tube(frame.world(np.array([(0, 0, -SINK_M), (0, 0, top_m)])), (radius_m, 0.8 * radius_m), color, n=8)

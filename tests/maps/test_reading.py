@@ -245,6 +245,20 @@ def test_poles_stand_beside_the_pavement_and_arms_reach_over_it() -> None:
     assert boards[1] > boards[0] + 0.9
 
 
+@pytest.mark.parametrize(("n_lanes", "reach_m"), [(5, 16.55), (9, None)])
+def test_over_wide_roads_a_long_thick_arm_holds_what_would_float(n_lanes: int, reach_m: float | None) -> None:
+    lanes = section(*(lane(number) for number in range(n_lanes, -n_lanes - 1, -1) if number))
+    light = '<signals><signal id="1" s="290" t="-1.5" type="1000001" zOffset="6" orientation="+"/></signals>'
+    world = world_of(read_opendrive(opendrive(road(EAST, lanes, "1", after=light)), "t", "map t"))
+    (item,) = world.scene.roadside.signals
+    assert (item.has_pole, abs(item.reach_m)) == (reach_m is not None, pytest.approx(reach_m or 0.0, abs=0.25))
+    poles = [body.corners_world for body in world.site.structures if body.kind == "signal"]
+    assert len(poles) == item.has_pole
+    for corners in poles:
+        assert np.ptp(corners[..., 0]) > 16, "it reaches the light"
+        assert np.ptp(corners[..., 1]) == pytest.approx(0.4, abs=0.05), "its pole"
+
+
 def test_one_group_of_a_junction_has_its_turn() -> None:
     given = read_signals("".join(f'<signal id="{i}" s="290" t="-6" type="1000001" orientation="+"/>' for i in range(3)))
     items = [
