@@ -37,13 +37,13 @@ STREET_LAMP, STREET_COLOR, STREET_CONE_RAD, N_STREET_LAMPS = 0.05, (1.0, 0.8, 0.
 CAR_LAMPS = {"car_head": (0.03, 0.0275, 0.024), "car_tail": (0.006, 0.00003, 0.00002)}
 # Radiance of a lit window (about 25 cd/m2), its colour, and the share of windows that are lit after sunset.
 WINDOW, WINDOW_COLOR, LIT = 0.0006, (1.0, 0.72, 0.42), 0.3
-# What throws headlights back: the gloss above which faces do, and coefficient (cd/lx/m2) times the intensity towards
-# them. Signs hang above the beam's edge, reflectors stand at it.
+# Retroreflection: the gloss from which faces have it, and their coefficient (cd/lx/m2) times the intensity of the light
+# towards them. Signs hang above the beam's edge, reflectors stand at it.
 THROWN_BACK: dict[Glow, tuple[float, float]] = {
     "sheeting": (SHEETING_GLOSS - 0.02, 250 * BEAM * STRAY),
     "reflector": (REFLECTOR_GLOSS - 0.02, 300 * BEAM * 0.1),
 }
-# What glows, by the names of materials.
+# The glow of kinds by their names, which are those of their materials.
 GLOWS = {kind.name: kind.glow for kind in KINDS if kind.glow}
 NEAREST_M = 4.0
 # Radiance of lit lenses of signals by day (about 6000 cd/m2), and the share of it in the dark.
@@ -145,8 +145,8 @@ def add_lights() -> None:
 
 
 def _throw_back(graph: ShaderGraph, gloss_from: float) -> None:
-    """Let the glossiest faces throw light from beside the camera back, in their colour: less as the square of the
-    distance grows, and by the angle at which it meets them."""
+    """Let the glossiest faces throw headlights back to the camera, in their colour: less with the square of the
+    distance, and by the angle at which the light meets them."""
     paint, geometry = graph.node("ShaderNodeAttribute", attribute_name="paint"), graph.node("ShaderNodeNewGeometry")
     is_it = graph.math("GREATER_THAN", paint.outputs["Alpha"], gloss_from)
     away_m = graph.math("MAXIMUM", graph.node("ShaderNodeCameraData").outputs["View Distance"], NEAREST_M)

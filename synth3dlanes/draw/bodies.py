@@ -24,7 +24,7 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.motion import stations_after, walked_way
 from synth3dlanes.world.posts import post_frames
 
-# Between two instants that are checked nobody moves by more than the room between bodies.
+# Nobody moves by more than ROOM_M, the room between bodies, from one checked instant to the next.
 CHECK_EVERY_S, ROOM_M = 0.1, 0.1
 # Time between instants of tracks.
 TRACK_EVERY_S = 0.5
@@ -32,11 +32,11 @@ TRACK_EVERY_S = 0.5
 VEHICLES_M = 110.0
 # Footprints of poles with what they hold, and of trunks. Bushes are as wide as their crowns.
 POLE_M, TRUNK_M, BUSH_MAX_M = 0.4, 0.6, 2.5
-# How far ahead in time, and at which steps, is looked for vehicles that come.
+# People look for vehicles that come within AHEAD_S, at these steps of time.
 AHEAD_S, AHEAD_STEP_S = 30.0, 0.5
 # Headings are measured over this length to both sides.
 HEADING_M = 0.5
-# At which the host of a single picture is assumed to drive.
+# The assumed speed of the host in single pictures.
 HOST_M_S = 10.0
 
 

@@ -27,16 +27,16 @@ from synth3dlanes.world import placement
 CAR_GAP_M, TRIES = (1.0, 0.3), 300
 # Least distance of parked cars from where roads part.
 PARKING_BEFORE_M = 20.0
-# Between two instants that are checked no car gains more on another than the gap between them.
+# No car gains more on another than the gap between them from one checked instant to the next.
 CHECK_EVERY_S = 0.05
 # The number of speeds drawn for a car before it takes another car's speed.
 SPEED_TRIES = 8
 
-# On maps: draws of a place for each car, and how many times as likely lanes of the host's roads are as others.
+# On maps: draws of a place for each car, and the weight of lanes of the host's roads, if that of others is 1.
 TRIES_ON_MAPS, LIKELIER = 60, 3.0
 # The most acceleration to the side (m/s^2), and the length over which a bend is measured.
 SIDEWAYS, BEND_M = 3.0, 4.0
-# What is left of a way at the end of a clip, and the narrowest lane with cars.
+# The least length of a car's way beyond its place at the end of a clip, and the narrowest lane with cars.
 LEFT_M, NARROW_M = 6.0, 2.2
 
 BodySize = tuple[float, float]

@@ -19,10 +19,10 @@ from synth3dlanes.system.arrays import Points3, Scalars
 GROUND_GRID_STEP_M, HALF_N, LEVEL_AT_EDGE = 20.0, 32, 4
 # Places of roads that the ground is fitted to, along roads.
 ALONG_M = 6.0
-# Of two roads one above the other the ground meets the lower one: the height between their places, beyond the distance
-# from above of these, and how close they are.
+# Of two roads that pass over each other the ground meets the lower one: at places less than BESIDE_M apart seen from
+# above, whose heights differ by that distance and ABOVE_M more.
 ABOVE_M, BESIDE_M = 3.0, 15.0
-# Weights of bends of the ground and of its distance from the mean height, beside that of a metre off a road.
+# Weights of the ground's bends and of its distance from the mean height, where that of its distance from roads is 1.
 BEND_WEIGHT, MEAN_WEIGHT = 0.02, 1e-4
 MM_DECIMALS = 3
 

@@ -34,11 +34,13 @@ MM_DECIMALS, TRIES = 3, 30
 BEHIND_M, AHEAD_M, MIN_RAIL_M = 30.0, 330.0, 14.0
 # Distance of barriers from the edge of a raised road, where the ground falls away; the height from which it is raised.
 RAISED_ASIDE_M, RAISED_FROM_M = 0.3, 0.3
-# Least distance of a rail's back from any pavement, and limits of the ground at its front over its edge.
+# Least distance of a rail's back from any pavement, and the range of the ground's height at its front over the edge of
+# the pavement.
 BACK_M, LEVEL_M = 0.25, (-0.8, 0.15)
 # Least distance of a barrier in the median from the edge lines.
 MEDIAN_GAP_M = 0.3
-# Least distances behind a rail of what stands there, and of posts from crossings; the most of half a crossing's span.
+# Least distances of things from the rail in front of them, and of posts from crossings; the greatest half of a
+# crossing's span.
 BEHIND_RAIL_M, APART_M, HALF_SPAN_M = 0.7, 3.0, 40.0
 # Least distances of a dam's foot and of a building from any pavement.
 DAM_GAP_M, BUILDING_GAP_M = 1.0, 5.0

@@ -41,7 +41,7 @@ from synth3dlanes.world.world import World, resolve
 USER_DATA = "synth3dlanes.segment"
 """The code of the user data that names a lane's segment in our lane graph."""
 # Shapes are heights square to the banked plane, so where the ground bends they move points aside.
-# Only paint of one kind along a whole edge is told.
+# Paint of an edge is compared only if all of it is of one kind.
 RULE = MapRule("m", 0.15, slack=0.3, word=paint_word, of_pieces=True, painted_share=0.15, gap_m=0.15)
 # The cubics of lines, heights and widths are within a millimetre of the same functions.
 GAP_M = 0.005

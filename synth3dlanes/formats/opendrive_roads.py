@@ -49,13 +49,15 @@ HEIGHT_M, ROLL_RAD, PROFILE_STEP_M = 1e-3, 1e-4, 0.25
 # A road gets lateral shapes where its surface is farther than this from the rolled plane; the number of places across
 # the road at which it is measured.
 SHAPE_M, SHAPE_PLACES = 0.005, 9
-# Products of widths are this exact.
+# Tolerance of widths on rolled planes.
 WIDENED_M = 1e-4
-# The step between places of a road's line at which it is looked for; its climb is measured over CLIMB_M to both sides.
+# The search for the road nearest to a point begins at places of its line this far apart; its climb is measured over
+# CLIMB_M to both sides.
 COARSE_STEP_M, CLIMB_M = 2.0, 0.01
-# Steps to a point's station: in bends each leaves a share of the way. What is left of the last one.
+# The most steps of the search for a point's station, each of which leaves a share of the error in bends, and the step
+# after which it ends.
 FOOT_STEPS, SETTLED_M = 20, 1e-6
-# What is farther ahead of a place than this is not beside it; how many of the nearest roads are asked.
+# A point farther than this ahead of the found place is not beside the road; the number of nearest roads that are tried.
 BESIDE_M, NEAREST = 0.005, 6
 
 
@@ -87,7 +89,7 @@ class WrittenRoad:
 
     @cached_property
     def tree(self) -> "scipy.spatial.cKDTree":
-        """These, to ask how near they are."""
+        """A search tree of the places of its reference line."""
         return scipy.spatial.cKDTree(self.line_world)
 
     def frames(self, s: Scalars) -> tuple[Points3, Float[np.ndarray, "n 3 3"]]:
@@ -101,11 +103,12 @@ class WrittenRoad:
         return np.column_stack([xy, heights(s)]), np.stack([along, cos * left + sin * up, cos * up - sin * left], 1)
 
     def places(self, points_world: Points3) -> Points3:
-        """(s, t, h) of world points; of those before and behind the road, of its ends."""
+        """(s, t, h) of world points, measured at the ends for points before and behind the road."""
         return self.feet(points_world)[0]
 
     def feet(self, points_world: Points3) -> tuple[Points3, Scalars]:
-        """These, and how far ahead of them the points are: before and behind the road, and inside its sharp bends."""
+        """(s, t, h) of world points, and how far ahead of that place each point is: 0 but before and behind the road and
+        inside its sharp bends."""
         s = np.clip(self._line.project(points_world[:, :2])[0], 0.0, self.told.length_m)
         for _ in range(FOOT_STEPS):
             line, axes = self.frames(s)
@@ -327,7 +330,7 @@ MIN_END_M = 10.0
 # Distance between the lanes of roads that part at which the junction ends.
 APART_M = 0.06
 JUNCTION = "junction"
-# Strips that are nowhere wider are left out.
+# Strips whose width exceeds this nowhere are left out.
 LEAST_WIDTH_M = 1e-6
 # How far the written reference line and widths may be from the world's.
 LINE_M, WIDTH_M = 1e-3, 1e-3

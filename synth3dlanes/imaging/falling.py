@@ -22,8 +22,8 @@ from synth3dlanes.world.world import View
 SHORTEST_S = 0.008
 # Headlights light what falls before the camera: radiance at 1 m per unit of its reflectance.
 LIT_BY_HEADLIGHTS = 4e-3
-# Spray: its middle behind the car and above the road, from where it takes e times less light aside, above and below,
-# the half of its length, and the share of light that it takes at most, from a speed on.
+# Spray: its middle behind the car and above the road; the distances from there, aside, above and below, at which it is
+# e times thinner; half of its length; and the most of the light that it takes, at SPRAY_FULL_M_S and faster.
 SPRAY_BEHIND_M, SPRAY_UP_M, SPRAY_ASIDE_M, SPRAY_ABOVE_M, SPRAY_BELOW_M = 2.5, 0.5, 1.3, 0.7, 0.3
 SPRAY_HALF_LENGTH_M, SPRAY_SHARE, SPRAY_FULL_M_S = 2.0, 0.6, 14.0
 FARTHEST_SPRAY_M = 80.0

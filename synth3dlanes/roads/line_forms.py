@@ -29,12 +29,11 @@ MANY_NODES, FEW_NODES, FEW_RAD = 40, 10, 1.5
 STRAIGHT = 1e-9
 # Steps in which lengths along a cubic are measured.
 CUBIC_STEPS = 2000
-# Metres per parameter; what is slower stands still.
+# The least metres per unit of a cubic's parameter; below, the curve has no direction.
 LEAST_SPEED = 1e-9
 # Knots of the quartic (paper, Table 'Lane top view geometry'); beyond them roads continue along their tangents.
 S_END_M = 100.0
-# Places of the exit are searched up to BEFORE_M behind their station on the main road, beside that up to WIDER times
-# its opening.
+# The exit may be beside a point up to WIDER times its opening, BEFORE_M ahead of the point's station on the main road.
 BEFORE_M, WIDER = 20.0, 1.5
 # Stations from the split to far beyond the scene.
 EXIT_STATIONS_M = np.concatenate([np.arange(0.0, 400.0, 2.0), np.geomspace(400.0, 20_000.0, 40)])

@@ -137,11 +137,11 @@ class Network:
 
     @cached_property
     def has_partings(self) -> bool:
-        """Whether any road begins beside another."""
+        """Whether any road is a branch."""
         return any(road.parting for road in self.roads)
 
     def branches(self, road: Road) -> list[Road]:
-        """The roads that begin beside a road."""
+        """The branches of a road: those that begin beside it."""
         return [other for other in self.roads if other.parting is not None and other.parting.road is road]
 
     def is_on_other(self, road: Road, xy_world: Points2, s: Scalars) -> Bool[np.ndarray, " n"]:

@@ -178,21 +178,21 @@ SHADE = 0.35
 # green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass, 0.212 before a red house.
 MAX_BLUE = -0.02
 RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.26)}
-# That of leaves, the upper half of trees without what has less light than this share of the road, is -0.19 to -0.009 in
-# 442 images. These trees have none.
+# Red over green of leaves is -0.19 to -0.009 in 442 images. Leaves are the upper halves of trees, but for pixels with
+# less light than the share LEAVES_LIGHT of the road's; BARE trees have none.
 LEAVES_OVER_GREEN, LEAVES_LIGHT, BARE = 0.02, 0.05, ("dead",)
 # Pixels of narrower paint show as much of the road: an id is that at a pixel's centre.
 RESOLVED_PX = 2
 # Red over blue of a white line: at most 0.035 in 114 lines; a yellow one has 0.25.
 MAX_YELLOW = 0.12
-# How many times brighter than the pavement around it paint is that stands out, at least 1.12 in 90 lines; and the reach
-# of that pavement.
+# Paint that stands out is this many times brighter than the pavement up to AROUND_PX around it: at least 1.12 times in
+# 90 lines.
 BRIGHTER, AROUND_PX = 1.05, 4
 # Ratio of light between the lighter and the darker parts of pavement from which it lies partly in a shadow.
 MOST_UNEVEN = 3
 # Angle about the mirrored sun within which rough roads glare.
 GLARE_RAD = 0.6
-# A road of more light than this, of 1 for white, leaves paint no room to be brighter.
+# On a road that is brighter than this (white is 1), paint cannot be clearly brighter.
 MAX_LIGHT = 0.6
 # Share of a picture, without sky, that may be black: at most 0.0007 in 120.
 MAX_BLACK, BLACK = 0.02, 3
@@ -414,8 +414,8 @@ def _edges(
 def _most(
     says: Callable[[Float[np.ndarray, " k"]], bool], around: Float[np.ndarray, "n k"], owners: Int[np.ndarray, " n"]
 ) -> bool:
-    """Whether the mean steps of two things or more, and of most of them, say so: a single one may be as bright as what
-    is behind it, and have an edge of its own inside its border."""
+    """Whether `says` holds for the mean steps of at least two things, and of most of them: a single thing may be as
+    bright as what is behind it, and have an edge of its own inside its border."""
     of_thing = (around[owners == thing] for thing in np.unique(owners))
     votes = [says(borders.mean(axis=0)) for borders in of_thing if len(borders) >= LEAST_OF_THING]
     return sum(votes) > 1 and 2 * sum(votes) > len(votes)

@@ -47,7 +47,7 @@ MAX_TURN = 0.02
 THROUGH_RANGE_M, INSIDE_M = 80.0, 0.3
 # In 60 random scenes of each preset no pixel of paint is this far outside its line.
 MAX_BEYOND_M = 0.01
-# Labels' points are a metre apart, and so near to paint between them.
+# Points of the labels are a metre apart: every pixel of a line's paint is this near to one of them.
 BETWEEN_M = 0.9
 # The steepest ground on which blades of grass lean.
 STEEP = 0.5
@@ -55,7 +55,8 @@ STEEP = 0.5
 MARGIN_M, LINE_M = 0.04, 0.15
 # The share of points of an object that may be outside its box: built-in models reach at most 2 cm beyond theirs.
 IN_BOX = 0.002
-# Of cars with so many pixels, and this share seen, these reach the end to whose other side the eye is.
+# Pixels of a car reach its end that faces the camera, to MAX_GAP_M, if there are MIN_OF_CAR of them, the share WHOLE of
+# the car is seen, and the camera is END_SEEN_M beyond that end.
 MIN_OF_CAR, WHOLE, END_SEEN_M, MAX_GAP_M = 150, 0.99, 0.5, 0.035
 # The number of beams that may be wrong.
 BEAMS = 20

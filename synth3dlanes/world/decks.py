@@ -23,9 +23,10 @@ INSET_M = 0.12
 ROW_M, SIDE_M, PARAPET_M = 2.0, 0.35, 0.95
 # There is no parapet where another road goes on within BESIDE_M of an edge and LEVEL_M of its height.
 BESIDE_M, LEVEL_M = 0.5, 1.5
-# Distance of piers, half of their section, how far from pavement they stand, and the least room below a deck for any.
+# Spacing of piers, half of their width, their distance from pavement below, and the least height below a deck with
+# piers.
 PIERS_M, PIER_M, CLEAR_M, LEAST_PIER_M = 22.0, 0.45, 1.0, 2.0
-# Where piers are tried, from the place at which they should be.
+# Shifts along the deck that are tried for a pier without room at its place.
 TRIED_M = np.array([0, 2, -2, 4, -4, 6, -6, 8, -8.0])
 # Most depth of the ground behind an abutment below the road, the length of its wings, and places across its wall.
 BANK_M, WING_M, ACROSS = 2.0, 3.0, 7

@@ -21,18 +21,18 @@ from synth3dlanes.world.spans import BERM_M, CEILING_M, COVER_M, DECK_M, EMBANKM
 ROAD_SEARCH_M = 3.0
 # How far beyond a raised road's edge its embankment may reach.
 EMBANKMENT_M = 40.0
-# Between the stations at which a road's height over the terrain is asked, it changes by less than this.
+# A road's height over the terrain changes by less than this between the stations at which it is computed.
 BETWEEN_M = 0.5
 # Gap between the ground and the lower side of a deck above it; distance within which a tunnel covers places.
 BELOW_DECK_M, COVERED_M = 0.3, 0.5
-# Limits of the ground: the size of the cells in which they are found, and a height that nothing has. They are asked of
-# rows of places across roads, at shares of their width; between these, a road is higher by less than ROUGH_M.
+# Limits of the ground: the size of the cells for which they are computed, and a height beyond all others. They follow
+# from rows of places across roads, at SHARES of their width; between these, a road is higher by less than ROUGH_M.
 CELL_M, NOWHERE_M, ROUGH_M, SHARES = 4.0, 1e4, 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)
-# Cells to a side of those around a place whose lowest road is below all pavement at it.
+# The lowest road within a square of FLOOR_CELLS x FLOOR_CELLS cells around a place is below all pavement there.
 FLOOR_CELLS = 5
-# Places that are asked together: more take no less time each, but more memory.
+# Places are processed in groups of this number: larger groups take more memory, and no less time for each.
 TOGETHER = 40_000
-# What is no farther from pavement is on it.
+# Places at most this far from pavement count as on it.
 EDGE_M = 1e-4
 
 

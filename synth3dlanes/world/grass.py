@@ -15,7 +15,7 @@ from synth3dlanes.world.ground import Ground
 TuftsAndPoints = Integer[np.ndarray, " pairs"]
 
 # Tufts along every edge of the pavement: how many, how far ahead of the host, and how far beside the edge. There are
-# two edges of the roads of the host's way, and two of those that begin beside them.
+# two edges of the roads of the host's way, and two of their branches.
 PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
 N_EDGES = 4
 # More of them for each metre that the host drives.

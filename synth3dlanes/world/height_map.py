@@ -10,12 +10,12 @@ from synth3dlanes.world.ground import Ground
 # The paper's top view: 20 m x 80 m, starting below the camera; row 0 is the farthest.
 CELL_M = (0.2, 0.4)
 SHAPE = (200, 100)
-# Steps in which all cells are looked for. Those on steep ground need more: these steps are longer by what the one
-# before left, at most LONGER times, and each must end NEARER times as far from there.
+# All cells are searched with STEPS steps. Cells on steep ground need up to MOST_STEPS: their steps are lengthened by
+# the error that the previous one left, at most LONGER times, and each must reduce the error to the share NEARER.
 STEPS, MOST_STEPS, CLOSE_M, NEARER, LONGER = 12, 60, 1e-4, 0.95, 10.0
-# Cells that end farther than LOST_M from the ground are searched up and down in pieces, which beyond REACH_M grow by
-# this factor up to FARTHEST_M (a valley whose side climbs 100 m over the plane of its bottom), and within the piece by
-# halves.
+# Cells that end farther than LOST_M from the ground are searched up and down in pieces of PIECE_M, which grow by the
+# factor GROWING from REACH_M to FARTHEST_M (a valley whose side climbs 100 m over the plane of its bottom), and within
+# a piece by halving it.
 LOST_M, REACH_M, PIECE_M, GROWING, FARTHEST_M, HALVES = 0.01, 30.0, 0.25, 1.05, 200.0, 12
 
 

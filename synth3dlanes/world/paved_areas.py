@@ -57,22 +57,23 @@ class RowSteps(NamedTuple):
     step_m: tuple[float, ...]
 
 
-# Of areas, which say what has room beside a road and what kerbs hide, and of faces, whose longer rows nobody sees.
+# Rows of the corners of areas, which decide what has room beside a road and what kerbs hide, and rows of faces, which
+# may be longer where nobody sees it.
 AREA_ROWS = RowSteps((0.0, 60.0, 120.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 2.0, 6.0, 80.0))
 FACE_ROWS = RowSteps((0.0, 35.0, 60.0, 110.0, 200.0, 450.0, 4000.0), (0.5, 0.5, 1.0, 1.5, 4.0, 6.0, 80.0))
-# Their distance from the host is asked in these steps.
+# The distance of rows from the host is computed at places this far apart.
 COARSE_M = 4.0
 # Distance ahead of the host to which the terrain has its finest cells: elsewhere it meets the edges of pavement, too.
 FINE_M = 40.0
 # Depth of the terrain below the edges of the pavement, and how much deeper it is inside, times the size of its cells.
 UNDER_FALL_M, PRESS_M = 0.03, 0.3
-# Beyond a distance from the host it is lower by this for each metre, less than a pixel: its cells are large there, and
-# faces of the pavement dip between its rows.
+# Beyond FAR_FROM_M from the host the terrain is lower by FAR_FALL for each metre, less than a pixel: its cells are
+# large there, and faces of the pavement dip between their rows.
 FAR_FROM_M, FAR_FALL = 400.0, 0.0006
 # Distance from the host's way within which kerbs hide what is labelled; the tolerance of their simplified lines, and
 # the distance of points along these.
 CREST_REACH_M, CREST_SLACK_M, CREST_STEP_M = 110.0, 0.005, 4.0
-# Paint farther than this from the host's way is not drawn; places along a line that are asked.
+# Paint farther than this from the host's way is not drawn; the distance is computed at places PAINT_STEP_M apart.
 PAINT_M, PAINT_STEP_M = 250.0, 20.0
 # The runs of lanes of a section that are raised, level, or medians.
 LaneRuns = Callable[[CrossSection], list[tuple[int, int]]]
@@ -536,13 +537,13 @@ def _within(s: Scalars, stretch: Road) -> Float[np.ndarray, " m"]:
 
 
 def _rows(s: Scalars, away_m: Scalars, steps: RowSteps) -> Float[np.ndarray, " m"]:
-    """Stations between these, closer to each other near the host, from which they are that far."""
+    """Stations from the first to the last of `s`, whose distances from the host are `away_m`: closer near the host."""
     count = row_count(s, away_m, steps)
     n = max(int(np.ceil(count[-1])), 1)
     return np.interp(np.linspace(0.0, count[-1], n + 1), count, s)
 
 
 def row_count(s: Scalars, away_m: Scalars, steps: RowSteps) -> Scalars:
-    """How many rows there are up to stations that are this far from the host."""
+    """The number of rows up to each station, which is `away_m` from the host."""
     step = np.interp(away_m, steps.away_m, steps.step_m)
     return np.concatenate([[0.0], np.cumsum(np.diff(s) * 2 / (step[1:] + step[:-1]))])

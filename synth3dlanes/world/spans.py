@@ -26,8 +26,8 @@ PASSAGE_M, DECK_M, COARSE_STEP_M = 3.0, 0.5, 20.0
 LEAST_M2 = 0.02
 # Level ground beside a road before its slopes begin.
 BERM_M = 1.5
-# Distance of places along roads at which decks may end. A piece of ground between two decks, or between a deck and an
-# end of the road, that is shorter than the second belongs to the deck.
+# Decks end at stations END_STEP_M apart. Ground between two decks, or between a deck and an end of the road, that is
+# shorter than LEAST_GROUND_M becomes part of the deck.
 END_STEP_M, LEAST_GROUND_M = 1.0, 12.0
 # Most depth of the valley below the deck of a bridge of a file; height of the ceiling of tunnels and of the ground over
 # that, and thickness of their walls.

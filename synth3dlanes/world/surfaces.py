@@ -34,7 +34,7 @@ CELLS_M, KERBS_M, CELLS_TO_M = (0.75, 2.5, 10.0), (1.0, 2.5, 10.0), (60.0, 150.0
 SEAM_M, SEAM_FALL_M, SEAM_EDGE_M, FOOT_M = 0.6, 0.006, 0.04, 0.15
 # Edges of pavement without a kerb have upright faces that reach as much below the terrain's bed.
 SKIRT_M = 0.09
-# Overlap of a road that begins beside another below that one's edge, and the steps in which this edge is found.
+# How far a branch reaches below the edge of its road, and the number of steps of the search for that edge.
 OVERLAP_M, EDGE_STEPS = 0.05, 7
 # Distance inside the edges of the pavement from which the terrain goes down to its bed.
 UNDER_M = 0.15
@@ -53,8 +53,8 @@ class Surfaces:
 
     @cached_property
     def pavement(self) -> list[Mesh]:
-        """The strips of all roads outside junctions, of one that begins beside another outside that one's pavement, and
-        the areas of junctions and islands."""
+        """The strips of all roads outside junctions, of branches outside the pavement of their road, and the areas of
+        junctions and islands."""
         paved = self.ground.paved
         near = (where(mesh, paved.is_built) for mesh in [*_strips(paved), *_area_meshes(paved)])
         return [mesh for mesh in near if len(mesh.faces)]
@@ -177,8 +177,8 @@ def _strips_of(paved: PavedAreas, number: int, stretch: Road, is_end: tuple[bool
 
 
 def _beside_others(paved: PavedAreas, road: Road, strip: _Strip) -> _Strip:
-    """The strip of a road whose texture is along all roads: of one that begins beside another outside that one's
-    pavement, and with the surface of roads where their lanes cross its right shoulder."""
+    """The strip of a road whose texture is along all roads: of a branch outside the pavement of its road, and with the
+    surface of roads where the lanes of branches cross its right shoulder."""
     s, t, surfaces = strip.s, strip.t, strip.surfaces
     if road.parting is not None:
         inner = _edge_of(road.parting.road, road, s)[:, None]

@@ -24,8 +24,8 @@ from synth3dlanes.world.horizon import HORIZON_M, MAX_CELL_SCALE, TerrainGrid, s
 from synth3dlanes.world.paved_areas import COARSE_M, FACE_ROWS, PRESS_M, PavedAreas, row_count
 from synth3dlanes.world.spans import EMBANKMENT_SLOPE
 
-# Widths of what is beside a road, as far ahead of the host as NARROW_M; beyond they grow by WIDENING per metre, as a
-# coarser terrain shows them.
+# Beyond NARROW_M ahead of the host, verges and embankments are wider by the share WIDENING per metre, because the cells
+# of the terrain are.
 NARROW_M, WIDENING = 165.0, 0.06
 PRESSED_TO_M = 2.0
 VERGE_M = 4.0
@@ -36,14 +36,15 @@ PAINT_ROOM_M = 0.05
 FINE_M, FINE_BEHIND_M = 60.0, 10.0
 # Least station at which the crests of a ramp end, and their reach from the host.
 CREST_TO_M, CREST_FROM_HOST_M = 130.0, 115.0
-# A road that begins beside another is asked from BEFORE_M before that on, and a lane and OVERLAP_M deep in the other.
+# A branch counts from BEFORE_M before its beginning on, and up to a lane and OVERLAP_M inside its road.
 BEFORE_M, OVERLAP_M = 20.0, 1.0
 # Least distance beyond the verges within which roads are searched.
 ROAD_SEARCH_M = 3.0
-# How far behind a host that does not look there paint goes on, and the rows of roads beyond that, which exported maps
-# have: the paper's roads are straight from some 160 m on.
+# Behind a host without cameras that look back, paint ends after PAINT_BEHIND_M. Exported maps have the rows of roads
+# beyond that: the paper's roads are straight from some 160 m on.
 PAINT_BEHIND_M, ROAD_BEHIND_M = 30.0, np.append(np.arange(30.0, 165.0, 5.0), 260.0)
-# A ramp whose own rows would be closer than this gets them: within the range of labels the road's are no farther apart.
+# Ramps whose rows must be closer than this have rows of their own: the road's are not farther apart within the range of
+# labels.
 STEEP_M = 1.5
 # Least width of a median, and of one that is grass between inner shoulders; a narrower one is all shoulder.
 LEAST_MEDIAN_M, GRASS_FROM_M, INNER_SHOULDER_M = 0.01, 3.0, 0.5
@@ -182,7 +183,7 @@ class Verges(PavedAreas):
         return scale_outside(self._narrow, xy_world, WIDENING)
 
     def _area_of_roads(self, ahead_m: float) -> tuple[float, float, float, float]:
-        """The area (x0, y0, x1, y1) of the roads as far ahead of the host, and a little behind it."""
+        """The area (x0, y0, x1, y1) of the roads from a little behind the host to `ahead_m` ahead of it."""
         low_m, high_m = self.way.range_m(ahead_m - 5, FINE_BEHIND_M - 2)
         s = self.network.stations(np.linspace(low_m, high_m, 1 + round((high_m - low_m) / 2)))
         points = np.concatenate(
@@ -214,8 +215,8 @@ class Verges(PavedAreas):
     def beside(
         self, xy_world: Float[np.ndarray, "n 2"], reach_m: AnyScalars
     ) -> tuple[Bool[np.ndarray, " n"], list[Beside]]:
-        """Which points may be within `reach_m` of a pavement, and these beside every road that any may be near: beside
-        one that begins beside another, those that are near that one."""
+        """Which points may be within `reach_m` of a pavement, and these beside every road that any of them may be near:
+        beside a branch those that are near its road."""
         masks = {road.id: road.may_reach(xy_world, reach_m) for road in self.network.roads}
         near = np.logical_or.reduce(list(masks.values()))
         xy, found, places = xy_world[near], dict[str, Beside](), dict[str, tuple[Scalars, Scalars]]()

@@ -18,7 +18,7 @@ from synth3dlanes.draw.town.rules import Conflict, JunctionRules, LightGroup, Li
 from synth3dlanes.draw.town.streets import LaneAt
 from synth3dlanes.system.arrays import Points2
 
-# Of following (the intelligent driver model): acceleration, comfortable deceleration, time gap, standing gap.
+# The intelligent driver model: acceleration, comfortable deceleration, time gap, standing gap; and the hardest braking.
 ACCELERATION, DECELERATION, HEADWAY_S, GAP_M, HARDEST = 1.8, 2.2, 1.2, 2.2, 7.0
 # Sideways acceleration in bends (m/s^2), and how far ahead a driver looks for bends.
 SIDEWAYS, LOOK_M = 2.6, 70.0
@@ -27,13 +27,13 @@ SIDEWAYS, LOOK_M = 2.6, 70.0
 BEFORE_LINE_M, BEFORE_ZONE_M, APART_S = 0.6, 1.0, 1.0
 # After this time at standstill a car goes before others that stand; below this speed (m/s) it stands.
 PATIENCE_S, STANDING = 3.0, 0.3
-# A car that stands farther before the line waits for those in front of it.
+# A car that stands farther before the line than this is not the first: it waits for those in front of it.
 NEXT_M = 6.0
-# A car begins to brake for a place where it has to stop at this distance more than it needs.
+# A car begins to brake for a stop this much earlier than its braking distance demands.
 BRAKING_ROOM_M = 12.0
 # A car that cannot stop within this deceleration goes on at amber.
 AMBER_STOP = 3.0
-# A car for which somebody at a crosswalk waits is faster than this, and one farther away does not matter.
+# People at a crosswalk wait for cars that are faster than ROLLING (m/s) and at most FAR_M away.
 ROLLING, FAR_M = 2.0, 70.0
 # A crosswalk by its junction and arm.
 CrosswalkKey = tuple[str, int]

@@ -21,10 +21,10 @@ from synth3dlanes.system.errors import InputError
 
 # Lines are followed pixel by pixel, but not closer than this on the image.
 SAMPLE_PX = 3.0
-# Places seen at a flatter angle (as a sine), or less certain along the line of sight than this, as a share of how far
-# they are, say nothing of where a line is.
+# Places of a line are left out where the line of sight meets the ground at a smaller angle (its sine) than
+# LEAST_GRAZING, or where the standard deviation along it exceeds the share MOST_SHIFT of the distance.
 LEAST_GRAZING, MOST_SHIFT = 0.005, 0.25
-# Of a line whose most certain places are less certain than this, pictures do not tell which of several lines it is.
+# A line is left out if even its most certain places have a larger standard deviation: it could be any of several lines.
 MAX_STD_M = 0.5
 # Two lines are one if they share at least MIN_SHARED stations and are there within CLOSE_M or CLOSE_STD standard
 # deviations of each other, but always nearer than the next line may be.
