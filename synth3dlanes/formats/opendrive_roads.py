@@ -107,8 +107,8 @@ class WrittenRoad:
         return self.feet(points_world)[0]
 
     def feet(self, points_world: Points3) -> tuple[Points3, Scalars]:
-        """(s, t, h) of world points, and how far ahead of that place each point is: 0 but before and behind the road and
-        inside its sharp bends."""
+        """(s, t, h) of world points, and how far ahead of that place each point is: 0 but before and behind the road
+        and inside its sharp bends."""
         s = np.clip(self._line.project(points_world[:, :2])[0], 0.0, self.told.length_m)
         for _ in range(FOOT_STEPS):
             line, axes = self.frames(s)
