@@ -62,7 +62,8 @@ def main(data: str, out: str, seed: str, init: str, *contents: str) -> None:
     """Train a network without each content."""
     if unknown := set(contents) - set(LACKS):
         raise InputError(f"content: expected {', '.join(LACKS)}, got {', '.join(sorted(unknown))}")
-    scenes = [json.loads(sample.scene_json) for sample in Reader(f"{data}/train")]
+    reader = Reader(f"{data}/train")
+    scenes = [json.loads(reader.raw(i)["scene.json"]) for i in range(len(reader))]
     for content in contents or LACKS:
         best = train_without(content, scenes, data, Path(out, f"{content}-{seed}"), int(seed), init)
         sys.stdout.write(f"{best}\n")

@@ -60,8 +60,8 @@ def main(weights: str, source: str) -> None:
             pixels = pixels_on(detector.device, batch.image)
             predicted = network(pixels, batch.intrinsics).pose.tolist()
             for name, given in GIVEN.items():
-                pairs = zip(predicted, batch.labels, strict=True)
-                poses = torch.tensor([given(Pose(*pose), plane_pose(one)) for pose, one in pairs])
+                both = zip(predicted, batch.labels, strict=True)
+                poses = torch.tensor([given(Pose(*pose), plane_pose(one)) for pose, one in both])
                 output = network(pixels, batch.intrinsics, poses)._replace(pose=poses)
                 found[name] += predictions_of(batch.keys, output, network.config)
     found["height, and all lanes scaled with it"] = list(map(_scaled, labels, found["nothing"]))

@@ -1,7 +1,9 @@
 """The picture of docs/frames.md: `python -m scripts.frames_picture` (`make pictures`) draws it anew."""
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -15,12 +17,12 @@ from PIL import Image
 from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.figures import colors
 from synth3dlanes.figures.inspect import draw_image
-from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.geometry.frames import project, road_from_cam, transform
 from synth3dlanes.labels.labels import Labels, from_json
 from synth3dlanes.params.params import load_params
 from synth3dlanes.scene.scene import Scene, to_json
 from synth3dlanes.system.arrays import AnyPoints3, Matrix4
+from synth3dlanes.world.world import World, resolve
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/frames.png"
 # The scene and the point of the page's example.
@@ -37,7 +39,7 @@ def draw(scene: Scene, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> Fig
     draw_space(figure.add_subplot(grid[0, 0], projection="3d", computed_zorder=False))
     draw_pixels(figure.add_subplot(grid[0, 1]), labels, image)
     draw_side(figure.add_subplot(grid[1, :2]))
-    draw_plan(figure.add_subplot(grid[:, 2]), SceneView(scene, labels))
+    draw_plan(figure.add_subplot(grid[:, 2]), resolve(scene), labels)
     for axes in figure.axes:
         axes.title.set(fontsize=13, color=colors.INK)
     return figure
@@ -136,7 +138,7 @@ def _frustum(axes: Axes3D, world_from_cam: Matrix4) -> None:
 
 def draw_pixels(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -> None:
     """The image with its axes, its centre and the point of the example."""
-    draw_image(axes, labels, image)
+    draw_image(axes, replace(labels, objects=None), image)
     (lane,) = (lane for lane in labels.lanes if lane.id == LANE)
     (pixel,) = project(labels.camera.img_from_cam, lane.xyz_cam[[POINT]])
     style = {"arrowstyle": "-|>,head_width=0.35,head_length=0.7", "color": MARK, "linewidth": 2.6}
@@ -150,7 +152,7 @@ def draw_pixels(axes: Axes, labels: Labels, image: UInt8[np.ndarray, "h w 3"]) -
     camera = labels.camera
     cx_px, cy_px = camera.img_from_cam[0, 1], camera.img_from_cam[1, 1]
     axes.plot(cx_px, cy_px, "+", color="white", markersize=16, markeredgewidth=2)
-    note = {"textcoords": "offset points", "fontsize": 10.5, "ha": "center"}
+    note: dict[str, Any] = {"textcoords": "offset points", "fontsize": 10.5, "ha": "center"}
     box = {"boxstyle": "round,pad=0.35", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
     axes.annotate(
         f"(cx, cy) = ({cx_px:g}, {cy_px:g})",
@@ -232,9 +234,9 @@ def arrow(
     )
 
 
-def draw_plan(axes: Axes, view: SceneView) -> None:
+def draw_plan(axes: Axes, world: World, labels: Labels) -> None:
     """Stations and offsets of the scene from above, in the world frame."""
-    main, *branches = view.network.roads
+    main, *branches = world.network.roads
     s = np.linspace(-100, 100, 201)
     half_m = main.carriageways[-1].right_m
     edges = [(main.xy(s, -half_m), main.xy(s, half_m))]
@@ -250,15 +252,15 @@ def draw_plan(axes: Axes, view: SceneView) -> None:
         ((x, y),) = main.xy(np.array([float(station)]), 0.0)
         axes.plot(x, y, "o", color=colors.INK, markersize=4, zorder=3)
         axes.text(x - half_m - 3, y, f"s = {station}", ha="right", va="center")
-    station = np.array([72.0])
-    (start,), (end,) = main.xy(station, 0.0), main.xy(station, 14.0)
+    at_m = np.array([72.0])
+    (start,), (end,) = main.xy(at_m, 0.0), main.xy(at_m, 14.0)
     arrow(axes, start, end, "$t$", MARK, (9, 0))
     for letter, tip, shift in (("x", (16.0, 0), (18, 0)), ("y", (0, 16.0), (0, 12))):
         arrow(axes, np.zeros(2), np.array(tip), f"${letter}_{{world}}$", WORLD, shift)
     axes.plot(0, 0, "o", color=WORLD, zorder=6)
-    foot = view.world.view.world_from_road[:2, 3]
+    foot = world.view.world_from_road[:2, 3]
     sides = np.array([[-np.tan(np.pi / 6) * 26, 26, 0], [np.tan(np.pi / 6) * 26, 26, 0]])
-    sides_world = transform(view.labels.camera.world_from_cam, sides)
+    sides_world = transform(labels.camera.world_from_cam, sides)
     axes.add_patch(Polygon(np.vstack([foot, sides_world[:, :2]]), color=colors.FRUSTUM, alpha=0.35, zorder=2))
     axes.plot(*foot, "o", color=CAMERA, zorder=6)
     axes.annotate(

@@ -160,19 +160,19 @@ def table(found: Sequence[tuple[Job, LiftErrors, float]]) -> str:
     ]
     for preset in PRESETS:
         for lidar in LIDARS:
-            own = [
+            exact = [
                 (errors, seconds)
                 for job, errors, seconds in found
                 if job.case == CASES[0] and f"{preset}_{lidar}/" in job.url
             ]
-            errors = together([errors for errors, _ in own])
+            errors = together([errors for errors, _ in exact])
             at = errors.ahead_m < 40
             lateral, height = 100 * errors.lateral_m[at], 100 * errors.height_m[at]
             lines.append(
                 f"| `{preset}`, `{lidar}` | {np.median(lateral):.2f} | {np.quantile(lateral, 0.95):.1f} | "
                 f"{np.median(height):.2f} | {np.quantile(height, 0.95):.1f} | {at.sum():,} | "
                 f"{errors.strays / max(len(at), 1):.1%} | "
-                f"{FRAMES * len(own) / sum(seconds for _, seconds in own):.1f} |"
+                f"{FRAMES * len(exact) / sum(seconds for _, seconds in exact):.1f} |"
             )
     return "\n".join(lines)
 

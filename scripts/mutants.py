@@ -56,7 +56,7 @@ LINKS = {
     "synth3dlanes/_params": "../params",
     "synth3dlanes/_assets": "../blender_assets",
 }
-OPERATORS = {
+OPERATORS: dict[type[ast.AST], str] = {
     **{ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "/", ast.Mod: "//", ast.Pow: "*"},
     **{ast.BitAnd: "|", ast.BitOr: "&", ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!="},
     **{ast.NotEq: "==", ast.In: "not in", ast.NotIn: "in", ast.Is: "is not", ast.IsNot: "is"},
@@ -216,8 +216,9 @@ def copy_checkout(tree: Path) -> None:
         if not target.exists() or target.read_bytes() != (ROOT / name).read_bytes():
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, target)
-    for name, target in LINKS.items():
-        (tree / name).is_symlink() or (tree / name).symlink_to(target)
+    for name, place in LINKS.items():
+        if not (tree / name).is_symlink():
+            (tree / name).symlink_to(place)
 
 
 @cache

@@ -12,7 +12,7 @@ from synth3dlanes.figures import colors
 from synth3dlanes.params.params import load_params
 from synth3dlanes.roads.from_paper import paper_network
 from synth3dlanes.roads.network import Network
-from synth3dlanes.scene.scene import Road
+from synth3dlanes.scene.scene import PaperRoad
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/network.png"
 ROAD = {
@@ -44,7 +44,8 @@ def draw(network: Network) -> Figure:
         way = _turned(road.xy(s, lane.middle(s)))[:: 1 if lane.direction == "same" else -1]
         axes.annotate("", way[120], way[90], arrowprops={"arrowstyle": "-|>", "color": LANE, "linewidth": 2}, zorder=5)
         axes.plot(*way.T, color=LANE, linewidth=0.8, zorder=3)
-        axes.text(*way[80], lane.id, color=LANE, ha="right", va="center", fontsize=11, zorder=5)
+        x, y = way[80]
+        axes.text(x, y, lane.id, color=LANE, ha="right", va="center", fontsize=11, zorder=5)
     s = np.array([FROM_M + 36])
     (foot,), (aside,) = (_turned(network.main.xy(s, t)) for t in (0.0, 6.0))
     axes.annotate("", aside, foot, arrowprops={"arrowstyle": "-|>", "color": MARK, "linewidth": 2}, zorder=6)
@@ -70,7 +71,7 @@ def _label(axes: Axes, xy_world: np.ndarray, text: str, color: str) -> None:
 def main() -> None:
     """Draw the picture."""
     scene = sample_scene(Scenes(load_params("tiny")), 0)
-    road = Road.model_validate(scene.road.model_dump() | ROAD)
+    road = PaperRoad.model_validate(scene.paper_road.model_dump() | ROAD)
     draw(paper_network(road, scene.terrain)).savefig(PICTURE, dpi=100, metadata={"Software": None})
 
 

@@ -29,9 +29,8 @@ def results() -> dict[str, Any]:
 def with_benchmarks(page: str) -> str:
     """The page of the benchmarks with its two tables."""
     for mark, table in (("benchmarks", benchmark_table()), ("scores", score_table())):
-        page = re.sub(
-            rf"(?<=<!-- {mark} -->\n).*?(?=\n\n\S)", lambda _, table=table: f"\n{table}", page, flags=re.DOTALL
-        )
+        before, after = re.split(rf"(?<=<!-- {mark} -->\n).*?(?=\n\n\S)", page, maxsplit=1, flags=re.DOTALL)
+        page = f"{before}\n{table}{after}"
     return page
 
 

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Circle, Patch, Polygon
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d import Axes3D, art3d  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d import Axes3D, art3d
 from rich.console import Group, RenderableType
 from rich.table import Table
 
