@@ -65,10 +65,12 @@ def edges_of(given: MapRoad, road: Road) -> Iterator[PaintedEdge]:
             edge = own.n_left if n == 0 else at[n] + (n < 0)
             beside = [f"{road.id}.{i}.{number}" for number in _beside(n)]
             left, right = (name if name in driving else None for name in beside)
+            # Nobody paints the rim of a walkway beside the grass.
+            is_rim = edge in own.paved and any(edge in run for run in own.raised)
             marks = [*sorted(lane.marks, key=lambda mark: mark.s_m)]
             ends = [min(own.start_m + mark.s_m, own.end_m) for mark in marks] + [own.end_m]
             for k, (mark, (start_m, end_m)) in enumerate(zip(marks, pairwise(ends), strict=True)):
-                if mark.kind != "none" and end_m - start_m > LEAST_LINE_M:
+                if mark.kind != "none" and end_m - start_m > LEAST_LINE_M and not is_rim:
                     name = f"{road.id}.{i}.{n}.line{k or ''}"
                     line, look = own.edge_line(edge), _look(mark, n)
                     yield PaintedEdge(name, stretch, i, edge, line, start_m, end_m, *look, left, right)

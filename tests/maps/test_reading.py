@@ -15,6 +15,7 @@ from synth3dlanes.roads.maps.given_map import GivenMap, read_opendrive
 from synth3dlanes.roads.maps.part import read_place
 from synth3dlanes.scene.road_map import MapMark
 from synth3dlanes.scene.traffic_elements import TrafficSign, TrafficSignal
+from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.world import World
 from tests.maps.files import ON, PLAIN, TWO, lane, link, opendrive, plan, road, section
 
@@ -84,6 +85,11 @@ def test_lines_of_a_mark_say_more_than_its_type(lines: list[tuple[float, int, in
         f'<roadMark sOffset="0" type="custom"><type name="" width="0.1">{told}</type></roadMark>', number
     )
     assert (found.kind, found.width_m) == (kind, 0.1)
+    # Files of some editors have a line of no length in marks that are none.
+    (found,) = marks_of(
+        f'<roadMark sOffset="0" type="none"><type name="none" width="0">{told}</type></roadMark>', number
+    )
+    assert found.kind == "none"
 
 
 LINE = (PIECES["line"], 50.0)
@@ -186,6 +192,18 @@ def world_of(given: GivenMap, frames: int = 1, at: str = "1:200:-1", index: int 
     params = load_params("streets", ("cars.n=8", "trees.n=0"))
     place = MapPlace(given, read_place(given, at))
     return sample_world(Scenes(params, 3, shots=clips(frames, 5.0, ()), map=place), index)
+
+
+def test_the_rim_of_a_walkway_beside_the_grass_is_not_painted() -> None:
+    middle = lane(0, PLAIN[PLAIN.index("<roadMark") :], "none")
+    walk = section(middle, lane(1, kind="sidewalk"), lane(-1, kind="sidewalk"))
+    lanes = section(lane(1), lane(-1), lane(-2), lane(-3, kind="sidewalk"))
+    straight = plan((PIECES["line"], 400.0))
+    alone = road(plan((PIECES["line"], 400.0), start=(0.0, 12.0, 0.0)), walk, "2")
+    world = world_of(read(road(straight, lanes), alone))
+    painted = {lane.id for lane in label(world, world.view).lanes if lane.kind == "delimiter"}
+    # Of the walkway's lanes the line between them is on top.
+    assert painted == {"1.0.1.line", "1.0.-1.line", "1.0.-2.line", "2.0.0.line"}
 
 
 @pytest.mark.parametrize(

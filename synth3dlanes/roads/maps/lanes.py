@@ -25,7 +25,7 @@ MARK_KINDS: dict[str, MapMarkKind] = {
     "botts dots": "dots",
 }
 # Marks that are no paint on the pavement.
-UNPAINTED = ("grass", "curb", "edge")
+UNPAINTED = ("none", "grass", "curb", "edge")
 YELLOW, WHITE = ("yellow", "orange"), ("white", "standard", "")
 # Widths of stripes without one in the file, and the widest.
 STANDARD_M, BOLD_M, WIDEST_M = 0.12, 0.25, 2.0
@@ -63,8 +63,8 @@ def read_marks(lane: Element, number_of_lane: int, where: str, left_out: Counter
 
 def _mark(mark: Element, number_of_lane: int, where: str, left_out: Counter[str]) -> MapMark:
     station = max(number(mark, "sOffset", where, 0.0), 0.0)
-    name, color = mark.get("type", "none").lower().replace("_", " "), mark.get("color", "standard").lower()
-    kind, is_named = MARK_KINDS.get(name, "none"), name in MARK_KINDS or name in UNPAINTED
+    name, color = mark.get("type", "").lower().replace("_", " "), mark.get("color", "standard").lower()
+    kind, is_named = MARK_KINDS.get(name, "none"), not name or name in MARK_KINDS or name in UNPAINTED
     width_m = number(mark, "width", where, 0.0)
     if "_" in kind and width_m > WIDE_M:
         width_m /= 3
