@@ -49,7 +49,7 @@ class Motion(NamedTuple):
     speed_m_s: Scalars
 
     def thing(self, phase: float, **fields: object) -> Thing:
-        """A thing that moves so."""
+        """A thing with this motion."""
         values = np.column_stack([self.xy_world, np.unwrap(self.yaw_rad)]).round(SCENE_DECIMALS).tolist()
         names = ("x_m", "y_m", "yaw_rad")
         track = [

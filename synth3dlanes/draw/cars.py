@@ -111,12 +111,12 @@ def draw_cars(
 
 
 def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, ...]:
-    """The cars in the lanes of the road beside each other, within the stations of `cars.s_m`, or parked. From the first
-    on for which there is no room, they are left out.
+    """The cars in the lanes of the road beside each other, within the stations of `cars.s_m`, or parked. The first car
+    without room and all after it are left out.
 
-    Raises InputError where these are fewer than `cars.n` allows.
+    Raises InputError if fewer cars are left than `cars.n` allows.
     """
-    # A stream for what was added since the paper's, so that it changes none of these.
+    # What the paper does not draw has streams of its own, so that it changes none of the paper's draws.
     looks, at, parking = of("cars"), of("cars", "car_places"), of("cars", "parked_cars")
     added, speeds = (of("cars", "car_saturation"), of("cars", "car_palette")), of("motion", "car_speeds")
     parked, is_clip, traffic = parking("parked"), scene.shot.n_frames > 1, Traffic(scene, network)
@@ -246,7 +246,7 @@ def _near(scene: Scene, network: Network, reach_m: float) -> tuple[list[NetworkL
 def _onward(
     network: Network, lane: NetworkLane, links: Sequence[tuple[str, str]], rng: np.random.Generator
 ) -> tuple[LaneName, ...]:
-    """Lanes that follow a lane, each of those that follow one as likely."""
+    """The lane and lanes that follow each other from it on; where several follow one, each is as likely."""
     route, length_m, at = list[LaneName](), 0.0, lane
     while length_m < 400.0 and len(route) < 60:
         after = [after for before, after in links if before == at.id and after in network.lanes]

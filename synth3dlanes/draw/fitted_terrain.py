@@ -60,8 +60,8 @@ def road_points(roads: Sequence[Road], terrain: Terrain) -> Points3:
 
 
 def _lowest(xyz: Points3) -> Float[np.ndarray, "_ 3"]:
-    """Those of places that have no other far below them close by."""
-    # Of most places nothing in the cells of a grid around them is far below.
+    """The places that are not on a road which passes over another one."""
+    # Most places have nothing far below them in the cells of a grid around them.
     cells = (
         np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / BESIDE_M).astype(int) if len(xyz) else np.zeros((0, 2), int)
     )
@@ -100,8 +100,9 @@ def _fitted(grid: HeightGrid, xy_world: Float[np.ndarray, "m 2"], z: Scalars) ->
 
 @cache
 def _stiffness(n: int) -> tuple[Int[np.ndarray, "n n"], Float[np.ndarray, "b _"]]:
-    """Of a grid of n rows and columns: the numbers of the coefficients that are not at its edge, else -1, and how much
-    it bends and is off the mean height by products of these: row i has those of each one and the i-th after it."""
+    """For a grid of n rows and columns: the number of each coefficient that is not at the edge, else -1; and the matrix
+    of the penalty of bends and of distance from the mean height, as a band: row i couples each coefficient with the
+    i-th after it."""
     sparse, inside = scipy.sparse, n - 2 * LEVEL_AT_EDGE
     bend = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(n - 2, n))
     slope = sparse.diags([-1.0, 1.0], [0, 1], shape=(n - 1, n))

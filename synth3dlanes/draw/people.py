@@ -158,7 +158,7 @@ class Person(NamedTuple):
     colors: tuple[tuple[float, float, float], ...]
 
     def thing(self, motion: Motion, phase: float) -> Thing:
-        """The person, going so."""
+        """The person as a thing with this motion."""
         fields = {"kind": "pedestrian", "model": self.number, "scale": self.scale, "colors": self.colors}
         return motion.thing(round(phase, 4), **fields)
 

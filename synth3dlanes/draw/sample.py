@@ -35,15 +35,15 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.roadside import footprints
 from synth3dlanes.world.world import World, surfaces_of, world_on
 
-# Of a lidar's elevations: on the road ahead, a microradian is a centimetre of range.
+# Decimals of a lidar's elevations in radians: far ahead on the road, a microradian is a centimetre of range.
 LIDAR_DECIMALS = 9
-# The makers of roads that a parameter names, unless it is none.
+# The makers of roads by the parameter that asks for them with any value but none.
 MAKERS: dict[tuple[str, str], Maker] = {("town", "junction"): town_roads, ("mountain", "road"): mountain_roads}
 # The parts of a scene whose fields are one parameter each.
 PARTS = ("markings", "surface", "light", "air", "sensor", "weather", "host", "vegetation")
 # Number of scenes from which several processes are faster than one; each draws CHUNK scenes at a time.
 WORTH_PROCESSES, CHUNK = 200, 25
-# Draws of places for all trees that have none yet.
+# The most rounds in which places are drawn for the trees that have none yet.
 TRIES = 300
 # Least distance of a tree from the pavement: TREE_GAP_M plus a share of its crown's radius.
 TREE_GAP_M, TREE_GAP_OF_CROWN = 1.0, 0.5

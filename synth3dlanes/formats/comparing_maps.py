@@ -35,9 +35,9 @@ SIDE_M, SIDE_STEP_M = 0.05, 1.0
 MOST_LONG_M = 1e4
 # Length over which an endless road of the paper is measured.
 ENDLESS_M = 300.0
-# A boundary is painted as a delimiter if the share ON_LINE of those of its PLACES that the labels reach is within
-# ON_LINE_M of it, and bare if no more than the others are within BESIDE_M of any: where lanes part, lines are not quite
-# at their edges.
+# A boundary is compared at PLACES places, as far as the labels reach. It runs along a delimiter if the share ON_LINE of
+# these is within ON_LINE_M of it, and has no paint if at most the share 1 - ON_LINE is within BESIDE_M of any: where
+# lanes part, lines are not quite at their edges.
 ON_LINE_M, BESIDE_M, ON_LINE, PLACES = 0.05, 0.5, 0.9, 200
 # The labels have all paint between these distances: the first ahead of the camera, the second from it.
 AHEAD_M, SURE_M = 5.0, 80.0

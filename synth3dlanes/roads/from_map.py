@@ -24,9 +24,9 @@ from synth3dlanes.scene.scene import Terrain
 
 # Roads farther from the host than this are left out.
 AROUND_M = 450.0
-# A path goes on over a gap along it of less than this; its direction is measured over this length.
+# A path goes on over gaps shorter than GAP_M; its direction is measured over TANGENT_M.
 GAP_M, TANGENT_M = 1.0, 0.01
-# Lanes that are nowhere wider are none.
+# Lanes whose width exceeds this nowhere do not count.
 LEAST_WIDTH_M = 0.1
 
 

@@ -26,7 +26,7 @@ from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3,
 
 # Steps of a projection, and how far from the perpendicular through a foot its point may be.
 MOST_STEPS, FOOT_M = 12, 1e-3
-# Farther than any place is from a road that it is near; the width of rows in which places are sorted.
+# More than any distance between a place and a road near it; the width of the rows in which places are sorted.
 APART_M, ROW_M = 1e5, 25.0
 
 Indices = Int[np.ndarray, " n"]

@@ -35,7 +35,7 @@ DAMAGED = (
     pa.ArrowException,
     OSError,
 )
-# Bytes of a value that is no text.
+# Decoded bytes of a value that is no text.
 VALUE_BYTES = 8
 INCOMPRESSIBLE = -1
 
@@ -96,7 +96,7 @@ def read_parquet(data: bytes, where: str, bounds: TableBounds, columns: Sequence
                 texts.add(chunk.path_in_schema)
     bounds.check_bytes(size, rows, where)
     bounds.check_bytes(n_values * VALUE_BYTES, rows, where)
-    # As dictionaries: each value once, however often it is said.
+    # Text as dictionaries, which hold each value once, however many rows have it.
     with pq.ParquetFile(pa.BufferReader(data), read_dictionary=sorted(texts)) as file:
         table = file.read(columns=chosen, use_threads=False)
     return _decoded(table, where, bounds)

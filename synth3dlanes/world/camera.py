@@ -16,7 +16,7 @@ TANGENT_STEP_M = 1e-3
 BORDER_PX = 1
 # Pixels along the border of a picture that bound what it shows, and the steepest direction that such bounds hold for.
 BORDER_STEPS, STEEPEST_RAD = 33, np.radians(80)
-# What is so near to the eye counts as in its sector: light of it reaches what is seen.
+# What is nearer to the eye than this counts as seen: its light reaches what is in the picture.
 AROUND_EYE_M = 30.0
 
 
@@ -42,7 +42,7 @@ def sector(camera: HostCamera, world_from_cam: Matrix4) -> Sector | None:
     seen = rays(camera, border * size)
     ahead = world_from_cam[:3, 1]
     steepest_rad = np.arccos(np.clip(seen[:, 1].min(), -1, 1)) + np.arcsin(np.clip(abs(ahead[2]), 0, 1))
-    # Not of a number, where the lens has no picture at its border.
+    # `not <` holds for NaN too, where the lens has no picture at its border.
     if not steepest_rad < STEEPEST_RAD:
         return None
     directions = (seen @ world_from_cam[:3, :3].T)[:, :2]

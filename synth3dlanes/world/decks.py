@@ -49,7 +49,7 @@ class _Abutment(NamedTuple):
 
     @classmethod
     def of(cls, span: Span, end_m: float, outward: float) -> "_Abutment":
-        """That at a station of a road from which the deck's road goes on `outward`."""
+        """The abutment at the end `end_m` of a deck, from which the road goes on in the direction `outward`."""
         road, at = span.road, np.full(ACROSS, end_m)
         t = np.linspace(float(road.left(at)[0]) - SIDE_M, float(road.right(at)[0]) + SIDE_M, ACROSS)
         line = road.xy(at, t)
@@ -103,7 +103,7 @@ def span_bodies(ground: Ground, paved: PavedAreas) -> list[Body]:
 
 
 def _of_each(told: Callable[[PlanPlaces], Heights], places: Sequence[PlanPlaces]) -> list[Heights]:
-    """What is told of places."""
+    """The values of a function at the places of each list, by one call."""
     return parted(told(np.concatenate(places)), list(map(len, places)))
 
 

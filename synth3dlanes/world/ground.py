@@ -22,7 +22,7 @@ from synth3dlanes.world.host_way import HostWay
 from synth3dlanes.world.paved_areas import PavedAreas
 from synth3dlanes.world.spans import CEILING_M, DECK_M, Span
 
-# Of people who climb a kerb; strips beside each other have gaps of at most twice GAP_M.
+# People climb a kerb over STRIDE_M to both sides of it; gaps between neighbouring strips are at most twice GAP_M.
 STRIDE_M, GAP_M = 0.3, 0.01
 
 
@@ -121,8 +121,8 @@ class Ground:
         return np.asarray(found)
 
     def height_near(self, points_world: Points3) -> Scalars:
-        """Height of the ground as built at points, of several surfaces that nearest to each: on a bridge or below it,
-        over a tunnel or in it."""
+        """Height of the ground as built at points; where there are two surfaces, at a bridge or a tunnel, of the one
+        nearer to the point."""
         found = self.height(points_world[:, :2])
         for span, at in self._spans_at(points_world[:, :2]):
             xy, z = points_world[at, :2], points_world[at, 2]
@@ -142,7 +142,7 @@ class Ground:
         return self.height_near(np.column_stack([xy_world, z]))
 
     def _spans_at(self, xy_world: Points2) -> Iterator[tuple[Span, Int[np.ndarray, " m"]]]:
-        """The decks and tunnels at places, and at which each is."""
+        """The decks and tunnels at places, each with the indices of its places."""
         for span in self.paved.spans:
             at = np.flatnonzero(contains(span.area, xy_world))
             if at.size:

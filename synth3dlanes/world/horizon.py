@@ -13,7 +13,7 @@ BEGIN_M, WHOLE_M = 500.0, 1600.0
 N_WAVES = 14
 LENGTHS_M = np.geomspace(600.0, 3000.0, N_WAVES)
 MAX_HEIGHT_M = 90.0
-# Size of the fine cells, and the greatest multiple of it that depths and widths near roads are given for.
+# Size of the fine cells; near roads, depths and widths grow with the cells up to MAX_CELL_SCALE times.
 CELL_M = 1.25
 MAX_CELL_SCALE = 8.0
 # Growth of the cells per metre outside the fine area: the terrain's hills are smooth over tens of metres.

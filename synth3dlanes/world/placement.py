@@ -28,9 +28,9 @@ UP = np.array([0.0, 0.0, 1.0])
 # Where the wheels of a car are (model frame), as shares of half its track and half its wheelbase.
 WHEELS = np.array([[-1, 1, 0], [1, 1, 0], [-1, -1, 0], [1, -1, 0]])
 Footprint = Float[np.ndarray, "4 2"]
-# Of circles around footprints, for rounding.
+# By how much circles around footprints are larger, because numbers are rounded.
 SLACK_M = 0.01
-# Over this time a slope of the ground tells how fast a thing goes up.
+# A thing's speed upwards is measured over this time.
 CLIMB_S = 0.01
 
 

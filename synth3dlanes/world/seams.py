@@ -31,9 +31,9 @@ RoadPart = tuple[Road, float, float]
 CLEAR_M = 1.1
 # Height over the road as a share of that of paint, and the distance from the host's way up to which there is any.
 LIFT_SHARE, SEEN_M = 0.6, 250.0
-# Along the road a lane has at most one crack in a part of this length, at a chance of 1 where tar is 1.
+# Each part of a lane of this length has at most one crack along the road, with probability 1 where tar is 1.
 PART_M = 230.0
-# Cracks across the road by the metre where tar is 1, and the share of these that cross all lanes.
+# Cracks across the road per metre where tar is 1, and the share of these that cross all lanes.
 CRACKS_PER_M, ACROSS_ALL = 0.1, 0.6
 # Steps along a crack; its slow wandering from knot to knot, and its jitter from step to step.
 CRACK_STEP_M, KNOT_M, WANDER_M, JITTER_M = 0.4, 2.0, 0.12, 0.015

@@ -34,7 +34,7 @@ RED_LIGHT, AMBER_LIGHT, GREEN_LIGHT = (1.0, 0.02, 0.012), (1.0, 0.36, 0.01), (0.
 # A head with three lights: its size with the hoods of its lenses, their radius, how far apart they are, and the depth
 # of the hoods.
 HEAD_M, LENS_M, LENSES_APART_M, HOOD_M = np.array([0.42, 0.42, 1.24]), 0.15, 0.39, 0.2
-# Both around the middle of a light.
+# The glass and the hood of a light, around its middle.
 LENS = Patch(disc(12, LENS_M), DARK_LENS[:3]).quads()[..., [0, 2, 1]] - [0, 0.004, 0]
 HOOD = (LENS_M + 0.02) * np.array([(np.sin(at), 0.0, np.cos(at)) for at in np.linspace(-0.6 * np.pi, 0.6 * np.pi, 7)])
 HOOD = np.stack([HOOD, HOOD - [0, HOOD_M, 0]])

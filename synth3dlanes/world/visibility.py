@@ -7,12 +7,12 @@ from jaxtyping import Bool, Float, Int
 
 from synth3dlanes.world.ground import Ground
 
-# Of points along lines of sight, and how many steps are between those that are asked first: most lines that the ground
-# hides are in it at one of these.
+# Lines of sight are compared with the ground at points SIGHT_STEP_M apart, at every sixth first: most lines that the
+# ground hides are in it at one of these.
 SIGHT_STEP_M, FIRST_STEPS = 2.0, 6
 # Ground above the line of sight by less than this does not count: points lie on the ground themselves.
 TOLERANCE_M = 0.01
-# Tolerance around the direction of a crest's end within which lines of sight are tested, too.
+# Lines of sight are tested against a crest also if they miss the direction of its end by less than this.
 TOLERANCE_RAD = 1e-9
 
 

@@ -108,9 +108,9 @@ class HostPlan(NamedTuple):
 
 
 class Usual(NamedTuple):
-    """What all cars of a town have in common: the parameters, the mean time between two cars that enter a street, a
-    number in [0, 1) that is part of each car's number for its speed, the seed of all that they do, and the density of
-    traffic as a share of the densest."""
+    """What all cars of a town have in common: the parameters; the mean time between two cars that enter a street; a
+    number in [0, 1) from which, with the car's own, its speed follows; the seed of all random numbers of the traffic;
+    and its density as a share of the densest."""
 
     own: Draw
     arrival_s: float
@@ -186,7 +186,7 @@ class _Simulation:
             for each in town_map.junctions
             if each.control == "signals"
         }
-        # Three parts of [0, 1) by this stream, as in earlier versions, and a place in the part.
+        # This stream chooses a third of [0, 1), as in earlier versions, and `u` the place in it.
         self.wish = usual.own.at("speed_m_s", (int(self.rng.integers(3)) + usual.u) / 3)
         self.traffic = TownTraffic(lines, self.lights)
         self.bodies: dict[int, CarBody] = {}

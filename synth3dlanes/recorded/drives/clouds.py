@@ -179,7 +179,7 @@ HEADER_ERRORS = (
     TokenError,
     UserWarning,
 )
-# What floats between 0 and more than 1 are parts of.
+# Full scale of bytes, and of floats of which any is more than 1.
 BYTE = 255.0
 
 

@@ -18,9 +18,9 @@ from synth3dlanes.world.visibility import along_sights
 # Length and steps of lines of sight. Ground without support is bridged for one step at most.
 RANGE_M, SIGHT_STEP_M = 110.0, 2.0
 BISECTIONS = 10
-# A line of sight that falls to the ground by less than this, as a slope, meets it nowhere in particular.
+# Where a line of sight meets the ground at a smaller slope than this, the place is not determined.
 LEAST_FALL = 1e-3
-# Steps of lines of sight that may be hidden.
+# Step along the lines of sight of which the ground may hide the end.
 FINE_M = 1.0
 # Ground above a line of sight by less than this, and by less than twice its standard deviation, hides nothing.
 TOLERANCE_M = 0.03
