@@ -25,7 +25,7 @@ Fitted = tuple[CameraImage, UInt8[np.ndarray, "rows columns 3"], Intrinsics]
 """An image, and what the network sees of it."""
 BATCH = 16
 MOST_BYTES = 1 << 26
-"""Of the images of a batch, as read."""
+"""Most bytes that the images of a batch take as read."""
 
 
 def predictions_of(keys: Sequence[str], output: Output, model: ModelConfig) -> Iterator[Prediction]:

@@ -41,7 +41,7 @@ class MetricConfig:
 
     @property
     def all_weights(self) -> tuple[Weights, ...]:
-        """Those of the reported AP first."""
+        """Every weighting of knots that is evaluated, that of the reported AP first."""
         return (self.weights, *self.alternatives)
 
 

@@ -30,7 +30,7 @@ FAR_M = 80.0
 ASIDE_M = 12.0
 """Width of the view from above to each side."""
 LEAST_HEIGHT_M = 12.0
-"""Of the view from the side, so that an even road looks even."""
+"""Least height that the view from the side covers, so that an even road looks even."""
 PICTURE_ENDINGS = (OVERLAY, FIGURE) = (".overlay.jpg", ".png")
 VISIBLE = 0.5
 LEAST_DEPTH_M = 0.5

@@ -91,7 +91,7 @@ def image_files(source: str | Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) ->
 
 
 def assumed_intrinsics(size_px: tuple[int, int]) -> Intrinsics:
-    """Those of a camera with square pixels and a horizontal field of view of 60 degrees."""
+    """The intrinsics of a camera with square pixels and a horizontal field of view of 60 degrees."""
     height, width = size_px
     focal_px = width / 2 / math.tan(math.radians(ASSUMED_FOV_DEG / 2))
     return (focal_px, focal_px, width / 2, height / 2)

@@ -216,7 +216,7 @@ def describe(validation: Samples) -> str:
 
 
 def focal_lengths(samples: Samples, size_px: tuple[int, int]) -> FocalLengths:
-    """Those of at most MEASURED of the samples, evenly chosen, in images of `size_px` (height, width)."""
+    """The focal lengths of at most MEASURED samples, evenly chosen, in images of `size_px` (height, width)."""
     focal_px = []
     for index in np.linspace(0, len(samples) - 1, min(MEASURED, len(samples))).astype(int).tolist():
         labels = labels_at(samples, index)

@@ -40,8 +40,8 @@ def benchmark(
     as_json: bool,
     **fields: Any,
 ) -> None:
-    """Make a benchmark (clips, exits, hills, weather, or a file of your own), check that its labels are those of
-    everybody, and score a network on its test images.
+    """Make a benchmark (clips, exits, hills, weather, or a file of your own), check that its labels equal
+    everybody else's, and score a network on its test images.
 
     Rerun to resume. docs/benchmarks.md has the benchmarks and the scores of the networks in this package.
     """
@@ -60,7 +60,7 @@ def benchmark(
             ctx.exit(report.exit_code or 1)
         document["splits"][split] = vars(found.splits[split])
         if not as_json:
-            compared = "as those of everybody" if found.splits[split].labels else "of no digest to compare with"
+            compared = "equal to everybody else's" if found.splits[split].labels else "not compared: it fixes no digest"
             click.echo(f"{out}/{split}: {report.done} samples, labels {compared}")
     if checkpoint is not None or predictions is not None:
         document["score"], text = _score(f"{out}/test", checkpoint, predictions)

@@ -1,4 +1,4 @@
-"""Tables and text of any width for whoever reads them: a terminal's width where there is one, no limit elsewhere."""
+"""Tables and text as wide as the terminal, or of any width where the output is no terminal."""
 
 from rich.console import Console
 
@@ -16,5 +16,5 @@ class OutputConsole(Console):
             self.width = NO_LIMIT
 
     def on_broken_pipe(self) -> None:
-        """Let the reader's leaving be seen by the group of all commands."""
+        """Leave a closed pipe to the group of all commands."""
         raise BrokenPipeError

@@ -51,7 +51,7 @@ def drive() -> None:
 @json_option
 @click.pass_context
 def check(ctx: click.Context, source: str, camera: str, lanes: str, marked: str, as_json: bool) -> None:
-    """Say what a drive holds and what looks wrong in it; exits with 1 if anything does.
+    """List what a drive contains and what looks wrong in it; exits with 1 if anything does.
 
     DRIVE is a folder of KITTI (raw or odometry), a log of Argoverse 2, a file drive.yaml, or a clip of a data set with
     a lidar (DIR/train:0). Checked are its times, speed and heading, where the ground is, whether scans fit together,

@@ -62,9 +62,8 @@ def generate(
 ) -> None:
     """Generate a split of N labelled samples: scenes, or frames of clips with --frames.
 
-    JOB.YAML is a file of these choices (docs/jobs.md), or the dataset.json of a data set to make it anew; options come
-    before what it says. Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then
-    stops.
+    JOB.YAML is a file of these choices (docs/jobs.md), or the dataset.json of a data set to make it anew; options
+    override it. Rerun to resume; a larger N extends the split. Ctrl-C finishes the samples in progress, then stops.
     """
     from synth3dlanes.production import job as jobs
     from synth3dlanes.production.run import generate as run

@@ -45,7 +45,7 @@ KINDS: dict[str, Callable[[], Listing]] = {
 @click.argument("kind", metavar="KIND", type=click.Choice(list(KINDS)))
 @json_option
 def list_names(kind: str, as_json: bool) -> None:
-    """List what has a name, each with a line that says what it is.
+    """List everything of a kind that has a name, with a line on each.
 
     KIND is presets (for --params), cameras (--camera), rigs (--rig), lidars (--lidar), formats (export --format),
     models (predict, evaluate, train --init) or benchmarks (benchmark).

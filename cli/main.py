@@ -98,7 +98,7 @@ class Commands(click.Group):
                 raise
             raise WorkFailure(f"{ctx.command_path} {ctx.invoked_subcommand}: {NO_MEMORY}") from error
         except BrokenPipeError:
-            # Whoever read the output has left, as `head` does. What is still buffered goes nowhere.
+            # The program that reads the output, such as `head`, has closed it: what is still buffered is discarded.
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             ctx.exit(128 + signal.SIGPIPE)
         except OSError as error:

@@ -179,7 +179,7 @@ def job_options(*fields: str, **abouts: str) -> Callable[[Command], Command]:
 
 
 def given(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the fields of Job that the user gave."""
+    """The fields of Job that the user gave."""
     return {name: value for name, value in fields.items() if is_given(name)}
 
 
@@ -221,7 +221,7 @@ def is_given(name: str) -> bool:
 
 
 def _given(names: Iterable[str]) -> list[str]:
-    """Those of some options that were given, as the user knows them."""
+    """The options among these that the user gave, as the user knows them."""
     params = click.get_current_context().command.params
     return [param.opts[0] for param in params if param.name in names and is_given(param.name)]
 

@@ -104,7 +104,7 @@ def predict(
     "--int8",
     "calibration",
     metavar="DIR[/SPLIT]|FOLDER",
-    help="Quantise the convolutions to int8; images like those it will see, of a split or a folder, give the ranges.",
+    help="Quantise the convolutions to int8, with ranges from the images of this split or folder.",
 )
 def onnx(checkpoint: str, path: Path, calibration: str | None) -> None:
     """Export the network of a checkpoint to ONNX: inputs image and intrinsics; outputs x_m, z_m, score and pose."""

@@ -36,7 +36,7 @@ the `synth3dlanes` script is not on your PATH. Commands whose results other prog
 | 1 | its work failed or is incomplete, a store did not answer, a disk is full or fails; running it again can help |
 | 2 | bad input, which has to be changed: one line per problem on stderr |
 | 129, 130, 143 | stopped by SIGHUP (a closed terminal), by Ctrl-C, by SIGTERM |
-| 141 | whoever read the output has left, as `head -1` does |
+| 141 | the program that reads the output has closed it, as `head -1` does |
 
 ## Shell completion
 

@@ -42,7 +42,7 @@ GIVEN: dict[str, Callable[[Pose, Pose], Pose]] = {
 }
 """The pose for the view from above, of the predicted and the true one."""
 Errors = Float[np.ndarray, "m y 2"]
-"""Of the matched lanes of an image, sideways and in height, in metres; NaN where not compared."""
+"""Errors of the matched lanes of an image, sideways and in height, in metres; NaN where not compared."""
 
 
 def main(weights: str, source: str) -> None:
@@ -76,7 +76,8 @@ def main(weights: str, source: str) -> None:
 
 
 def _scaled(labels: Labels, prediction: Prediction) -> Prediction:
-    """As the image has it, with the camera at its true height: everything nearer or farther by the same share."""
+    """The prediction scaled to the true height of the camera, which the image does not tell: every point is nearer or
+    farther by the same share."""
     assert prediction.pose is not None
     share = labels.camera.height_m / prediction.pose.height_m
     return replace(prediction, lanes=tuple(replace(lane, xyz_cam=lane.xyz_cam * share) for lane in prediction.lanes))

@@ -131,7 +131,7 @@ def _timed(log: Log, command: list[str]) -> dict[str, Any]:
 
 
 def _psnr(one: Path, other: Path) -> list[float]:
-    """Of each image of a data set, how far it is from the same of another, in dB; 99 where they are equal."""
+    """The PSNR in dB of each image of a data set to the same image of another; 99 where they are equal."""
     if not (one.is_dir() and other.is_dir()):
         return []
     pairs = zip(Reader(f"{one}/train"), Reader(f"{other}/train"), strict=True)

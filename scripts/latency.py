@@ -32,7 +32,7 @@ def rows() -> list[dict[str, Any]]:
 
 
 def table() -> str:
-    """These rows."""
+    """The table of the costs as Markdown."""
     lines = [HEAD]
     for row in rows():
         cells = [row["model"], row["by"], row["numbers"]]
@@ -122,7 +122,8 @@ def _onnxruntime(_: str, threads: int, file: str) -> Callable[[np.ndarray, np.nd
 
 
 def _export(model: str, numbers: str, file: str) -> dict[str, float]:
-    """To int8 from the float32 file beside it, by an image of noise: the ranges do not change the cost."""
+    """Export a network; to int8 from the float32 file beside it, with ranges of an image of noise, which do not change
+    the cost."""
     from synth3dlanes_baseline.data import CameraImage
     from synth3dlanes_baseline.inference import Detector
     from synth3dlanes_baseline.onnx_export import exported, quantised

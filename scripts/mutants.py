@@ -45,7 +45,7 @@ SUBJECTS = {
     "metrics": ("baseline_model/metrics.py", "baseline_model/matching.py", "baseline_model/curves.py"),
     "lift": ("synth3dlanes/recorded/lift/*.py",),
 }
-# Of a mutant, in seconds of CPU time, and of a test, in seconds: a fault may make a loop endless.
+# Limits of a mutant, in seconds of CPU time, and of a test, in seconds: a fault may make a loop endless.
 LIMIT_S, TEST_LIMIT_S = 60, 300
 # A start of pytest takes some five seconds, a file more one.
 FILES_AT_ONCE = 5

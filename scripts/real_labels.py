@@ -149,7 +149,7 @@ def is_checkpoint(start: str) -> bool:
 
 
 def training(start: str, n_steps: int, n: int, seed: int) -> TrainConfig:
-    """That of a number of steps on `n` frames."""
+    """The configuration of a training of `n_steps` on `n` frames."""
     settings = {**SETTINGS, "seed": seed, "epochs": n_steps / -(-n // SETTINGS["batch"])}
     if is_checkpoint(start):
         return checkpoint.fine_tuning(start, {**settings, "learning_rate": 5e-4, "label_pose_fraction": 0.0})

@@ -36,7 +36,7 @@ def seen_fractions(
     rays = [_rays(item, camera, *grid) for item in items]
 
     def seen(numbers: list[int], first: int, last: int) -> list[Bool[np.ndarray, " n"]]:
-        """Of the objects of these numbers, which of the places that some of their rays meet are seen."""
+        """For each of these objects, which of the places that its rays `first` to `last` meet are seen."""
         surfaces = [_surface(items[i], eye, rays[i][first:last]) for i in numbers]
         points = np.concatenate([*surfaces, np.zeros((0, 3))])
         found = seen_over_ground(points)

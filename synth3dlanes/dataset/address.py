@@ -153,7 +153,7 @@ def splits_near(place: str) -> str:
 
 
 def _loaded(names: Mapping[str, tuple[str, ...]]) -> tuple[type[BaseException], ...]:
-    """Those of the exception classes whose packages are loaded; others cannot have been raised."""
+    """The exception classes whose packages are loaded; others cannot have been raised."""
     modules = ((sys.modules.get(module), kinds) for module, kinds in names.items())
     return tuple(getattr(module, kind) for module, kinds in modules for kind in kinds if hasattr(module, kind))
 

@@ -65,7 +65,7 @@ class Destination:
         return folder.claim(self.folder, recipe, split, n, shards, is_driver)
 
     def begun(self, split: str, shards: Iterable[int]) -> set[int]:
-        """Those of the shards that may have samples already; for a store, all of them."""
+        """The numbers of the shards that may have samples already; for a store, all of them."""
         if self.is_store:
             # Another process may have changed what was listed here before.
             connect(self.place)[0].invalidate_cache()

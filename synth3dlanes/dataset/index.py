@@ -16,7 +16,7 @@ from synth3dlanes.system.errors import FormatError
 
 # Where the metadata of an index has the recipe that its samples were made from.
 RECIPE = b"synth3dlanes.recipe"
-# Of data sets with several pictures of each scene: the numbers of the scene as drawn, the frame and the camera.
+# Columns of data sets with several pictures of each scene: the numbers of the scene as drawn, the frame, the camera.
 SHOT_COLUMNS = ("scene", "frame", "camera")
 # Columns that were added later, and what they are in older shards: the defaults of `scene.json`.
 ADDED: dict[str, int | float | bool | str] = {
@@ -61,7 +61,7 @@ ADDED: dict[str, int | float | bool | str] = {
 }
 ARROW_TYPES: dict[object, pa.DataType] = {int: pa.int64(), float: pa.float64(), bool: pa.bool_(), str: pa.string()}
 ADDED_SCHEMA = pa.schema([(column, ARROW_TYPES[type(default)]) for column, default in ADDED.items()])
-# Of columns that may be required and are no integers.
+# Types of the columns that may be required and are no integers.
 TYPES = {"key": pa.string(), "sha256": pa.string(), "camera_roll_rad": pa.float64()} | dict(
     zip(ADDED_SCHEMA.names, ADDED_SCHEMA.types, strict=True)
 )

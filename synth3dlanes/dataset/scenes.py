@@ -72,7 +72,7 @@ class GivenPlace(Excerpt):
     s_m: float
 
     def text(self) -> str:
-        """As `--at` takes it: ROAD:s:lane."""
+        """The place as `--at` takes it: ROAD:s:lane."""
         road, _, number = self.lane.rsplit(".", 2)
         return f"{road}:{self.s_m!r}:{number}"
 

@@ -19,7 +19,7 @@ from synth3dlanes.system.arrays import Points3, Scalars
 GROUND_GRID_STEP_M, HALF_N, LEVEL_AT_EDGE = 20.0, 32, 4
 # Places of roads that the ground is fitted to, along roads.
 ALONG_M = 6.0
-# Of two roads that pass over each other the ground meets the lower one: at places less than BESIDE_M apart seen from
+# Where one road passes over another, the ground meets the lower one: at places less than BESIDE_M apart seen from
 # above, whose heights differ by that distance and ABOVE_M more.
 ABOVE_M, BESIDE_M = 3.0, 15.0
 # Weights of the ground's bends and of its distance from the mean height, where that of its distance from roads is 1.

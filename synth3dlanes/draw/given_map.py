@@ -130,7 +130,7 @@ def _rail(item: GivenRail) -> Rail:
 
 
 def _nearest(items: Sequence[T], most: int) -> tuple[T, ...]:
-    """As many as a scene may have, those nearest to the host."""
+    """The nearest items to the host, at most as many as a scene may have."""
     return tuple(sorted(items, key=lambda at: math.hypot(at.x_m, at.y_m))[:most])
 
 

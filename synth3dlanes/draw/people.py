@@ -29,7 +29,7 @@ HEADING_M = 0.3
 MAX_FROM_HOST_M, MAX_PEOPLE, TRIES = 55.0, 120, 5
 # They keep this far from the kerb, where poles stand, and from the walkway's other edge; those who wait are nearer.
 ASIDE_M, OUTSIDE_M = 0.8, 0.4
-# Those who cross: their least distance from vehicles, and the time between them.
+# People who cross are at least this far from vehicles, and at no place within this time of one.
 VEHICLE_ROOM_M, APART_S = 0.8, 1.0
 # A walkway that people come from or go to is this near to the crosswalk.
 WALKWAY_M = 1.5
@@ -311,7 +311,7 @@ def _ways_from(walkways: Walkways, place: Float[np.ndarray, "2"], length_m: floa
 
 
 def _crossers(scene: Scene, bodies: Bodies, own: Draw, n: int) -> Iterator[Crosser]:
-    """Those who come to the crosswalks of a given map in a clip, where no vehicle stops for them."""
+    """The people who come to the crosswalks of a given map in a clip, where no vehicle stops for them."""
     for crosswalk in _crosswalks(scene, bodies) if n else ():
         for i in range(n):
             speed_m_s, (side, at, share) = own("speed_m_s"), own.rng.random(3).tolist()

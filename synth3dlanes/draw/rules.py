@@ -73,7 +73,7 @@ class ParameterRules:
         return found
 
     def _of_road(self, found: Rules, scene: Scene, road: PaperRoad) -> Rules:
-        """Those of the paper's road, whose lanes, room and works bound what is drawn."""
+        """The rules of the paper's road, whose lanes, room and works bound what is drawn."""
         params = self.params
         found["road.n_lanes"] = lanes_of(params.road.n_lanes, road.topology)
         if not self._has_room(road):
@@ -87,12 +87,12 @@ class ParameterRules:
         return found
 
     def _of_map(self, found: Rules, scene: Scene, roads: RoadMap) -> Rules:
-        """Those of a map, which has no such road; cars for which there is no room are left out."""
+        """The rules of a map, which has no such road; cars for which there is no room are left out."""
         unused = ("road.", "symbols.", "camera.lane", "camera.y_m", "cars.s_m")
         return {key: form for key, form in found.items() if not key.startswith(unused)} | {"cars.n": None}
 
     def _of_town(self, found: Rules, scene: Scene, town: Town) -> Rules:
-        """Those of a town: lanes and control are as its junction allows."""
+        """The rules of a town: lanes and control are as its junction allows."""
         unused = {"cars.n", "trees.n", "trees.model", "trees.x_m", "trees.y_m"}
         found["cars.model"] = None  # those that turn or park are short
         declared = self.params.town

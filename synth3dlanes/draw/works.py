@@ -55,7 +55,7 @@ def _of_kind(road: PaperRoad, kind: str, inner: bool, drawn: dict[str, Any], cam
         taken_m = 0.0 if lines == "as_before" else road.lane_width_m
     elif kind == "lanes_shifted":
         shift_m = min(drawn["moved_m"], road.shoulder_factor * road.lane_width_m - SHOULDER_LEFT_M)
-        # Of the shoulder in a median cars may use little.
+        # Cars may use little of the shoulder in a median.
         if shift_m < LEAST_MOVE_M or (road.n_oncoming and not inner):
             return None
         taken_m = shift_m
@@ -128,7 +128,7 @@ def _spaced(lengths_m: Scalars, in_taper: np.ndarray, spacing_m: float) -> np.nd
 
 
 def _barricades(scene: Scene, lanes: WorksLanes, road: Road, aside_m: float, onwards: float) -> Iterator[Thing]:
-    """Those that fit between the cones and the edge of the pavement."""
+    """The barricades that fit between the cones and the edge of the pavement."""
     works = lanes.works
     s = onwards * np.array([works.start_m + works.taper_m + BEHIND_TAPER_M])
     first_m = float(lanes.closed_from(s)[0]) + 2 * aside_m + lanes.outward * FROM_CONES_M

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 # The two groups of boxes.
 GROUPS = ("objects", "traffic_elements")
-# These do not move, so they are recorded without a time.
+# Entities that do not move: they are recorded without a time.
 STILL = ("terrain", "road", "paint", "trees", "structures")
 LANE_RADIUS_M, POINT_RADIUS_M, IMAGE_PLANE_M = 0.06, 0.04, 3.0
 # The viewer's camera: x right, y down, z along the viewing direction.

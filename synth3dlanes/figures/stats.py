@@ -81,7 +81,7 @@ class SceneStatistics:
     declared: dict[str, Cases]
 
 
-# Of samples that were lifted from a real drive.
+# The statistics of samples without scenes, lifted from a real drive.
 NO_SCENES = SceneStatistics(0, (), {}, {}, {})
 
 
@@ -374,7 +374,7 @@ def histograms(scenes: SceneStatistics, labels: LabelStatistics | None) -> list[
 
 
 def _of_labels(name: str, values: Scalars) -> Histogram:
-    # Of few values, these are the first and the last.
+    # With few values, the quantiles are the first and the last.
     low, high = np.percentile(values, [0.5, 99.5], method="closest_observation")
     is_whole = bool((values % 1 == 0).all()) and high - low < _MAX_SINGLE_BINS
     edges = _single_bins(low, high) if is_whole else np.linspace(low, max(high, low + 1e-6), 41)

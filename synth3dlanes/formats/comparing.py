@@ -165,7 +165,7 @@ class ExportView:
 
     @classmethod
     def around(cls, img_from_cv: Float[np.ndarray, "3 _"]) -> "ExportView":
-        """That of an image whose principal point is in its middle."""
+        """The view of an image whose principal point is in its middle."""
         return cls(img_from_cv, (round(2 * img_from_cv[0, 2]), round(2 * img_from_cv[1, 2])))
 
 
@@ -202,7 +202,7 @@ class Gap:
 
     @classmethod
     def of(cls, name: str, unit: str, apart: Float[np.ndarray, " _"], word: str = "line") -> "Gap":
-        """That of these distances."""
+        """The gap of these distances."""
         return cls(name, unit, float(apart.max()), float(np.median(apart)), word)
 
 
@@ -229,7 +229,7 @@ class Comparison:
 
     @classmethod
     def within(cls, gaps: Sequence[Gap], limits: Mapping[str, float]) -> "Comparison":
-        """Of these gaps, none of which may be beyond the limit of its unit."""
+        """The comparison with these gaps, none of which may be beyond the limit of its unit."""
         off = (gap for gap in gaps if not gap.worst <= limits[gap.unit])
         problems = (f"{gap.name}: expected it as in the labels, got it {gap.worst:.3g} {gap.unit} off" for gap in off)
         return cls(tuple(gaps), tuple(problems))

@@ -106,7 +106,7 @@ BOX_COLORS: dict[str, tuple[Rgb, Rgb]] = {
     "rider": ((150, 240, 170), (0, 110, 50)),
 }
 LARGE_COLORS = ((255, 192, 64), (204, 55, 0))
-"""Of the rear and of the front of boxes by their class; those of persons and riders are our own."""
+"""Colours of the rear and the front of boxes by class; those of persons and riders are our own."""
 WIDTH_PX, OF_WIDTH_PX = 12.0, 1280.0
 """The width of lines in an image of this width."""
 GOLDEN = 0.618034

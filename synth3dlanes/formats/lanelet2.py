@@ -75,7 +75,7 @@ LINES = {"stop_line": "stop_line", "give_way_line": "yield_line"}
 SPEED, STOPPING = "speed_", ("stop", "give_way")
 BULBS = (("red", 1.0), ("yellow", 0.0), ("green", -1.0))
 BULBS_APART = 0.3
-"""Of a head's height."""
+"""Distance between the lights of a head, as a share of its height."""
 ARROW_BULBS = {"left": "left", "right": "right", "straight": "up"}
 
 README = f"""Lanelet2: a map of each scene.

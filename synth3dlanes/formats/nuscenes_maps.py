@@ -441,8 +441,8 @@ def arcline_paths(middle: Points2) -> list[Record]:
 
 
 def _curvature(points: Points2) -> float:
-    """That of the circle through the first, the middle and the last of some points, positive to the left; 0 of what is
-    straight."""
+    """The curvature of the circle through the first, the middle and the last of some points, positive to the left; 0
+    for a straight line."""
     a, b, c = points[0], points[len(points) // 2], points[-1]
     (ux, uy), (vx, vy) = b - a, c - b
     sides = np.linalg.norm(b - a) * np.linalg.norm(c - b) * np.linalg.norm(c - a)

@@ -45,7 +45,7 @@ def fitting_pinhole(camera: CameraLabel, widest: Pinhole) -> Pinhole:
 
 
 def _fitting_lens(camera: CameraLabel, widest: Pinhole) -> Pinhole:
-    """As `fitting_pinhole`, by the border of the foreign image: a lens bends it."""
+    """`fitting_pinhole` for a camera with a lens, which bends the border of the foreign image."""
     share = np.linspace(0, 1, BORDER_STEPS)[:, None]
     corners = _corners(widest)
     border = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])

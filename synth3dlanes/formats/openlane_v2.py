@@ -64,12 +64,12 @@ STATE_ATTRIBUTES: dict[ElementState, int] = {
     "red": 1, "red_cross": 1, "red_amber": 1, "green": 2, "green_arrow": 2,
     "amber": 3, "amber_left": 3, "amber_right": 3
 }  # fmt: skip
-"""Of signals the colour, whatever the form of their lenses; those that are off have none."""
+"""The attribute of signals is their colour, whatever the form of their lenses; one that is off has none."""
 SIGN_ATTRIBUTES: dict[ElementKind | None, int] = {
     "ahead_only": 4, "direction_ahead": 4, "left_only": 5, "right_only": 6, "no_left_turn": 7, "no_right_turn": 8,
     "no_u_turn": 10, "exit_left": 11, "direction_left": 11, "exit_right": 12, "direction_right": 12
 }  # fmt: skip
-"""Of signs the direction that they order, forbid or point to; 9 (turn back) is on none of ours."""
+"""The attribute of signs is the direction that they order, forbid or point to; none of ours has 9 (turn back)."""
 POINT_DECIMALS = 4
 LEAST_LENGTH_M = 2.0
 SHORT = f"less than {LEAST_LENGTH_M:g} m of it in the area"

@@ -120,7 +120,7 @@ def _starts(reader: Reader, taken: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m
 
 
 def _of_moment(reader: Reader, moment: list[int], names: Sequence[str]) -> Int[np.ndarray, " n"]:
-    """Those of a moment's pictures that the named cameras took; all without names."""
+    """The pictures of a moment that the named cameras took; all of them if no camera is named."""
     taken = np.intersect1d(moment, reader.taken_by(names)) if names else np.array(moment)
     if not len(taken):
         got = f"{reader.key(moment[0])} by {reader.camera_name(moment[0])}"

@@ -27,7 +27,7 @@ MOST_TEXT = 64 << 20
 """Bytes of one frame's label file, and of a line of a list."""
 PICTURES = ("JPEG", "PNG", "BMP", "WEBP")
 MOST_BYTES = 1 << 34
-"""Of a file with many frames, such as COCO's annotations."""
+"""Most bytes of a file with many frames, such as COCO's annotations."""
 LEAST_SPACING_M = 0.5
 MAX_NUMBER = 1e6
 """Beyond any coordinate or column."""

@@ -31,7 +31,7 @@ MAX_COEFFICIENT = 1e4
 MAX_TILT_RAD = 0.5
 # Widest angle from the viewing direction, less than 90 degrees for models that are defined in x/y and z/y.
 WIDEST_RAD: dict[str, float] = {"pinhole": np.pi / 2, "opencv": np.radians(89.0), "fisheye": np.pi}
-# That of `omni` follows from xi, and is this much less than where its plane ends.
+# The widest angle of `omni` follows from xi, and is this much less than where its plane ends.
 EDGE_RAD = np.radians(1.0)
 # Newton's steps, the knots that they start from, and the largest error of an inverse, in units of x/y.
 STEPS, KNOTS, TOLERANCE = 20, 512, 1e-10

@@ -26,8 +26,8 @@ class Layers:
     normal: Float[np.ndarray, "h w 3"] | None = None
 
     def only(self, is_seen: Bool[np.ndarray, "h w"]) -> "Layers":
-        """These pixels of the layers, as of a lens that shows no others: the rest is black, without depth, ids and
-        normals."""
+        """The layers as a lens shows them whose field has these pixels alone: all others are black, without depth, ids
+        and normals."""
         if is_seen.all():
             return self
         seen = is_seen[..., None]

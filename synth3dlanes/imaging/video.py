@@ -30,8 +30,8 @@ CRF = 18
 # The denominators of frame rates that are in use, as 30000/1001.
 DENOMINATOR = 1001
 BT709, LIMITED_RANGE = 1, 1
-# Of FFmpeg's scaler: bilinear, rounded exactly, the same on every processor, chroma at full width. Its default makes
-# colours darker by up to 3 of 255.
+# Flags of FFmpeg's scaler: bilinear, rounded exactly, the same on every processor, chroma at full width. Its defaults
+# make colours darker by up to 3 of 255.
 EXACT = 0x2 | 0x40000 | 0x80000 | 0x2000 | 0x4000
 
 

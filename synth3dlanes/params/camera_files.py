@@ -29,7 +29,7 @@ LISTED: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "fisheye": (("k1", "k2", "k3", "k4"), (4,)),
     "omni": (("k1", "k2", "p1", "p2"), (4,)),
 }
-# Of each camera model of Kalibr: its intrinsics before fx fy cx cy, and our model for each of its distortion models.
+# For each camera model of Kalibr: its intrinsics before fx fy cx cy, and our model for each of its distortion models.
 KALIBR_MODELS: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
     "pinhole": ((), {"none": "pinhole", "radtan": "opencv", "equidistant": "fisheye"}),
     "omni": (("xi",), {"none": "omni", "radtan": "omni"}),

@@ -52,7 +52,7 @@ def make_here(plan: Plan, tally: RunTally) -> None:
     left = set(destination.spooled(plan.recipe.scenes.split, recipe_text(plan.description())))
     try:
         for number in sorted(left | shards.keys()):
-            # Of a shard of another part, everything that an earlier run left.
+            # All that an earlier run left of a shard of another part is put, too.
             n = plan.n if number in shards else (number + 1) * plan.shard_size
             asked = partial(destination.missing, plan.shard(number), n)
             missing = patience.insist(destination.place, asked, "what is finished is there")

@@ -188,12 +188,12 @@ class CrossSection:
 
     @cached_property
     def medians(self) -> list[tuple[int, int]]:
-        """Those of medians."""
+        """The runs of medians."""
         return self._runs({"median"})
 
     @cached_property
     def level(self) -> list[tuple[int, int]]:
-        """Those of lanes of the pavement that are not raised."""
+        """The runs of lanes of the pavement that are not raised."""
         return self._runs({lane.kind for lane in self.lanes} - RAISED - {"none"})
 
     def _runs(self, kinds: Container[MapLaneKind]) -> list[tuple[int, int]]:

@@ -24,7 +24,7 @@ from synth3dlanes.scene.road_map import Polynomial
 from synth3dlanes.scene.scene import PaperRoad, Terrain
 from synth3dlanes.system.arrays import AnyScalars
 
-# Of a painted line: the lanes beside it as t grows; roads, offsets there, and stations where each of these begins.
+# The lanes beside a painted line as t grows; its parts: the road, the offset there, and the station where it begins.
 LanesBeside = tuple[str | None, str | None]
 Parts = list[tuple[Road, Offset, float]]
 

@@ -204,7 +204,7 @@ class Chain(FiniteLine):
 
     @cached_property
     def _numbers(self) -> Float[np.ndarray, "k 7"] | None:
-        """Those of all lines, if each is a spiral."""
+        """The numbers of all lines, if each is a spiral."""
         lines = [line for line in self.lines if isinstance(line, Spiral)]
         return np.array([line.numbers for line in lines]) if len(lines) == len(self.lines) else None
 
@@ -295,7 +295,7 @@ class Quartic(ReferenceLine):
 
     @property
     def is_mirrored(self) -> bool:
-        """As one of its two flips makes it."""
+        """Whether exactly one of its two flips mirrors it."""
         return self.flips.x * self.flips.y < 0
 
     def _plan(self, s: AnyScalars) -> tuple[AnyScalars, AnyScalars, AnyScalars]:
@@ -370,7 +370,7 @@ class Displaced(ReferenceLine):
 
     @property
     def is_mirrored(self) -> bool:
-        """As the main road's line."""
+        """Whether it is mirrored, as the main road's line is."""
         return self.base.is_mirrored
 
     def frames(self, s: AnyScalars) -> LineFrames:

@@ -94,7 +94,7 @@ class ReferenceLine(ABC):
         return np.zeros(1)
 
     def within(self, start_m: float, end_m: float) -> "ReferenceLine":
-        """Those of its parts that are between two stations, with all their length."""
+        """The line of its parts that are between two stations, each with all its length."""
         return self
 
     def xy(self, s: AnyScalars, t: AnyScalars | float) -> AnyPoints2:

@@ -104,7 +104,7 @@ class WorksLanes:
 
     @property
     def paint(self) -> LinePaint:
-        """That of the lines that move."""
+        """The paint of the lines that move."""
         return LinePaint(self.works.lines == "yellow", self.works.line_width_m)
 
     # -- the closed area

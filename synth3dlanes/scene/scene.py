@@ -49,7 +49,7 @@ MIN_MEDIAN_M, MIN_OPEN_M = 1.0, 2.2
 MAX_SYMBOLS, MAX_THINGS = most_of("symbol"), most_of("thing")
 # The most paints of a model of a thing.
 MAX_PAINTS = 8
-# Of a grid of heights.
+# The most rows and columns of a grid of heights.
 MAX_GRID = 200
 # The most lanes that messages name.
 MOST_NAMED = 12

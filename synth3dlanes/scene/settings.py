@@ -17,7 +17,7 @@ SPLIT_NAME, MAX_SAMPLES, MAX_SHARD_SIZE = "[A-Za-z0-9_-]+", 100_000_000, 1_000_0
 MAX_VIEWS = 64
 # The scenes of a split that may be drawn for one sample until one fits a condition; the numbers of all scenes.
 SCENES_OF_ONE = 100_000
-# Of those, how many are drawn before the sample is given up, by default.
+# How many of those are drawn before a sample is given up, by default.
 TRIES = 1000
 N_SCENE_NUMBERS = MAX_SAMPLES * SCENES_OF_ONE
 DEVICES = ("auto", "cpu", "cuda", "optix", "hip", "oneapi", "metal")

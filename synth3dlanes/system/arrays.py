@@ -16,7 +16,7 @@ AnyScalars = Float[np.ndarray, "*n"]
 AnyPoints2 = Float[np.ndarray, "*n 2"]
 AnyPoints3 = Float[np.ndarray, "*n 3"]
 Numbers = Float[np.ndarray, "..."]
-# Of shapes that are broadcast to one.
+# Numbers of shapes that are broadcast to one.
 Spread = Float[np.ndarray, "*#n"]
 
 # Points of a line, in order.

@@ -103,7 +103,7 @@ def read_parquet(data: bytes, where: str, bounds: TableBounds, columns: Sequence
 
 
 def read_arrow(data: bytes, where: str, bounds: TableBounds, columns: Sequence[str]) -> pa.Table:
-    """Those columns of an Arrow file that it has. Raises as `read_parquet` does."""
+    """The columns among these that an Arrow file has. Raises as `read_parquet` does."""
     with pa.ipc.open_file(pa.BufferReader(data)) as file:
         schema = file.schema
         known = [schema.get_field_index(name) for name in columns if schema.get_field_index(name) >= 0]

@@ -246,7 +246,7 @@ class Folder:
 
     @contextmanager
     def _place(self, path: str | PurePath) -> Iterator[tuple[int, str]]:
-        """As `_parent`, for system calls alone: their errors name the path."""
+        """The folder and name of a path, as `_parent` opens them, for system calls whose errors then name the path."""
         with _named(self.root / path), self._parent(path) as place:
             yield place
 

@@ -37,7 +37,7 @@ class _Loader(yaml.SafeLoader):
         super().__init__(text)
         self.repeated: list[str] = []
         self._depth = self._n_values = 0
-        # Of the parts with anchors, which aliases repeat.
+        # The sizes of the parts with anchors, which aliases repeat.
         self._sizes: dict[int, int] = {}
 
     def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
@@ -99,7 +99,7 @@ _Loader.yaml_constructors = {
 
 
 class _CalibrationLoader(_Loader):
-    """With the matrices of OpenCV's files: objects with rows, cols, dt and data."""
+    """A loader that also reads the matrices of OpenCV's files: objects with rows, cols, dt and data."""
 
 
 _CalibrationLoader.yaml_constructors = {

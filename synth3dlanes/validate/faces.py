@@ -28,8 +28,8 @@ FaceNumbers = Int[np.ndarray, " k"]
 
 
 class NearestFaces(NamedTuple):
-    """Of points: how far they are above the nearest face along its normal (infinite where none is near), that normal,
-    which points up, and the face's material (-1 of none)."""
+    """The nearest face of each point: how far the point is above it along its normal (infinite where none is near),
+    that normal, which points up, and the face's material (-1 for none)."""
 
     above_m: Scalars
     up_world: Points3
@@ -53,7 +53,7 @@ class MeshFaces:
         self._tree = shapely.STRtree(shapely.box(*(low - ROOM_M).T, *(high + ROOM_M).T))
 
     def nearest(self, points_world: Points3, reach_m: float = REACH_M) -> NearestFaces:
-        """Of each point the nearest face, of those that are no farther than this along their normals; upright ones
+        """The nearest face of each point among those at most `reach_m` away along their normals; upright ones count,
         too."""
         n = len(points_world)
         found = NearestFaces(np.full(n, np.inf), np.zeros((n, 3)), np.full(n, -1))
@@ -63,7 +63,7 @@ class MeshFaces:
                 normal *= (np.where(normal[:, 2] < 0, -1, 1) / size)[:, None]
                 above_m = ((points_world[i] - triangles[:, 0]) * normal).sum(axis=1)
                 inside = (np.minimum(u, v) > -ON_SIDE) & (u + v < 1 + ON_SIDE) & (np.abs(above_m) < reach_m)
-            # Of several faces of a point the last one stays, which is the nearest.
+            # The nearest face of a point comes last, and stays.
             nearer = np.flatnonzero(inside)[np.argsort(-np.abs(above_m[inside]))]
             nearer = nearer[np.abs(above_m[nearer]) < np.abs(found.above_m[i[nearer]])]
             for values, own in zip(found, (above_m, normal, material), strict=True):
@@ -117,8 +117,8 @@ def ground_of(world: World) -> MeshFaces:
 
 
 def _on_planes(triangles: FaceCorners, points: Float[np.ndarray, "k 3"]) -> tuple[np.ndarray, ...]:
-    """Of the foot of each point on the plane of its triangle: its shares of both sides from the first corner; and the
-    normals of the planes, of the triangles' double area, and this. Not a number where a triangle has no area."""
+    """Each point's foot on the plane of its triangle, as shares of the two sides from the first corner; the normals of
+    the planes, as long as twice the triangles' areas; and these lengths. NaN where a triangle has no area."""
     side, other = np.moveaxis(triangles[:, 1:] - triangles[:, :1], 1, 0)
     to, normal = points - triangles[:, 0], np.cross(side, other)
     size = np.linalg.norm(normal, axis=1)

@@ -160,14 +160,15 @@ def clumps(off: Bool[np.ndarray, "h w"]) -> ErrorMap:
 
 
 def wrong_values(made: Raster, found: Raster) -> ErrorMap:
-    """Of metres, which may be infinite."""
+    """The errors of metres, which may be infinite."""
     with np.errstate(invalid="ignore"):
         off = np.abs(made - found) > VALUE_M + VALUE_SHARE * np.abs(found)
     return clumps(np.where(np.isfinite(made) & np.isfinite(found), off, made != found))
 
 
 def wrong_colours(made: Raster, found: Raster, shown: IdImage) -> ErrorMap:
-    """Of a picture, in levels of 255 beyond what noise explains; `shown` numbers its objects and surfaces from 0."""
+    """The errors of a picture in levels of 255, beyond what noise explains; `shown` numbers its objects and surfaces
+    from 0."""
     error = made.astype(np.float32) - found
     excess = np.zeros(shown.shape, np.float32)
     for size in BLOCKS:
@@ -191,7 +192,7 @@ def _noise(n: int | Int[np.ndarray, " n"]) -> Float[np.ndarray, "*n"]:
 
 
 def contrast(made: Raster, found: Raster) -> float:
-    """Of single pixels beside their neighbours: how many times that of the picture made again, in the median of
+    """The contrast of single pixels to their neighbours, as a multiple of that in the picture made again; the median of
     blocks."""
     squares = []
     for picture in (made, found):

@@ -99,7 +99,7 @@ ACROSS_M = 0.05
 
 
 def _albedo(scene: Scene) -> float:
-    """That of the road's texture; 0 for a user's, of which nothing is known here."""
+    """The mean albedo of the road's texture; 0 for a user's, of which nothing is known here."""
     return 0.0 if scene.assets.roads else float(np.mean(ROAD_MEANS[f"road_{scene.surface.road_texture}"][0]))
 
 

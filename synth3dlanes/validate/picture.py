@@ -224,7 +224,7 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
 
 
 def _lit(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
-    """Those of a surface's pixels that lie in no shadow, whose light is the sky's."""
+    """The pixels of a surface that lie in no shadow, where all light is the sky's."""
     light = pixels.sum(axis=1)
     return pixels[light > SHADE * np.quantile(light, 0.9)]
 

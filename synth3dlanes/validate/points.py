@@ -43,7 +43,7 @@ NARROW_PX = 5.0
 
 
 class Sight(NamedTuple):
-    """Of points: which the passes clearly show, which as hidden by the ground, and which as hidden by an object."""
+    """Which points the passes clearly show, which they show hidden by the ground, and which hidden by an object."""
 
     clear: Bool[np.ndarray, " n"]
     by_ground: Bool[np.ndarray, " n"]

@@ -27,14 +27,14 @@ FOLDER = "validation"
 Lacks = Mapping[str, frozenset[str]] | None
 # No lanes are drawn if a line extends farther than this outside the image.
 MAX_PX = 1e5
-# Of samples made again.
+# The verdicts on samples made again.
 VERDICTS = ("equal bytes", "equal within the tolerances of another machine", "not equal")
 # A number is tight from this share of its limit on.
 TIGHT = 0.9
 
 
 class Worst(NamedTuple):
-    """Of `n` values of one number the one that is nearest to its limits, or beyond, and its sample."""
+    """The value, among `n` of one number, that is nearest to its limits or farthest beyond, and its sample."""
 
     n: int
     number: Bounded

@@ -14,7 +14,7 @@ from synth3dlanes.validate.findings import Result, judged
 from synth3dlanes.world.placement import PlacedObject
 
 # Labels measure shares with at least RAYS rays, passes with pixel centres, of which SLACK_PX may be of something else.
-# Of 382 cars and things that are seen, none uses more than 0.4 of the error allowed.
+# None of 382 cars and things that are seen uses more than 0.4 of the error allowed.
 RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX = 100, 4.0, 0.03, 2
 # Of what something nearer covers of a body's box, the body fills at least THIN times the share that it fills of the
 # rest: 0.52 in the median, 0.25 for one car of 80. People whom the image cuts may show an umbrella alone: of these

@@ -66,7 +66,7 @@ def outset(area: BaseGeometry, by_m: float) -> BaseGeometry:
 
 
 def _union(*areas: BaseGeometry, grid_size: float | None) -> BaseGeometry:
-    # Of areas that do not touch each other GEOS need not look at both.
+    # GEOS need not look at pairs of areas that do not touch.
     return shapely.union_all(areas, grid_size=grid_size) if grid_size else shapely.disjoint_subset_union_all(areas)
 
 

@@ -99,7 +99,7 @@ def _runs(xs: Scalars, ys: Float[np.ndarray, " m"], areas: Sequence[BaseGeometry
     places, ring = shapely.get_coordinates(rings, return_index=True)
     at = np.flatnonzero(ring[1:] == ring[:-1]) if len(ring) else np.zeros(0, dtype=int)
     start, end, ring = places[at], places[at + 1], ring[at]
-    # Of each point: the line between corners that it is on, how far along that, where, and the line of the grid.
+    # For each point: the line between corners that it is on, how far along that, where, and the line of the grid.
     found = [(np.arange(len(at)), np.full(len(at), -1.0), start, np.full((len(at), 2), -1))]
     for axis, lines in enumerate((xs, ys)):
         low, high = (
@@ -209,7 +209,7 @@ def _whole(
         is_rest = np.ones((len(rows), len(columns)), dtype=bool)
         row, column = np.divmod(cut[starts[i] : starts[i + 1]] - i * n_columns * n_rows, n_columns)
         is_rest[row - rows[0], column - columns[0]] = False
-        # Of a column of cells between those that are cut, all are in the area or none.
+        # Between two cut cells of a column, all cells are in the area or none.
         is_first = is_rest.copy()
         is_first[1:] &= ~is_rest[:-1]
         column, row = (at + first[0] for at, first in zip(np.nonzero(is_first.T), (columns, rows), strict=True))

@@ -50,7 +50,7 @@ class _Bounds:
 
     @classmethod
     def of(cls, n: int) -> "_Bounds":
-        """Those of n places that nothing bounds."""
+        """The bounds of n places that nothing bounds yet."""
         none, lowest = np.full(n, np.inf), np.full(n, -np.inf)
         return cls(lowest.copy(), none.copy(), none.copy(), none.copy(), none.copy(), lowest.copy())
 

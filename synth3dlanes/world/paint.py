@@ -258,7 +258,7 @@ class _DrawnRows(NamedTuple):
 
 
 def _within(curve: LaneCurve, rows: Scalars) -> Float[np.ndarray, " m"]:
-    """Those of rows that are on a curve, and its ends."""
+    """The rows that are on a curve, and its ends."""
     low, high = max(rows[0], curve.start_m), min(rows[-1], curve.end_m)
     return np.array([low, low]) if low >= high else np.concatenate([[low], rows[(rows > low) & (rows < high)], [high]])
 

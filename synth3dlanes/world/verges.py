@@ -119,7 +119,7 @@ class Verges(PavedAreas):
 
     @cached_property
     def table(self) -> RoadTable:
-        """These roads as arrays."""
+        """The built roads as arrays."""
         return RoadTable(self.roads, self.network.terrain)
 
     def _section(self, road: Road, start_m: float, end_m: float) -> CrossSection:

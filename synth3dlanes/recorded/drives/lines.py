@@ -21,7 +21,7 @@ from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.schema import DocumentPart, PathBelow, parse
 
 LINES_FORMAT, LINES_VERSION = "synth3dlanes.lines", 1
-# Of an image. Benchmarks have up to 20 lines of a few hundred points.
+# The most lines and points of an image. Benchmarks have up to 20 lines of a few hundred points.
 MOST_LINES, MOST_POINTS = 500, 50_000
 
 _Pixel = Annotated[float, Field(ge=-1e5, le=1e5)]

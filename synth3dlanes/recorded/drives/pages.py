@@ -153,7 +153,7 @@ def _gray(values: Float[np.ndarray, "h w"], is_seen: np.ndarray) -> UInt8[np.nda
     return np.stack([np.where(is_seen, gray, 0), np.where(is_seen, 255, 0)], axis=-1).astype(np.uint8)
 
 
-# Of a lane to accept or reject, a place is kept for each square of this size.
+# A lane to accept or reject is told by one place in each square of this size.
 PLACES_M = 2.0
 
 

@@ -103,7 +103,7 @@ class PoseTrack:
         if len(self.times_s) == 1:
             found[:, :3, :3] = scipy.spatial.transform.Rotation.from_quat(self.xyzw[0]).as_matrix()
         else:
-            # Of the poses around alone: a drive may have millions.
+            # Only the poses around these times are converted: a drive may have millions.
             low, high = np.searchsorted(self.times_s, [times.min(initial=np.inf), times.max(initial=-np.inf)])
             chosen = slice(max(0, int(low) - 1), int(high) + 2)
             rotations = scipy.spatial.transform.Rotation.from_quat(self.xyzw[chosen])

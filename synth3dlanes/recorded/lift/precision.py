@@ -43,5 +43,5 @@ class Precision:
         return np.hypot(self.calibration_m, far_m * np.radians(self.calibration_deg))
 
 
-# Of a drive without any error: what rounding leaves.
+# The precision of a drive without errors but those of rounding.
 NO_ERROR = Precision(0.1, 0.001, 0.001, 0.0, 0.0, 0.005)

@@ -90,8 +90,8 @@ def _plain(cubics: Iterable[Polynomial]) -> Cubics:
 
 
 def holding(items: Sequence[Begun], from_m: float, to_m: float) -> Sequence[Begun]:
-    """Of what holds from its station on, sorted by these, all that does from one station up to another and there from
-    below: first the last that begins at or before it, or the very first."""
+    """The items that hold anywhere from one station up to another; each holds from its own station, by which they are
+    sorted, to the next one's. The first item holds before its station, too."""
     begun = bisect_right(items, from_m + SAME_M, key=BEGIN)
     ends = bisect_left(items, to_m - SAME_M, key=BEGIN)
     first = max(min(begun, ends) - 1, 0)

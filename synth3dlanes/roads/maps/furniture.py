@@ -23,7 +23,7 @@ ARROWS: dict[str, SymbolKind] = {
     "arrowstraightright": "arrow_straight_right",
     "arrowleft": "arrow_left",
     "arrowright": "arrow_right",
-    # Of RoadRunner.
+    # Names that RoadRunner writes.
     "arrowtype4l": "arrow_left",
     "arrowtype4r": "arrow_right",
     "arrowstraight": "arrow_straight",

@@ -148,7 +148,7 @@ class _Roads:
         for row in (*rows, *inside):
             problem = self._add(row, names)
             if problem and len(row) > 1:
-                # Those beside a broken one may be whole.
+                # Lanelets beside a broken one may be whole.
                 for at in (at for at in row if at.kind == "driving"):
                     problem = self._add([LaneletBeside(at.lanelet, True)], names)
                     broken += [problem] if problem else []

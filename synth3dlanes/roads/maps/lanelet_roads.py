@@ -274,7 +274,7 @@ def _fine(points: Polyline3) -> Polyline3:
 
 
 def _stations_near(xy: Polyline2, line: Polyline2, s: Float[np.ndarray, " m"]) -> Float[np.ndarray, " _"]:
-    """Of points that go as a line does: stations of the line's points that are near, none before an earlier one."""
+    """The station of the line's nearest point for each of some points along it, none before that of an earlier one."""
     at, found = 0, np.zeros(len(xy))
     for i, point in enumerate(xy):
         ahead = line[at : at + 200]
@@ -326,7 +326,7 @@ def arcs(points: Polyline2, ends: tuple[Vector, Vector] | None = None, near_m: f
     ways = steps / lengths[:, None]
     if (np.einsum("ni,ni->n", ways[:-1], ways[1:]) < -0.5).any():
         raise FormatError("expected a bound that goes on, got one that turns back")
-    # Of the parabola through a point and those beside it.
+    # The direction of the parabola through a point and its neighbours.
     inner = (ways[:-1] * lengths[1:, None] + ways[1:] * lengths[:-1, None]) / (lengths[:-1] + lengths[1:])[:, None]
     first, last = ways[0], ways[-1]
     if len(ways) > 1:

@@ -41,7 +41,7 @@ class LinkedRoad:
 
     @cached_property
     def numbers(self) -> dict[int, int]:
-        """Of each section that is no mere joint: its number without these."""
+        """The number of each section that is no mere joint, counted without joints."""
         return {i: n for n, i in enumerate(i for i, section in enumerate(self.sections) if not section.is_short)}
 
     def section_at(self, end: End) -> int:
