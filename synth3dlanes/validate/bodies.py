@@ -4,7 +4,7 @@ An object, as a car, fills its model's box, a tree that of trunk and crown, a st
 faces. Frame of the world, metres.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,16 +77,15 @@ def _of_models(sizes_m: Float[np.ndarray, "k 3"], poses: Float[np.ndarray, "k 4 
     return Boxes(poses, low, sizes_m, np.arange(len(sizes_m)))
 
 
+def boxes_of(items: Sequence[PlacedObject]) -> Boxes:
+    """The box of each of these objects."""
+    sizes = np.array([item.size_m for item in items]).reshape(-1, 3) * [0.5, 0.5, 1]
+    return _of_models(sizes, np.array([item.world_from_object for item in items]).reshape(-1, 4, 4))
+
+
 def objects(series: str, world: World) -> Boxes:
     """The box of each object of a series of instance ids."""
-    placed = [item for item in world.view.objects if thing_of(item.id)[0] == series]
-    sizes = np.array([item.size_m for item in placed]).reshape(-1, 3) * [0.5, 0.5, 1]
-    return _of_models(sizes, np.array([item.world_from_object for item in placed]).reshape(-1, 4, 4))
-
-
-def box_of(item: PlacedObject) -> Boxes:
-    """The box of one object."""
-    return _of_models(item.size_m[None] * [0.5, 0.5, 1], item.world_from_object[None])
+    return boxes_of([item for item in world.view.objects if thing_of(item.id)[0] == series])
 
 
 def trees(world: World) -> Boxes:
@@ -158,11 +157,6 @@ def bonnet(world: World) -> Boxes:
     return Boxes(poses, np.stack(low, axis=1), np.stack(high, axis=1), np.full(len(top_m), -1))
 
 
-def joined(*parts: Boxes) -> Boxes:
-    """All of them."""
-    return Boxes(*(np.concatenate(of) for of in zip(*parts, strict=True)))
-
-
 def inside(boxes: Boxes, points_world: Points3, owners: Int[np.ndarray, " n"]) -> Hits:
     """Which points are in a box of their thing; those of -1 in one of any."""
     found = np.zeros(len(points_world), dtype=bool)
@@ -210,12 +204,9 @@ def _meet(
 def before_or_shading(world: World, points_world: Points3) -> Hits:
     """Before which points an object or the bonnet is, as the camera sees them, and which may lie in the shadow of
     one."""
-    light, bodies = world.scene.light, _of_view(world)
+    light = world.scene.light
+    parts = (with_room(boxes_of(world.view.objects), SHADE_ROOM_M), bonnet(world))
+    bodies = Boxes(*(np.concatenate(of) for of in zip(*parts, strict=True)))
     up = np.tan(max(np.pi / 2 - light.sun_zenith_rad, LOWEST_SUN_RAD))
     to_sun = MAX_SHADOW_M * np.array([np.cos(light.sun_azimuth_rad), np.sin(light.sun_azimuth_rad), up])
     return meet(bodies, world.view.eye_world, points_world) | meet(bodies, points_world, points_world + to_sun)
-
-
-def _of_view(world: World) -> Boxes:
-    """The boxes of all objects, with room, and of the bonnet."""
-    return joined(*(with_room(objects(series, world), SHADE_ROOM_M) for series in OBJECTS), bonnet(world))

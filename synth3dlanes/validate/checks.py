@@ -11,10 +11,9 @@ from synth3dlanes.validate.labels import check_form, check_labels
 from synth3dlanes.validate.moving import instant
 from synth3dlanes.validate.passes import check_bonnet, check_normals, check_sky, disagreement
 from synth3dlanes.validate.picture import check_alignment, check_appearance, check_colours, check_frame, check_sharpness
-from synth3dlanes.validate.points import check_points
+from synth3dlanes.validate.points import check_cars, check_points
 from synth3dlanes.validate.ridges import check_ridges
 from synth3dlanes.validate.seen import check_lidar, check_seen
-from synth3dlanes.validate.things import check_cars
 
 
 class Check(NamedTuple):
@@ -74,7 +73,7 @@ CHECKS = (
     Check("sky", check_sky, "holes in the ground, through which the sky shows; with `depth`, depth that is finite in "
           "the sky, or infinite elsewhere", _needs("aim semantic")),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
-    Check("kinds", lambda of: disagreement("instance", of.passes["semantic"], of.passes["instance"]),
+    Check("kinds", lambda of: disagreement("instance", of.scene, of.passes["semantic"], of.passes["instance"]),
           "ids of another kind of thing", _needs("aim semantic instance")),
     Check("ids", partial(check_seen, "ids"), "cars, people, trees, structures and lines elsewhere than their ids say, "
           "and lines without paint", _needs("aim depth")),

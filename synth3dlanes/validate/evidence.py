@@ -16,6 +16,7 @@ from synth3dlanes.system.arrays import Ids, Passes, Points2, Points3, RgbImage, 
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.bodies import BODIES, Boxes
 from synth3dlanes.validate.faces import NEAR_M, NearestFaces, pavement_of
+from synth3dlanes.validate.findings import PROOF_M
 from synth3dlanes.validate.integrity import Entry
 from synth3dlanes.validate.paint import Painted, WorldPaint, is_single, painted_symbols
 from synth3dlanes.world.world import World
@@ -174,6 +175,10 @@ class Evidence:
         single = is_single(self.world.ground, points[:, :2])
         ends = np.cumsum([len(lane.xyz_cam) for lane in lanes])[:-1]
         return {lane.id: of for lane, of in zip(lanes, np.split(single, ends), strict=True)}
+
+    def near(self, lane: Lane) -> Bool[np.ndarray, " n"]:
+        """The visible points of a lane near the camera where no road lies over another."""
+        return lane.visible & self.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M)
 
     @cached_property
     def bodies(self) -> dict[str, Boxes]:

@@ -78,8 +78,17 @@ class Instant(NamedTuple):
     lines: Mapping[str, Points3]
 
 
+class Own(NamedTuple):
+    """What a sample shares with no other, but for one that is `at` the same place, if that is told: its name and its
+    digest."""
+
+    what: str
+    digest: str
+    at: str = ""
+
+
 # What a check of a sample yields.
-Result = Finding | Bounded | Instant
+Result = Finding | Bounded | Instant | Own
 
 
 def findings_of(results: Iterable[Result]) -> list[Finding]:

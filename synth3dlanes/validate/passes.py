@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Integer
 
-from synth3dlanes.scene.instance_ids import KINDS, kind_indices
+from synth3dlanes.scene.instance_ids import KINDS, kind_indices, numbers_of
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import KINDS as SEMANTIC_KINDS
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.validate.evidence import Evidence, some_pixels
@@ -29,15 +30,22 @@ def classes_of(series: str) -> tuple[str, ...]:
 
 
 def disagreement(
-    source: str, semantic: Integer[np.ndarray, "*n"], instance: Integer[np.ndarray, "*n"]
+    source: str, scene: Scene, semantic: Integer[np.ndarray, "*n"], instance: Integer[np.ndarray, "*n"]
 ) -> Iterator[Result]:
-    """Findings where semantic and instance ids disagree about the kind of thing."""
+    """Findings where semantic and instance ids disagree about the kind of thing: the series that ids have, and of
+    people, riders and road works, which share one, their own kinds."""
     what, found = "points" if source == "lidar" else "pixels", kind_indices(instance)
     for i, kind in enumerate(KINDS):
         asked, got = np.isin(semantic, [SEMANTIC_IDS[name] for name in classes_of(kind)]), found == i
         expected = f"ids of the kind {kind} at the {asked.sum()} {what} of this kind in semantic"
         reason = f"{expected}, got them at {(asked & got).sum()} of these and at {(got & ~asked).sum()} others"
         yield from judged("ids.kind", int((asked != got).sum()), f"{source}: expected {reason}", most=SINGLE)
+    of_things, numbers = np.array([SEMANTIC_IDS[item.kind] for item in scene.things]), numbers_of("thing", instance)
+    known = (numbers >= 0) & (numbers < len(of_things))
+    if known.any():
+        wrong = semantic[known] != of_things[numbers[known]]
+        reason = f"{source}: expected things of their kinds in semantic, got others at {{wrong}} of {{n}} {what}"
+        yield from counted("ids.kind_of_thing", wrong, reason, SINGLE)
 
 
 def check_bonnet(evidence: Evidence) -> Iterator[Result]:

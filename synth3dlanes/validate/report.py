@@ -62,12 +62,12 @@ class ValidationReport:
     notes: list[str] = field(default_factory=list)
     asked: dict[str, int] = field(default_factory=dict)
     lacking: dict[str, set[str]] = field(default_factory=dict)
-    _worlds: dict[str, str] = field(default_factory=dict)
+    _owners: dict[tuple[str, str], tuple[str, str]] = field(default_factory=dict)
     _before: Instant | None = None
 
-    def sample(self, name: str, digest: str, results: Iterable[Result], lacks: Lacks = None) -> None:
-        """Add one sample, in the order of its split. A world that occurred before is a problem of the sample that
-        repeats it; objects that do not move as their velocities say are one of the later picture."""
+    def sample(self, name: str, results: Iterable[Result], lacks: Lacks = None) -> None:
+        """Add one sample, in the order of its split. A world or a picture that occurred before is a problem of the
+        sample that repeats it; objects that do not move as their velocities say are one of the later picture."""
         self.n_samples += 1
         for check, parts in (lacks or {}).items():
             self.asked[check] = self.asked.get(check, 0) + (not parts)
@@ -83,10 +83,11 @@ class ValidationReport:
                 moved = [] if self._before is None else between(self._before, result)
                 self.problems += [Problem(name, found.lane, found.reason) for found in moved]
                 self._before = result
-        if digest:
-            first = self._worlds.setdefault(digest, name)
-            if first != name:
-                self.problems.append(Problem(name, "", f"expected a scene of its own, got that of {first}"))
+            else:
+                first, at = self._owners.setdefault((result.what, result.digest), (name, result.at))
+                if first != name and (not at or at != result.at):
+                    reason = f"expected a {result.what} of its own, got that of {first}"
+                    self.problems.append(Problem(name, "", reason))
 
     def in_order(self) -> list[Problem]:
         """The problems by sample and file; of each in the order of the checks, whose first name the cause."""

@@ -17,9 +17,8 @@ from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.ndimage import map_coordinates
-from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import CameraLabel, Lane
@@ -27,7 +26,6 @@ from synth3dlanes.system.arrays import Points3
 from synth3dlanes.validate.bodies import before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
-from synth3dlanes.world.world import World
 
 LEAST_PX_PER_M = 1e-3
 # Half the length of a profile; its step resolves the narrowest paint (0.1 m).
@@ -36,8 +34,6 @@ REACH_M, PROFILE_STEP_M = 1.0, 0.025
 SEARCH_M = 0.75
 # Range of the road beside the paint, in widths of the paint from its middle.
 BESIDE = (0.75, 1.75)
-# The vertices of symbols are at most twice this far apart.
-BESIDE_SYMBOL_M = 0.4
 # What structures mirror and shade is this far about them.
 STRUCTURE_ROOM_M = 0.3
 # The extent of the pavement is computed for every ROOM_EVERY-th profile.
@@ -174,7 +170,9 @@ def _lines(evidence: Evidence, lanes: Sequence[Lane]) -> Iterator[LineProfiles]:
     ends_world, u_px = transform(camera.world_from_cam, ends_cam), camera.project(ends_cam)[:, 0].reshape(-1, 3)
     hidden = before_or_shading(world, ends_world)
     hidden |= meet(evidence.bodies["structure"], world.view.eye_world, ends_world, STRUCTURE_ROOM_M)
-    is_clear = ~hidden.reshape(-1, 3).any(axis=1) & ~_near_symbols(world, ends_world[1::3])
+    is_clear = ~hidden.reshape(-1, 3).any(axis=1)
+    for symbol in evidence.painted["symbol"]:
+        is_clear &= symbol.beyond_m(ends_world[1::3, :2]) > REACH_M
     some = np.arange(0, len(number), ROOM_EVERY)
     outside_m = world.ground.clearance(ends_world.reshape(-1, 3, 3)[some].reshape(-1, 3)[:, :2]).reshape(-1, 3)
     for i, id_ in enumerate(strips):
@@ -200,15 +198,6 @@ def _beside(
     beyond_m = np.stack([min(stripes_m) - OFFSETS_M, OFFSETS_M - max(stripes_m)]) / width_m
     beside = (beyond_m > BESIDE[0]) & (beyond_m < BESIDE[1])
     return profiles @ (beside / beside.sum(axis=1, keepdims=True)).T
-
-
-def _near_symbols(world: World, points_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Which profiles, by their middles, may touch paint that bounds no lane."""
-    symbols = world.symbols(world.view)
-    if not symbols:
-        return np.zeros(len(points_world), dtype=bool)
-    painted = cKDTree(np.concatenate([mesh.vertices_world[:, :2] for mesh in symbols]))
-    return np.isfinite(painted.query(points_world[:, :2], distance_upper_bound=REACH_M + BESIDE_SYMBOL_M)[0])
 
 
 def _room(at_m: Float[np.ndarray, " n"], end_m: Float[np.ndarray, " n"]) -> float:

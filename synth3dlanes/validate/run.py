@@ -34,7 +34,7 @@ from synth3dlanes.system.processes import n_workers, process_pool
 from synth3dlanes.validate.checks import CHECKS
 from synth3dlanes.validate.contents import read_contents
 from synth3dlanes.validate.evidence import Evidence
-from synth3dlanes.validate.findings import Finding, Problem, Result, findings_of, some
+from synth3dlanes.validate.findings import Finding, Own, Problem, Result, findings_of, some
 from synth3dlanes.validate.integrity import Entry, check_companions, check_presence, check_shard, read_sample
 from synth3dlanes.validate.labels import check_shape
 from synth3dlanes.validate.made_again import how_to_make, make_again, some_of
@@ -55,12 +55,10 @@ Map = Callable[..., Iterator[Any]]
 
 
 class SampleCheck(NamedTuple):
-    """The results of one sample. `digest` is that of its world, independent of split, seed and index; `redrawn` says
-    how the scene differs from the one that dataset.json draws ("" if it does not), `lacks` which parts of evidence each
-    check lacked; None where no check was asked."""
+    """The results of one sample. `redrawn` says how the scene differs from the one that dataset.json draws ("" if it
+    does not), `lacks` which parts of evidence each check lacked; None where no check was asked."""
 
     name: str
-    digest: str
     redrawn: str
     results: Sequence[Result]
     lacks: Lacks = None
@@ -112,7 +110,7 @@ def validate(
         total = len(todo) + len(chosen)
         progress(0, total)
         for done, checked in enumerate(run(partial(check_sample, place, origin, description), todo), start=1):
-            report.sample(checked.name, checked.digest, checked.results, checked.lacks)
+            report.sample(checked.name, checked.results, checked.lacks)
             redrawn |= {checked.name: checked.redrawn} if checked.redrawn else {}
             progress(done, total)
     if making is not None:
@@ -189,10 +187,16 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     members, fault = read_sample(entry)
     (scene, labels, image, passes, sweep), unread = read_contents(members)
     results: list[Result] = [*([Finding("", fault)] if fault else []), *unread]
-    digest = "" if scene is None else world_digest(scene)
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
+    if scene is not None:
+        # That of its world: without what it was drawn for.
+        document = scene.model_dump_json(exclude={"seed", "split", "index"})
+        results.append(Own("scene", hashlib.sha256(document.encode()).hexdigest()))
     if labels is None or image is None or passes is None or (scene is None and SCENE in description.names):
-        return SampleCheck(entry.name, digest, redrawn, results)
+        return SampleCheck(entry.name, redrawn, results)
+    if scene is not None:
+        digest = hashlib.sha256(image.tobytes()).hexdigest()
+        results.append(Own("picture", digest, at=str(labels.camera.world_from_cam.tolist())))
     camera = labels.camera if scene is None else scene.camera
     lacks: Lacks = None
     misshapen = [*_sizes({"image": image}, camera), *check_shape(labels, scene)]
@@ -206,7 +210,7 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
         lacks = {check.name: check.needs - evidence.has for check in CHECKS}
     if findings_of(results):
         save_picture(place, entry.name.replace(":", "-"), image if misshapen else draw(image, labels))
-    return SampleCheck(entry.name, digest, redrawn, results, lacks)
+    return SampleCheck(entry.name, redrawn, results, lacks)
 
 
 def _examine(evidence: Evidence) -> list[Result]:
@@ -225,12 +229,6 @@ def _examine(evidence: Evidence) -> list[Result]:
             except NO_GEOMETRY as error:
                 results.append(Finding("", f"{check.name}: the check failed with {type(error).__name__}: {error}"))
     return results
-
-
-def world_digest(scene: Scene) -> str:
-    """A digest that is equal for scenes of the same world, independent of seed, split and index."""
-    document = scene.model_dump_json(exclude={"seed", "split", "index"})
-    return hashlib.sha256(document.encode()).hexdigest()
 
 
 def _sizes(pictures: Mapping[str, Shaped[np.ndarray, "h w *c"]], camera: HostCamera | CameraLabel) -> Iterator[Finding]:

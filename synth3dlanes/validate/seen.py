@@ -168,7 +168,7 @@ def _judge(row: SeenRow, evidence: Evidence, seen: Seen | None) -> Iterator[Resu
 def check_lidar(evidence: Evidence) -> Iterator[Result]:
     """Findings of the rows about what beams see, and where beams pass through cars."""
     swept = evidence.swept
-    yield from disagreement("lidar", swept.ids["semantic"], swept.ids["instance"])
+    yield from disagreement("lidar", evidence.scene, swept.ids["semantic"], swept.ids["instance"])
     for row in ROWS:
         if row.of_beams is not None:
             within_m = np.inf if row.kind in BODIES or not row.classes else PROOF_M
@@ -183,9 +183,7 @@ def _on_ground(evidence: Evidence, _: None) -> Iterator[PartSeen]:
     kerb."""
     lanes, world_from_cam = evidence.labels.lanes, evidence.camera.world_from_cam
     asked = [
-        lane.visible
-        & evidence.is_single[lane.id]
-        & (lane.xyz_cam[:, 1] < PROOF_M)
+        evidence.near(lane)
         & (lane.connector is None or lane.kind == "centerline" or None not in (lane.left, lane.right))
         for lane in lanes
     ]
@@ -201,8 +199,7 @@ def _at_lines(evidence: Evidence, _: None) -> Iterator[PartSeen]:
     at = np.zeros(passes["depth"].shape, dtype=bool)
     for lane in evidence.labels.lanes:
         if lane.kind == "centerline":
-            near = lane.visible & evidence.is_single[lane.id] & (lane.xyz_cam[:, 1] < PROOF_M)
-            uv = camera.project(lane.xyz_cam[near])
+            uv = camera.project(lane.xyz_cam[evidence.near(lane)])
             at[tuple(np.clip(uv.astype(int), 0, [camera.width_px - 1, camera.height_px - 1]).T[::-1])] = True
     if "semantic" in passes:
         at &= ~np.isin(passes["semantic"], OBJECTS_IDS)
@@ -307,10 +304,7 @@ def _bare(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     may be hidden."""
     on = seen.on_road
     single = is_single(evidence.world.ground, on.xy_world)
-    near, is_bare = (
-        cKDTree(on.points_world),
-        np.isin(on.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT]),
-    )
+    near, is_bare = cKDTree(on.points_world), np.isin(on.ids["semantic"], [SEMANTIC_IDS[name] for name in PAVEMENT])
     for lane in evidence.labels.lanes:
         if lane.id in evidence.paint.ids and len(on):
             line_world = transform(evidence.camera.world_from_cam, lane.xyz_cam[lane.visible])
@@ -466,7 +460,7 @@ ROWS = (
     ),
     SeenRow(
         "ids", "ids.bare", PAINTED, _bare, "{what} of {whose} in all of its paint",
-        most=0, share=0.05, layer="semantic", within_m=PROOF_M, n=15_000,
+        most=0, share=0.05, layer="semantic", within_m=PROOF_M, n=15_000, of_beams=SINGLE,
     ),
     *(
         SeenRow(
@@ -481,14 +475,14 @@ ROWS = (
     ),
     SeenRow(
         "ids", "ids.faces", SURFACES, _faces, "{whose} on faces of {whose}",
-        most=0, share=0.05, layer="semantic", needs=_IDS_TOO,
+        most=0, share=0.05, layer="semantic", needs=_IDS_TOO, of_beams=SINGLE,
     ),
     SeenRow(
         "symbols", "symbols.strays", ("symbol",), partial(_strays, "symbol"), "{what} of {whose} within its paint",
-        most=MARGIN_M, share=0.05, kind="symbol", within_m=PROOF_M,
+        most=MARGIN_M, share=0.05, kind="symbol", within_m=PROOF_M, of_beams=SINGLE,
     ),
     SeenRow(
         "symbols", "symbols.gaps", PAINTED, _gaps, "{what} of {whose} in all of its paint",
-        most=0, share=0.05, within_m=PROOF_M,
+        most=0, share=0.05, within_m=PROOF_M, of_beams=SINGLE,
     ),
 )  # fmt: skip

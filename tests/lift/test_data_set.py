@@ -84,7 +84,7 @@ def test_a_pose_that_is_off_and_a_black_picture_are_found_in_their_frame(made: t
     def problems(*pictures: Evidence) -> list[str]:
         report = ValidationReport()
         for number, picture in enumerate(pictures):
-            report.sample(f"train:{number}", "", examine(picture, "moving", "frame"))
+            report.sample(f"train:{number}", examine(picture, "moving", "frame"))
         return [problem.where for problem in report.problems]
 
     assert problems(*(evidence(i) for i in range(4))) == []

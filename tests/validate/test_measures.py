@@ -19,7 +19,7 @@ from synth3dlanes.scene.instance_ids import instance_id
 from synth3dlanes.scene.scene import Car, Scene
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.truth.ground_truth import ground_truth, label
-from synth3dlanes.validate.bodies import box_of, meet
+from synth3dlanes.validate.bodies import boxes_of, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.faces import pavement_of
 from synth3dlanes.validate.findings import Finding
@@ -275,7 +275,7 @@ def test_a_car_that_a_fisheye_sees_behind_the_camera_counts_as_a_whole(share, is
     assert corners_cam[:, 1].min() < -1 < 1 < corners_cam[:, 1].max()
     rays = sample.rays_world(*np.indices((camera.height_px, camera.width_px)).reshape(2, -1))
     eye_world = sample.camera.world_from_cam[:3, 3]
-    hit = meet(box_of(sample.world.view.objects[0]), eye_world, eye_world + 100 * rays).reshape(camera.height_px, -1)
+    hit = meet(boxes_of(sample.world.view.objects[:1]), eye_world, eye_world + 100 * rays).reshape(camera.height_px, -1)
     passes = {"instance": np.where(hit, instance_id("car", 0), 0).astype(np.uint16)}
     sample = replace(sample, labels=sample.labels.with_seen_shares((share,)), passes=passes)
     assert (findings(sample, "cars") != []) == is_fault
@@ -346,6 +346,6 @@ def test_grass_in_a_shadow_has_the_light_of_the_sky():
 
 def test_problems_are_told_in_the_order_of_the_checks():
     report = ValidationReport()
-    report.sample("train:00000001", "", [Finding("", "z: the cause"), Finding("", "a: what follows")])
-    report.sample("train:00000000", "", [Finding("", "b: another")])
+    report.sample("train:00000001", [Finding("", "z: the cause"), Finding("", "a: what follows")])
+    report.sample("train:00000000", [Finding("", "b: another")])
     assert [problem["reason"][0] for problem in report.document()["problems"]] == ["b", "z", "a"]

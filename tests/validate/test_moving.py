@@ -33,7 +33,7 @@ def problems(frames: Clip) -> list[str]:
     """What the report says of clips whose labels alone are there."""
     report = ValidationReport()
     for i, evidence in enumerate(frames):
-        report.sample(f"train:{i:08d}", "", examine(evidence, "moving"))
+        report.sample(f"train:{i:08d}", examine(evidence, "moving"))
     return [problem.line() for problem in report.problems]
 
 

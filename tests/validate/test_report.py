@@ -12,7 +12,7 @@ def test_numbers_are_told_by_how_near_they_are_to_their_limits():
     report = ValidationReport()
     for name, value in (("train:00000000", 0.5), ("train:00000001", 1.9), ("train:00000002", -1.0)):
         of_one = [Bounded("gap_m", value, most=2.0), Bounded("share", 1 - value / 4, least=0.4)]
-        report.sample(name, "", [*of_one, Bounded("blue", -0.05, -0.1, 0.1)])
+        report.sample(name, [*of_one, Bounded("blue", -0.05, -0.1, 0.1)])
     found = json.loads(json.dumps(report.document(), allow_nan=False))["numbers"]
     common = {"n": 3, "sample": "train:00000001"}
     assert found["gap_m"] == common | {"least": None, "most": 2.0, "worst": 1.9, "verdict": "tight"}
