@@ -19,7 +19,7 @@ LENGTH = 0.005
 # With smooth shading, normals at outlines may point away from the camera: in 200 rendered scenes, up to 6 % of the
 # pixels of a small car and 0.8 % of all others. Leaves and far hills are not checked.
 AWAY, MAX_AWAY, MIN_FACING = 0.02, 0.25, 50
-FACING = ("road", "shoulder", "marking", "car")
+FACING = tuple(kind.name for kind in SEMANTIC_KINDS if kind.name not in ("sky", "terrain", "tree"))
 # Tolerance of the share of the image's height that the bonnet fills.
 MAX_BONNET = 0.03
 

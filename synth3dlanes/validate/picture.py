@@ -21,6 +21,7 @@ from scipy.ndimage import binary_dilation, binary_opening
 from synth3dlanes.geometry.frames import invert, transform
 from synth3dlanes.imaging.sky import sun_direction
 from synth3dlanes.scene.instance_ids import numbers_of
+from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.things import SEMANTIC_IDS
 from synth3dlanes.system.arrays import Passes
 from synth3dlanes.validate.bodies import before_or_shading, meet
@@ -99,8 +100,7 @@ def check_sharpness(evidence: Evidence) -> Iterator[Result]:
     """Finding if the image has been upscaled or blurred."""
     scene = evidence.scene
     is_clear = scene.sensor.jpeg_quality >= SHARP_JPEG and scene.air.visibility_m >= FOG_M
-    aside_m = scene.sensor.motion_blur_m * abs(np.sin(scene.camera.yaw_rad))
-    is_clear &= bool(scene.camera.fx_px * aside_m / ASIDE_BLUR_M <= MAX_BLUR_PX)
+    is_clear &= _aside_px(scene) <= MAX_BLUR_PX
     # Clouds are soft, and the back of a van is smooth.
     if not is_clear or not any(lane.visible.any() for lane in evidence.labels.lanes):
         return
@@ -111,6 +111,12 @@ def check_sharpness(evidence: Evidence) -> Iterator[Result]:
         coarseness = float(width / (fineness * evenness))
         yield from _judged("picture.coarseness", coarseness, words + "coarseness {:.2f}", most=MAX_COARSENESS)
         yield from _judged("picture.evenness", float(evenness), words + "evenness {:.2f}", MIN_EVENNESS)
+
+
+def _aside_px(scene: Scene) -> float:
+    """How far the host's motion blurs what passes a camera that looks aside."""
+    aside_m = scene.sensor.motion_blur_m * abs(np.sin(scene.camera.yaw_rad))
+    return float(scene.camera.fx_px * aside_m / ASIDE_BLUR_M)
 
 
 def _terrain_img(evidence: Evidence) -> Float[np.ndarray, "n 2"]:
@@ -348,25 +354,31 @@ ACROSS = (
 )
 DOWN = (ImagePart("the image", 0, 1, 250),)
 # After civil twilight edges beyond the headlights are not seen. Sine of the yaw from which on motion blur runs across
-# the image.
-DARK_RAD, ASIDE = 1.68, 0.3
+# the image, whose edges it then moves: it is judged in coarser pixels, of which it is at most SMEAR_PX at ASIDE_BLUR_M,
+# and by whether it has edges at all.
+DARK_RAD, ASIDE, SMEAR_PX = 1.68, 0.3, 5.0
 SMEARED = [SEMANTIC_IDS[name] for name in (*GROUND, "symbol")]
 
 
 def check_alignment(evidence: Evidence) -> Iterator[Finding]:
     """Findings where the image is shifted or stretched against its passes, or belongs to other passes."""
     scene, passes, luma = evidence.scene, evidence.passes, evidence.luma
-    is_lit = scene.light.sun_zenith_rad < DARK_RAD
-    is_smeared = scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE
-    if not evidence.paint.shows or not is_lit or is_smeared:
+    if not evidence.paint.shows or scene.light.sun_zenith_rad >= DARK_RAD:
+        return
+    if scene.sensor.motion_blur_m > 0 and abs(np.sin(scene.camera.yaw_rad)) > ASIDE:
+        size = int(np.ceil(_aside_px(scene) / SMEAR_PX))
+        rows, columns = (n // size for n in luma.shape)
+        coarse = luma[: rows * size, : columns * size].reshape(rows, size, columns, size).mean(axis=(1, 3))
+        things = _things(passes, np.s_[size // 2 :: size, size // 2 :: size])[:rows, :columns]
+        yield from _edges(coarse, things, "", ACROSS[:1])
         return
     every = int(np.ceil(luma.size / MAX_STEPS))
-    rows, columns = np.s_[::every], np.s_[:, ::every]
-    yield from _edges(luma[rows], _things(passes, rows), "right", ACROSS)
-    things = _things(passes, columns)
+    rows_of, columns_of = np.s_[::every], np.s_[:, ::every]
+    yield from _edges(luma[rows_of], _things(passes, rows_of), "right", ACROSS)
+    things = _things(passes, columns_of)
     # Motion blur smears the ground near the host along the driving direction.
-    things[np.isin(passes["semantic"][columns], SMEARED)] = 0
-    yield from _edges(luma[columns].T, things.T, "down", DOWN)
+    things[np.isin(passes["semantic"][columns_of], SMEARED)] = 0
+    yield from _edges(luma[columns_of].T, things.T, "down", DOWN)
 
 
 def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r c"]:
@@ -380,7 +392,7 @@ def _things(passes: Passes, of: tuple[slice, ...] | slice) -> Int[np.ndarray, "r
 def _edges(
     luma: Float[np.ndarray, "r c"], things: Int[np.ndarray, "r c"], way: str, parts: tuple[ImagePart, ...]
 ) -> Iterator[Finding]:
-    """Findings along the rows."""
+    """Findings along the rows; without a `way` edges may be moved."""
 
     def is_clearer(at: int, steps: Float[np.ndarray, " k"]) -> bool:
         return bool(steps[at] > CLEARLY * steps[REACH_PX])
@@ -403,7 +415,7 @@ def _edges(
         mean, of_things = around[inside].mean(axis=0), (around[inside], owners[inside])
         at = int(mean.argmax())
         found = ""
-        if mean.max() > MOVED * mean[REACH_PX] and _most(partial(is_clearer, at), *of_things):
+        if way and mean.max() > MOVED * mean[REACH_PX] and _most(partial(is_clearer, at), *of_things):
             found = f"{at - REACH_PX:+d} px {way}"
         elif is_blank(mean) and _most(is_blank, *of_things):
             found = "none"
