@@ -236,7 +236,7 @@ def off_by_one(ids: Pixels, _: Labels) -> Pixels:
     return ids + (ids > 0).astype(ids.dtype)
 
 
-def swapped(a: str, b: str) -> Callable[[Pixels, Labels], Pixels]:
+def swapped(a: str, b: str) -> Callable[[Pixels, Labels | None], Pixels]:
     """Semantic ids of which two are taken for each other."""
     one, other = SEMANTIC_IDS[a], SEMANTIC_IDS[b]
     return lambda ids, _: np.where(ids == one, other, np.where(ids == other, one, ids)).astype(ids.dtype)
@@ -328,6 +328,22 @@ def other_cars_behind(sweep: Sweep) -> Sweep:
     behind[:, quarter:-quarter] = False
     ids[behind & (sweep.semantic == SEMANTIC_IDS["car"]) & (numbers_of("car", ids) >= 0)] += 1
     return replace(sweep, instance=ids)
+
+
+def swapped_in_sweep(a: str, b: str) -> Spoil:
+    """Semantic ids of points of which two are taken for each other."""
+    return of_sweep(lambda sweep: replace(sweep, semantic=swapped(a, b)(sweep.semantic, None)))
+
+
+def as_road_in_sweep(name: str) -> Spoil:
+    """Points of a class as road."""
+
+    def change(sweep: Sweep) -> Sweep:
+        at = sweep.semantic == SEMANTIC_IDS[name]
+        semantic = np.where(at, SEMANTIC_IDS["road"], sweep.semantic).astype(sweep.semantic.dtype)
+        return replace(sweep, semantic=semantic, instance=np.where(at, 0, sweep.instance).astype(sweep.instance.dtype))
+
+    return of_sweep(change)
 
 
 def longer(sweep: Sweep) -> Sweep:
@@ -589,7 +605,7 @@ OF_STREETS = [
         "object_visible moved by a point",
         of_lanes(lambda lane: lane.update(object_visible=lane["object_visible"][-1:] + lane["object_visible"][:-1])),
         "object_visible: expected what the passes",
-        "object_visible: expected other values",
+        r"object_visible\.\d+: expected",
     ),
     Fault(
         "directions removed",
@@ -615,6 +631,11 @@ OF_STREETS = [
         "lidar: expected points of car",
         "lidar instance: ",
     ),
+    Fault(
+        "poles and barriers swapped in the sweep", swapped_in_sweep("pole", "barrier"), "lidar: expected .* on faces of"
+    ),
+    Fault("lines as road in the sweep", as_road_in_sweep("marking"), "lidar: expected points of the line in all"),
+    Fault("symbols as road in the sweep", as_road_in_sweep("symbol"), "lidar: expected points of symbol . in all"),
 ]
 
 OF_WORKS = [

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from synth3dlanes.dataset.format import LABELS, SCENE, decode_image, encode_image, tar_bytes
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.labels.labels import Labels, Lane
-from synth3dlanes.validate.findings import Problem
+from synth3dlanes.validate.findings import Own, Problem
 from synth3dlanes.validate.integrity import walk
 from synth3dlanes.validate.report import ValidationReport
 from tests.thorough import first
@@ -149,6 +149,17 @@ def test_a_scene_in_two_splits_is_found_whatever_its_index(dataset, only):
     own, redrawn = sorted(reasons(report, "test:00000000", "").splitlines())
     assert own == "expected a scene of its own, got that of train:00000002"
     assert redrawn.startswith("scene.json: not what dataset.json draws: ")
+
+
+def test_a_picture_of_another_frame_is_found_but_not_one_of_a_host_that_stands(dataset, only):
+    only()
+    seal(dataset, lambda samples: samples[2].update(jpg=samples[SAMPLE]["jpg"]))
+    report = check(dataset)
+    assert report.problems == [Problem("train:00000002", "", f"expected a picture of its own, got that of {NAME}")]
+    standing = ValidationReport()
+    for i in range(2):
+        standing.sample(f"train:{i:08d}", [Own("picture", "equal bytes", at="one place")])
+    assert standing.problems == []
 
 
 def spoil_scene(samples: dict[int, dict[str, bytes]]) -> None:

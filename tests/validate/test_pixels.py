@@ -14,6 +14,8 @@ from synth3dlanes.dataset.format import decode_image, encode_image
 from synth3dlanes.draw.sample import Scenes
 from synth3dlanes.labels.labels import Labels, PaintColor
 from synth3dlanes.params.params import load_params
+from synth3dlanes.params.rig_files import load_rig
+from synth3dlanes.params.shots import Shots
 from synth3dlanes.production.recipe import Recipe, make_sample
 from synth3dlanes.scene.instance_ids import instance_id, numbers_of, thing_of
 from synth3dlanes.scene.settings import RenderSettings
@@ -131,6 +133,22 @@ def test_a_wall_as_bright_as_the_road_with_an_edge_of_its_own_is_no_shift(cars_d
     found = reasons(Evidence(resolve(scene), ground_truth(scene), image, passes), "alignment").splitlines()
     assert len(found) == len(expected)
     assert all(reason.startswith(words) for reason, words in zip(found, expected, strict=True))
+
+
+@pytest.mark.thorough
+def test_side_cameras_that_motion_blurs_are_told_from_each_other(tmp_path):
+    """Not by where their edges are, which the motion moves."""
+    camera = "{width_px: 320, height_px: 180, fx: 260, yaw_deg: "
+    (tmp_path / "rig.yaml").write_text(f"left: {camera}55}}\nright: {camera}-55}}\n")
+    params = load_params("streets", ["weather.kind=clear", "weather.daytime=day", "sensor.motion_blur_m=0.3"])
+    settings = RenderSettings(samples=2, passes=("depth", "semantic", "instance"))
+    recipe = Recipe(
+        Scenes(params, 44, "train", shots=Shots(cameras=load_rig(str(tmp_path / "rig.yaml")))), settings, "jpg"
+    )
+    left, right = (evidence_of(make_sample(recipe, index).members) for index in range(2))
+    assert [reasons(sample, "alignment") for sample in (left, right)] == ["", ""]
+    exchanged = (replace(left, image=right.image), replace(right, image=left.image))
+    assert any("got none in the image" in reasons(sample, "alignment") for sample in exchanged)
 
 
 def swapped(pixels: np.ndarray, a: int, b: int) -> np.ndarray:

@@ -17,12 +17,13 @@ from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.validate.evidence import Evidence
 from tests.validate import planted
 from tests.validate.examining import findings, reasons, seen
-from tests.validate.faults import FAULTS, OF_STREETS, Fault, of_json
+from tests.validate.faults import FAULTS, OF_STREETS, Fault, of_json, of_pass, swapped
 
 pytestmark = [pytest.mark.render, pytest.mark.thorough, pytest.mark.timeout(900)]
 
 # A crossing with signals 15 m ahead, by day.
 PLACE = ["town.junction=crossing", "town.control=signals", "town.host_place=before", "town.host_m=15", "town.n_more=0"]
+PLACE += ["people.per_100_m=16", "riders.cyclists=2"]
 CLEAR = ["weather.kind=clear", "weather.daytime=day", "markings.grayscale=0.9", "markings.wear=0", "markings.missing=0"]
 SMALL = ["camera.width_px=320", "camera.height_px=240", "camera.horizontal_fov_deg=60", "trees.n=5"]
 KINDS = (
@@ -57,6 +58,9 @@ OF_TOWNS = (
     Fault("connectors 10 cm aside", of_json(LABELS, moved_connectors), "points as the scene has them|xyz_cam"),
     Fault("signals with other states", of_json(LABELS, turned_signals), "state"),
     Fault("signals for other lanes", of_json(LABELS, of_other_lanes), "lanes"),
+    Fault(
+        "people and cyclists swapped", of_pass("semantic", swapped("pedestrian", "cyclist")), "things of their kinds"
+    ),
 )
 
 
