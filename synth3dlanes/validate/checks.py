@@ -50,7 +50,7 @@ CHECKS = (
     Check("frame", check_frame, "black or white images", frozenset({"image"})),
     Check("standing", partial(check_seen, "standing"), "wheels, trunks and structures that do not touch the ground"),
     Check("lidar", check_lidar, "points that are not on the ground, in the body or in the paint that their ids say, "
-          "and beams through cars", _needs("lidar")),
+          "or have ids of another kind, paint that no point has, and beams through cars", _needs("lidar")),
     Check("points", check_points, "points off the ground, points labelled as visible that the passes show to be "
           "hidden; depth in another unit", _needs("aim")),
     Check("height", partial(check_seen, "height"), "a height map that is too high or low, or some cells off",
@@ -74,7 +74,8 @@ CHECKS = (
           "the sky, or infinite elsewhere", _needs("aim semantic")),
     Check("normals", check_normals, "normals of another length, or facing away", _needs("aim normal")),
     Check("kinds", lambda of: disagreement("instance", of.scene, of.passes["semantic"], of.passes["instance"]),
-          "ids of another kind of thing", _needs("aim semantic instance")),
+          "ids of another kind of thing, also of people and riders that are taken for each other",
+          _needs("aim semantic instance")),
     Check("ids", partial(check_seen, "ids"), "cars, people, trees, structures and lines elsewhere than their ids say, "
           "and lines without paint", _needs("aim depth")),
     Check("cars", check_cars, "a `visible_fraction` that does not match the object's pixels", _needs("aim instance")),
