@@ -58,7 +58,7 @@ def on_hills() -> Clip:
 @pytest.mark.parametrize("fps", [2.0, 30.0])
 def test_objects_of_clips_move_as_their_velocities_say(fps: float) -> None:
     frames = clip("appendix_i", HILLY, clips(2, fps)) + clip("appendix_i", HILLY, clips(2, fps), 1)
-    assert [len(evidence.labels.objects or ()) for evidence in frames] == [8] * 4
+    assert all(evidence.labels.objects for evidence in frames)
     assert problems(frames) == []
 
 
@@ -106,7 +106,7 @@ def test_cameras_of_a_rig_have_objects_in_one_place() -> None:
     frames = clip("appendix_i", HILLY, Shots(cameras=load_rig("nuscenes")[:3]))
     assert problems(frames) == []
     moved = edited(frames, lambda i, item: replace(item, center_cam=item.center_cam + np.array([0, 0.1 * (i == 2), 0])))
-    assert len(problems(moved)) == 8
+    assert len(problems(moved)) == len(frames[2].labels.objects or ()) > 1
 
 
 @pytest.mark.thorough

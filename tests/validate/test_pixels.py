@@ -251,7 +251,7 @@ def test_seen_shares_of_cars_in_another_order_or_none_are_found_and_the_car_is_n
             found = reasons(replace(sample, labels=labels), "cars")
             assert all(f"of car {car} by its" in found for car in cars)
             n += len(cars)
-    assert n > 10
+    assert n
 
 
 IMAGES: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str]] = {
