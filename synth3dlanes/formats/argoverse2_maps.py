@@ -36,7 +36,7 @@ from synth3dlanes.formats.comparing_maps import (
 from synth3dlanes.formats.lane_map import LaneSegment, lane_segments
 from synth3dlanes.formats.reading import read_file
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.polylines import thinned
+from synth3dlanes.geometry.polylines import distances_between, thinned
 from synth3dlanes.labels.labels import LaneGraph, Marking, PaintColor, Pair, Segment
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Points3
@@ -197,7 +197,7 @@ def _opposite(lane: LaneSegment, lanes: Sequence[LaneSegment], world: World) -> 
         its = world.network.lanes[other.id]
         if own.road == its.road and own.ascends != its.ascends:
             short, long = sorted((lane.left.points_world, other.left.points_world), key=len)
-            apart = np.linalg.norm(short[::10, None, :2] - long[None, :, :2], axis=2).min(axis=1)
+            apart = distances_between(short[::10, :2], long[:, :2]).min(axis=1)
             if np.median(apart) < SAME_LINE_M:
                 found.append(other.id)
     return found

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.polylines import all_feet, feet_of
+from synth3dlanes.geometry.polylines import all_feet, distances_between, feet_of
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage
@@ -379,7 +379,7 @@ def camera_problems(truth: SourceSample, height_m: float | None, pitch_rad: floa
 def _gap(points: Points, line: OurLine, rule: Rule) -> Gap:
     there, back = distances(points, line.points), np.zeros(0)
     if len(line.wanted):
-        back = np.linalg.norm(line.wanted[:, None] - points, axis=2).min(axis=1) - rule.spacing
+        back = distances_between(line.wanted, points).min(axis=1) - rule.spacing
     worst = max(there.max() - rule.slack, back.max(initial=0.0))
     median = float(np.median(np.maximum(there - rule.slack, 0)))
     return Gap(line.id, rule.unit, float(worst), median, rule.name)

@@ -23,7 +23,7 @@ from synth3dlanes.formats.comparing import (
     too_far,
 )
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.geometry.polylines import feet_of, lengths_along, resampled
+from synth3dlanes.geometry.polylines import distances_between, feet_of, lengths_along, resampled
 from synth3dlanes.labels.labels import MIRRORED, Lane, Marking, PaintColor, Pair
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.system.arrays import Matrix4, Points3, Scalars
@@ -153,7 +153,7 @@ def side_problems(
             yield f"lane {name}: expected a {side} boundary, got one of {length_m:.3g} m"
             continue
         fine = shapely.get_coordinates(shapely.segmentize(shapely.LineString(line[:, :2]), SIDE_STEP_M))
-        at = np.linalg.norm(fine[:, None] - path, axis=2).argmin(axis=1)
+        at = distances_between(fine, path).argmin(axis=1)
         to_left_m = float(np.median(_to_left(fine - path[at], np.gradient(path, axis=0)[at])))
         got_m = to_left_m if side == "left" else -to_left_m
         if not least_m - SIDE_M <= got_m <= most_m + SIDE_M:

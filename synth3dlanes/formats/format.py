@@ -202,8 +202,9 @@ def described() -> list[tuple[str, str]]:
     return lines
 
 
+@cache
 def _entries() -> dict[str, list[EntryPoint]]:
-    """The entry points of each name, ours first."""
+    """The entry points of each name, ours first. What all packages say of themselves is read for it."""
     found: dict[str, list[EntryPoint]] = {}
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: _package(entry) != OURS):
         found.setdefault(entry.name, []).append(entry)

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from synth3dlanes.geometry.polylines import lengths_along
+from synth3dlanes.geometry.polylines import distances_between, lengths_along
 from synth3dlanes.labels.labels import MIRRORED
 from synth3dlanes.roads.from_map import bare_road
 from synth3dlanes.roads.lane_curves import LaneCurve
@@ -273,7 +273,7 @@ def _of(line: LaneCurve, markings: Markings, edge: LaneEdge) -> Iterator[tuple[P
     probes = at[((len(at) - 1) * PROBES).astype(int)]
     # Stations of different roads differ, so the whole line is looked at.
     there = line.xy_world(np.sort(road_s[at]))
-    apart_m = np.linalg.norm(edge_xy[probes][:, None] - there, axis=2).min(axis=1)
+    apart_m = distances_between(edge_xy[probes], there).min(axis=1)
     if apart_m.max() > ON_EDGE_M:
         return
     width_m = line_width_m(line, markings)

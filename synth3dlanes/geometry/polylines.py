@@ -63,16 +63,38 @@ def all_feet(
 ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
     """Distances of points from each step of a polyline, and where on it they are nearest, from 0 to 1. A line of one
     point is one step of no length."""
-    starts, steps = (line[:-1], np.diff(line, axis=0)) if len(line) > 1 else (line, np.zeros_like(line))
-    to = points[:, None] - starts
-    share = np.clip((to * steps).sum(axis=2) / np.maximum((steps**2).sum(axis=1), 1e-12), 0, 1)
-    return np.linalg.norm(to - share[..., None] * steps, axis=2), share
+    return (
+        feet_on_steps(points, line[:-1], np.diff(line, axis=0))
+        if len(line) > 1
+        else feet_on_steps(points, line, np.zeros_like(line))
+    )
+
+
+def feet_on_steps(
+    points: Float[np.ndarray, "n d"], starts: Float[np.ndarray, "m d"], steps: Float[np.ndarray, "m d"]
+) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "n m"]]:
+    """Distances of points from each of some steps, and where on it they are nearest, from 0 to 1."""
+    to, along = _offsets(points, starts), steps.T.copy()[:, None]
+    share = np.clip((to * along).sum(axis=0) / np.maximum((steps**2).sum(axis=1), 1e-12), 0, 1)
+    to -= share * along
+    return np.sqrt((to * to).sum(axis=0)), share
+
+
+def distances_between(points: Float[np.ndarray, "n d"], others: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "n k"]:
+    """The distance of each point from each of the others."""
+    to = _offsets(points, others)
+    return np.sqrt((to * to).sum(axis=0))
+
+
+def _offsets(points: Float[np.ndarray, "n d"], others: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "d n k"]:
+    """A coordinate at a time in memory: sums over rows of two or three numbers take numpy four times as long."""
+    return points.T.copy()[:, :, None] - others.T.copy()[:, None]
 
 
 def feet_of(
     points: Float[np.ndarray, "n d"], line: Float[np.ndarray, "k d"]
 ) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Distances of points from a polyline, the steps of it that are nearest, and where on these, from 0 to 1."""
-    apart, share = all_feet(points, line)
-    every, at = np.arange(len(points)), apart.argmin(axis=1)
-    return apart[every, at], at, share[every, at]
+    away, share = all_feet(points, line)
+    every, at = np.arange(len(points)), away.argmin(axis=1)
+    return away[every, at], at, share[every, at]

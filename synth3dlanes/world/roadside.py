@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool
 
+from synth3dlanes.geometry.polylines import feet_on_steps
 from synth3dlanes.scene.roadside import Building, Crossing, Rail, Roadside
 from synth3dlanes.system.arrays import Points2, Points3, Scalars
 from synth3dlanes.world.beside import beside
@@ -51,10 +52,7 @@ class Footprints:
 
     def clear(self, xy_world: Points2, room_m: float) -> Bool[np.ndarray, " n"]:
         """Which points are at least `room_m` from all of them."""
-        along = self.ends - self.starts
-        to = xy_world[:, None] - self.starts
-        share = np.clip((to * along).sum(axis=2) / np.maximum((along * along).sum(axis=1), 1e-9), 0, 1)
-        apart_m = np.linalg.norm(to - share[..., None] * along, axis=2)
+        apart_m, _ = feet_on_steps(xy_world, self.starts, self.ends - self.starts)
         return np.asarray((apart_m > self.radii_m + room_m).all(axis=1))
 
 

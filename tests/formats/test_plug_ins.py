@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from synth3dlanes.formats.format import format_names, open_format
+from synth3dlanes.formats.format import _entries, format_names, open_format
 from synth3dlanes.system.errors import InputError
 from tests.formats.planting import problems
 
@@ -23,7 +23,7 @@ def install(tmp_path, monkeypatch):
     site = tmp_path / "site"
     site.mkdir()
     monkeypatch.syspath_prepend(str(site))
-    open_format.cache_clear()
+    look_again()
 
     def put(package, code, **entries):
         monkeypatch.delitem(sys.modules, package, raising=False)
@@ -33,9 +33,16 @@ def install(tmp_path, monkeypatch):
         (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
         lines = "".join(f"{name} = {value}\n" for name, value in entries.items())
         (about / "entry_points.txt").write_text(f"[synth3dlanes.formats]\n{lines}")
+        look_again()
 
     yield put
-    open_format.cache_clear()
+    look_again()
+
+
+def look_again():
+    """Forget which formats there are; a process looks once."""
+    for known in (_entries, open_format):
+        known.cache_clear()
 
 
 def listed():

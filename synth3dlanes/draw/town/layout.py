@@ -15,6 +15,7 @@ from synth3dlanes.draw.town.plan import PlanPose, chain, end_of, sampled
 from synth3dlanes.draw.town.roundabouts import Ring, ring_for, ring_setbacks, roundabout
 from synth3dlanes.draw.town.rules import JunctionRules, links_of
 from synth3dlanes.draw.town.streets import NO_POCKET, Pocket, Street, StreetForm
+from synth3dlanes.geometry.polylines import distances_between
 from synth3dlanes.scene.road_map import MapIsland, MapJunction, MapMarkKind, MapPaint, MapRoad, PlanPiece, RoadMap
 from synth3dlanes.scene.scene import Markings
 from synth3dlanes.scene.town import Control, JunctionKind, Town
@@ -264,7 +265,7 @@ def _are_apart(streets: Sequence[Street]) -> bool:
         for j, other in enumerate(lines[:i]):
             shared = [a for a in ends[i] for b in ends[j] if np.linalg.norm(a - b) < SHARED_M]
             far = [_beyond(line, shared) for line in (one, other)]
-            if all(map(len, far)) and np.linalg.norm(far[0][:, None] - far[1], axis=-1).min() < APART_M:
+            if all(map(len, far)) and distances_between(*far).min() < APART_M:
                 return False
     return True
 

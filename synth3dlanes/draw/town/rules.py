@@ -11,6 +11,7 @@ import numpy as np
 from synth3dlanes.draw.draws import Draw
 from synth3dlanes.draw.town.junctions import Connector, TownJunction, Turn, turn_of
 from synth3dlanes.draw.town.plan import sampled
+from synth3dlanes.geometry.polylines import distances_between
 from synth3dlanes.scene.town import Control
 from synth3dlanes.scene.traffic_elements import Phase, SignalState
 
@@ -75,7 +76,7 @@ class JunctionRules:
                 apart = np.maximum(boxes[i][0] - boxes[j][1], boxes[j][0] - boxes[i][1]).max()
                 if apart > TOUCH_M or set(one.before) & set(other.before) or _follow(one, other):
                     continue
-                distance = np.linalg.norm(points[i][:, None] - points[j], axis=-1)
+                distance = distances_between(points[i], points[j])
                 at_one, at_other = (np.flatnonzero((distance < TOUCH_M).any(axis=axis)) for axis in (1, 0))
                 if len(at_one):
                     spans = _span(one, at_one, len(points[i])), _span(other, at_other, len(points[j]))
