@@ -126,7 +126,7 @@ def overlaps_any(places: Float[np.ndarray, "*#n 4 2"], others: Float[np.ndarray,
     for corners in (places, others):
         for first, second in ((0, 1), (1, 2)):
             side = (corners[..., second, :] - corners[..., first, :])[..., None, :]
-            ours, theirs = (places * side).sum(axis=-1), (others * side).sum(axis=-1)
+            ours, theirs = (at[..., 0] * side[..., 0] + at[..., 1] * side[..., 1] for at in (places, others))
             separated |= (ours.max(axis=-1) < theirs.min(axis=-1)) | (theirs.max(axis=-1) < ours.min(axis=-1))
     return not separated.all()
 
@@ -139,7 +139,7 @@ def touches_any(own: Float[np.ndarray, "t 4 2"], others: Float[np.ndarray, "k _ 
         np.linalg.norm(at[..., 0, :] - to, axis=-1) for at, to in ((own, middles), (others, others_at))
     )
     who, when = np.nonzero(np.linalg.norm(others_at - middles, axis=2) < radius_m + radii_m + SLACK_M)
-    return overlaps_any(own[when], others[who, when])
+    return len(who) > 0 and overlaps_any(own[when], others[who, when])
 
 
 @dataclass(frozen=True, eq=False)

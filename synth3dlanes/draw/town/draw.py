@@ -173,19 +173,19 @@ def _parked_cars(
                         place = {"lane": names[lane], "s_m": round(s_m + moved_m, SCENE_DECIMALS)}
                         look = car_look(looks, assets, body.model, body.scale)
                         car = Car(**look, **place, offset_m=round(offset_m, SCENE_DECIMALS))
-                        if not _is_touched(_standing(drawn.lines[car.lane], car, body), driven):
+                        if not touches_any(_standing(drawn.lines[car.lane], car, body)[None], driven[:, None]):
                             cars.append(car)
     return tuple(cars)
 
 
-def _driven_places(drawn: DrawnTown, found: TownDrive) -> list[Float[np.ndarray, "n 4 2"]]:
+def _driven_places(drawn: DrawnTown, found: TownDrive) -> Float[np.ndarray, "n 4 2"]:
     """The corners of the host and of every car that drives at the instants of its track, with the room it needs."""
     places = []
     for car in (found.host, *found.cars):
         offset_m = drawn.host.offset_m if car is found.host else 0.0
         lengths_m = np.array([length_m for _, length_m in car.track])
         places.append(body_places(drawn.lines.route(car.lanes), lengths_m, car.body, offset_m))
-    return places
+    return np.concatenate(places)
 
 
 def _standing(line: LaneLine, car: Car, body: CarBody) -> Float[np.ndarray, "4 2"]:
@@ -197,11 +197,6 @@ def _standing(line: LaneLine, car: Car, body: CarBody) -> Float[np.ndarray, "4 2
     heading = np.array([np.cos(at[2]), np.sin(at[2])])
     middle = np.array(at[:2]) + car.offset_m * np.array([heading[1], -heading[0]])
     return footprint(middle, heading, body.length_m, body.width_m)
-
-
-def _is_touched(place: Float[np.ndarray, "4 2"], driven: Sequence[Float[np.ndarray, "n 4 2"]]) -> bool:
-    """Whether any of those who drive touches a body."""
-    return any(touches_any(place[None], at[:, None]) for at in driven)
 
 
 def _body(looks: Draw, assets: Assets, fits: Callable[[CarBody, CarModel], bool]) -> tuple[CarBody, bool]:
