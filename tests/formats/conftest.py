@@ -63,6 +63,17 @@ def dataset(made_once, write_split):
 
 
 @pytest.fixture(scope="session")
+def few(made_once, write_split):
+    """A folder with four frames: three of `train` and one of `test`."""
+
+    def make(root):
+        write_split(root, "train", 3)
+        write_split(root, "test", 1)
+
+    return made_once("few", make)
+
+
+@pytest.fixture(scope="session")
 def two_frames(made_once, write_split):
     """A folder with two frames for tests, with passes. Neither the road nor the camera's place on it is symmetric."""
     from tests.formats.test_segmentation import passes_of
