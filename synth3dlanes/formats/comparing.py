@@ -21,7 +21,7 @@ from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage
 
 if TYPE_CHECKING:
-    # Who reads a format needs none of these.
+    # Readers of a format need none of these.
     import synth3dlanes.dataset.read
     import synth3dlanes.imaging.sweep
     import synth3dlanes.scene.scene
@@ -30,7 +30,7 @@ Points = Float[np.ndarray, "_ d"]
 Distances = Float[np.ndarray, " _"]
 Flags = Bool[np.ndarray, " _"]
 
-# Number of points sure to be seen from which a line must be in an export: at a border, rounding decides.
+# A line must be in an export if this number of its points is surely seen: at a border, rounding decides.
 SURE_POINTS = 8
 BORDER_PX = 2.0
 # Lines that begin farther ahead are not beside the camera.
@@ -309,7 +309,7 @@ MISSING = {"m": 0.1, "px": 4.0}
 
 
 def nearest(points: Points, ours: Sequence[OurLine], rule: Rule) -> OurLine | None:
-    """The line that is nearest to all of these points, and of which they have most."""
+    """The line that is nearest to all of these points; of lines about as near, the one with the smallest gap."""
     if not ours or not len(points):
         return None
     some = points[np.unique(np.linspace(0, len(points) - 1, 9).astype(int))]

@@ -48,19 +48,19 @@ HALF_PX = 0.5
 VELO_FROM_LIDAR = np.array([[0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """KITTI's lidar looks along x, y is to its left; ours looks along y, x is to its right."""
 SEEN_BY_LEVEL = (0.9, 0.5)
-"""Levels of occlusion 0, 1 and 2: seen to so much at least, or less."""
+"""The least visible shares for the levels of occlusion 0 and 1; 2 is below."""
 LEAST_SEEN = 0.05
-"""Objects of which less is seen are regions that detectors need not care about."""
+"""Objects with a smaller visible share are regions that detectors need not care about."""
 N_FIELDS = 15
 NOT_SEEN, OUT, NO_TYPE = "hidden", "out of the image", "of a kind that KITTI has no type for"
 # Names of six digits, as KITTI's tools take them, in data sets of up to ten splits of 100,000 samples.
 SHORT = 100_000
-# Places and sizes have four decimals, pixels two; labels are rounded as much.
+# Places and sizes have four decimals, pixels two; our labels are rounded likewise.
 LIMIT_M, LIMIT_PX = 0.001, 0.02
 # Truncation has two decimals.
 TRUNCATION, ANGLE_RAD = 0.006, 2e-4
 SHAPES = {"P2": (3, 4), "R0_rect": (3, 3), "Tr_velo_to_cam": (3, 4)}
-# How far objects of equal types may be, for the nearest to be the same.
+# A line is of the nearest object of its type, if that is at most this far away.
 SAME_M = 2.0
 # Distance from which errors in pixels count fully.
 FULL_WEIGHT_M = 10.0

@@ -352,7 +352,7 @@ def _frames(version: Version, most: int) -> Iterator[ReadFrame]:
 
 
 def _read_others(version: Version) -> None:
-    """Read what no picture is compared with. Raises FormatError where it is not what tools expect."""
+    """Read the files that no picture is compared with. Raises FormatError where they are not as tools expect."""
     for name in ("category", "attribute", "visibility", "splits"):
         version.table(name)
     files = [row.filename for row in version.table("map").values()]
@@ -436,7 +436,7 @@ def _boxes(picture: CameraPicture, global_from_cam: Matrix4, truth: SourceSample
 
 
 def _told(version: Version, row: Row) -> dict[str, object]:
-    """What a box tells but for its place and size."""
+    """What else a box says beside its place and size."""
     category = version.row("instance", row.instance_token).category_token
     attributes = [version.row("attribute", name).name for name in row.attribute_tokens]
     return {

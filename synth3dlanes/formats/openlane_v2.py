@@ -59,7 +59,7 @@ LEAST_PX, LEAST_SEEN = 3.0, 0.1
 PEDESTRIAN_CROSSING, ROAD_BOUNDARY = 1, 2
 TRAFFIC_LIGHT, ROAD_SIGN = 1, 2
 UNKNOWN = 0
-"""The attribute of what the benchmark has no attribute for."""
+"""The attribute of elements for which the benchmark has none."""
 STATE_ATTRIBUTES: dict[ElementState, int] = {
     "red": 1, "red_cross": 1, "red_amber": 1, "green": 2, "green_arrow": 2,
     "amber": 3, "amber_left": 3, "amber_right": 3

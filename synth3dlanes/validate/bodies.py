@@ -24,16 +24,17 @@ SUNK, ROOTS_M = 0.05, 1.0
 # Every car is solid in this part of its box: above the open space below a truck, below the windows, behind the gap at a
 # truck's cab, and between the arches of the wheels, through which one sees above the tyres.
 CORE_SIDES, CORE_HEIGHT = ((-0.7, -0.35), (0.7, 0.2)), (0.38, 0.5)
-# The host's bonnet is as deep as this, and parts along it have boxes.
+# Depth of the host's bonnet, and the number of boxes along it.
 DEEP_M, BONNET_PARTS = 0.4, 10
 # Lower limit of the sun's elevation, and upper limit of a shadow's length on level ground.
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
 # Room for soft edges of shadows.
 SHADE_ROOM_M = 0.08
-# Boxes of a thing that are looked at together where one around them is met; boxes times points at once.
+# Boxes are tested in runs of RUN of a thing, if the box around the run is met; boxes times points that are tested at
+# once.
 RUN, TOGETHER = 32, 1_000_000
 
-# Nothing in a scene is farther.
+# A distance beyond everything in a scene.
 FAR_M = 5_000.0
 # The series of objects.
 OBJECTS = ("car", "thing")

@@ -37,7 +37,7 @@ def _needs(words: str) -> frozenset[str]:
     return frozenset({"scene", *words.split()})
 
 
-# Parts that the evidence of every whole sample of a data set of scenes has.
+# Parts of the evidence that every complete sample of a data set of scenes has.
 ALWAYS = _needs("row image aim")
 
 CHECKS = (

@@ -15,10 +15,10 @@ from synth3dlanes.world.world import World
 
 # How far a point may be from a face to belong to it.
 REACH_M = 0.3
-# How far from the camera, along x and y, faces are asked for.
+# Faces are kept up to this distance from the camera along x and y.
 NEAR_M = 130.0
-# Room about a face in which points are asked, and beyond the sides of a triangle, as a share, where they still are on
-# it.
+# Points are compared with a face up to ROOM_M around its box, and lie on a triangle up to the share ON_SIDE beyond its
+# sides.
 ROOM_M, ON_SIDE = 1e-3, 1e-5
 # Triangles as Blender renders a quad.
 SPLIT = ([0, 1, 2], [0, 2, 3])

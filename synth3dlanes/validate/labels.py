@@ -32,10 +32,10 @@ ROUNDED = Tolerance(
     },
     share=1e-6,
 )
-# What ids tell of the same sample is exact.
+# Numbers that follow from the ids of the same sample are exact.
 COUNTED = ROUNDED._replace(by_key={**ROUNDED.by_key, "seen_box_px": 0, "lidar_points": 0, "visible_fraction": 0.002})
 GROUPS = ("lanes", "symbols", "objects", "traffic_elements")
-# What needs a rendered scene, and has checks of its own.
+# Parts of labels that need a rendered scene; they have checks of their own.
 RENDERED = ("object_visible", "car_visible_fraction")
 # The most that a line of a map moves aside from one point to the next by a bend: 1.1 m for a line 7 m beside an arc of
 # 3 m.

@@ -58,7 +58,7 @@ Members = Mapping[str, bytes]
 Raster = Shaped[np.ndarray, "h w *c"]
 ErrorMap = Float[np.ndarray, "h w"]
 
-# Passes that say what each pixel of a picture is of.
+# Passes that say what each pixel shows.
 IDS = ("semantic", "instance")
 # Levels of 255 by which means of n pixels may differ: NOISE[0] + NOISE[1] / sqrt(n). Renders by another random seed, or
 # of twice the samples a pixel, stay below 0.8 of it; machines differ far less.

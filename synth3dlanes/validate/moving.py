@@ -17,8 +17,8 @@ from synth3dlanes.validate.findings import Finding, Instant, MovingObject
 MOST_ACCELERATION = 10.0
 # Rounding of places, and of velocities in metres per second.
 PLACE_M, SPEED = 0.002, 0.005
-# A velocity is along the axis of a body, whose axles stand on ground of different slopes where ramps begin: its middle
-# goes another way, by 0.1 radians in one of 350 cars, by 0.0003 in most.
+# A labelled velocity is along the body's axis. Where ramps begin, both axles stand on ground of different slopes, and
+# the middle moves in another direction: by 0.1 radians in one of 350 cars, by 0.0003 in most.
 OFF_AXIS = 0.15
 # Every LINE_STEP-th point of a line is compared. In 34 pictures of clips and rigs no line is farther than 0.6 mm away.
 LINE_STEP, LINE_M = 5, 0.02

@@ -36,7 +36,8 @@ RESOLVED_PX = 1.0
 # Paint may appear up to this far beyond its end along the line, because it floats over the road.
 END_M = 0.06
 
-# The length over which sides of symbols are straight from above, and how far from one points are asked.
+# The length over which sides of symbols are straight from above, and the distance from a symbol up to which points are
+# compared with it.
 SIDE_M, NEAR_M = 0.5, 1.0
 
 Stretches = Float[np.ndarray, "m 2"]
@@ -87,14 +88,15 @@ class Strip(NamedTuple):
 # Beyond these limits paint may be invisible: rubbed off, as gray as the road, under water or in fog; so it may be under
 # snow and behind drops on the glass.
 MAX_WORN, MIN_GRAYSCALE, MAX_WETNESS, MIN_VISIBILITY_M = 0.7, 0.35, 0.8, 300.0
-# A wetter road mirrors the sky, in puddles more than its paint; a damp one as brightly as paint that is more worn.
+# A wetter road than MAX_DRY mirrors the sky: in puddles more than its paint does, and where it is damp as brightly as
+# paint that is worn by more than MAX_WORN_DAMP.
 MAX_DRY, MAX_WORN_DAMP = 0.3, 0.4
-# Least mean brightness of gray paint that is worn, too, and how many times brighter than the road that must be.
+# Least mean brightness of paint that is both gray and worn, and the least ratio of it to the road's.
 MIN_LEFT, BRIGHTER = 0.22, 1.6
-# The mean of the channels of paint, of 1 for white.
+# The mean of the channels of paint, relative to white.
 BRIGHTNESS: dict[PaintColor, float] = {"white": 1.0, "yellow": 0.54}
 MAX_DROPS = 0.3
-# The surface of a road is looked at this far on both sides of a line.
+# The slope of a road across a line is measured over this length to both sides.
 ACROSS_M = 0.05
 
 

@@ -38,7 +38,7 @@ KERBS_M, KERBS_M_A_PX = 80.0, 0.24
 # Pixels of an object whose inverse depths are off a plane's, which are linear over the image, by less than this share
 # show one surface without a gap.
 OFF_PLANE = 0.0125
-# A point is left out if the rows next to it look at less than this share of its distance.
+# A point is left out if the pixels in the rows next to it see the ground at less than this share of its distance.
 MIN_NEXT = 0.6
 # A surface nearer than a point by this factor and distance hides it; the point's own surface differs by less in depth
 # from pixel to pixel.
@@ -95,8 +95,8 @@ def check_points(evidence: Evidence) -> Iterator[Result]:
 
 
 def _behind_narrow(evidence: Evidence, lane: Lane, uv: Points2) -> Bool[np.ndarray, " n"]:
-    """Which points of a lane may be behind an object that is narrower than pixels tell, as a far cone beside a line is:
-    it may hide a point and be at no pixel's centre."""
+    """Which points of a lane may be behind an object that is narrower than a pixel, as a far cone beside a line is: it
+    may hide a point and yet be at no pixel's centre."""
     found = np.zeros(len(uv), dtype=bool)
     for item in evidence.labels.objects or ():
         box = item.box_px
