@@ -3,9 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
-from typing import get_args
-
-from pydantic import BaseModel
+from typing import Any, get_args
 
 from synth3dlanes.dataset.columns import ADDED_PARTS, PARTS, PREFIXES, SCHEMA
 from synth3dlanes.dataset.index import ADDED
@@ -51,7 +49,7 @@ def _categories() -> str:
 
 def _columns() -> str:
     """The columns that a sample has from the fields of its scene."""
-    parts: dict[str, type[BaseModel]] = {**PARTS, **{name: Scene.model_fields[name].annotation for name in ADDED_PARTS}}
+    parts: dict[str, Any] = {**PARTS, **{name: Scene.model_fields[name].annotation for name in ADDED_PARTS}}
     rows = []
     for group, part in parts.items():
         columns = [PREFIXES.get(group, "") + name for name in part.model_fields]
