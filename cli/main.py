@@ -88,9 +88,9 @@ class Commands(click.Group):
         except click.UsageError as error:
             command = error.ctx.command_path if error.ctx else ctx.command_path
             raise BadInput(f"{command}: {error.format_message()}") from error
-        except InputError as error:
-            flags = self._flags(ctx)
-            raise _failure(error, "\n".join(_naming_flags(problem, flags) for problem in error.problems)) from error
+        except (InputError, OutageError) as error:
+            flags, problems = self._flags(ctx), str(error).split("\n")
+            raise _failure(error, "\n".join(_naming_flags(problem, flags) for problem in problems)) from error
         except Synth3dlanesError as error:
             raise _failure(error, str(error)) from error
         except (MemoryError, RuntimeError, ImportError) as error:

@@ -137,6 +137,13 @@ def read_file(files: Any, path: str) -> bytes | None:
         return None
 
 
+def listed_splits(files: Any, root: str) -> list[str]:
+    """The names of the folders of `root` that hold indices of shards. Its name may have characters of patterns, as
+    `[1]`, so nothing is searched by a pattern."""
+    paths = (str(path).removeprefix(root).strip("/").split("/") for path in files.find(root, maxdepth=2))
+    return sorted({path[0] for path in paths if len(path) == 2 and path[1].endswith(".parquet")})
+
+
 def splits_near(place: str) -> str:
     """A hint for the message about a wrong place, such as "; there is DIR/train, DIR/val": the splits of the data set
     at or above it. "" where there is none."""
@@ -144,8 +151,7 @@ def splits_near(place: str) -> str:
     place, root = (re.sub(r":\d*$", "", path.rstrip("/")) for path in (place, root))
     for _ in range(2):
         with suppress(Synth3dlanesError), translate_store_errors(place):
-            indices = files.glob(f"{root}/*/*.parquet") if can_list(files) else []
-            found = sorted({str(path).rsplit("/", 2)[-2] for path in indices})
+            found = listed_splits(files, root) if can_list(files) else []
             if found:
                 return f"; there is {', '.join(f'{place}/{name}' for name in found[:10])}"
         place, root = (path.rpartition("/")[0] or "." for path in (place, root))

@@ -6,7 +6,7 @@ query reads `flip_lateral and n_lanes = 4`, or `junction = 'merge' and max_grade
 
 import json
 from collections import Counter
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 import pyarrow as pa
@@ -17,8 +17,9 @@ from synth3dlanes.dataset.format import COLUMN_OF_MEMBER, LIDAR
 from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA, ARROW_TYPES, RECIPE, SHOT_COLUMNS, place_columns
 from synth3dlanes.labels.labels import Labels, Lane
 from synth3dlanes.scene.host import HostCamera
-from synth3dlanes.scene.scene import Air, Light, Markings, PaperRoad, Scene, Sensor, Surface
+from synth3dlanes.scene.scene import Air, Light, Markings, PaperRoad, Scene, Sensor, Surface, Weather
 from synth3dlanes.scene.things import ThingKind
+from synth3dlanes.scene.works import RoadWorks, WorksKind
 
 PREFIXES = {"markings": "marking_", "camera": "camera_", "weather": "weather_", "host": "host_"}
 PARTS: dict[str, type[BaseModel]] = {
@@ -49,6 +50,18 @@ SCHEMA = pa.schema(
     + [(f"n_{seen}{kind}", pa.int64()) for kind in ("centerlines", "delimiters") for seen in ("", "visible_")]
     + [("terrain_hidden_fraction", pa.float64()), ("object_hidden_fraction", pa.float64())]
 )
+# The texts that these columns may hold. Names of cameras are the user's.
+TEXTS: dict[str, tuple[str, ...]] = {
+    PREFIXES.get(group, "") + name: get_args(field.annotation)
+    for group, part in {**PARTS, "weather": Weather}.items()
+    for name, field in part.model_fields.items()
+    if get_origin(field.annotation) is Literal
+} | {
+    "junction": ("none", "split", "merge", "crossing"),
+    "exit_side": ("none", "left", "right"),
+    "works": get_args(WorksKind),
+    "works_lines": ("none", *get_args(RoadWorks.model_fields["lines"].annotation)),
+}
 # Only where scenes have several pictures or a lidar, so that the shards of other data sets keep their columns.
 SHOT_SCHEMA = pa.schema([(name, pa.int64()) for name in SHOT_COLUMNS])
 LIDAR_SCHEMA = pa.schema([(name, pa.int64()) for name in place_columns([LIDAR])])

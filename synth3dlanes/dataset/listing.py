@@ -12,7 +12,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from synth3dlanes.dataset.address import can_list, connect, read_file, splits_near, translate_store_errors
+from synth3dlanes.dataset.address import (
+    can_list,
+    connect,
+    listed_splits,
+    read_file,
+    splits_near,
+    translate_store_errors,
+)
 from synth3dlanes.dataset.description import DATASET_FORMAT, DESCRIPTION, parse_description
 from synth3dlanes.system.errors import FormatError, InputError
 
@@ -160,7 +167,7 @@ def splits_with_shards(place: str) -> list[str] | None:
             return None
         require_no_split(place)
         if can_list(files):
-            return sorted({str(path).rsplit("/", 2)[-2] for path in files.glob(f"{root}/*/*.parquet")})
+            return listed_splits(files, root)
         description = parse_description(data, f"{place}/{DESCRIPTION}")
         named = {name: _expected(f"{root}/{name}", description) for name in sorted(description["splits"])}
         return [name for name, paths in named.items() if any(files.exists(path) for path in paths)]

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Int
 
+from synth3dlanes.dataset.columns import TEXTS
 from synth3dlanes.system.errors import InputError
 from synth3dlanes.system.schema import did_you_mean
 
@@ -30,16 +31,18 @@ GRAMMAR = "columns, numbers, 'text', = != < <= > >=, and, or, not, parentheses"
 
 
 class _Term(NamedTuple):
-    """A piece of a query: what kind of value it has, and how pyarrow computes it."""
+    """A piece of a query: what kind of value it has, how pyarrow computes it, and the column or the text that it is."""
 
     kind: ValueKind
     value: pc.Expression
+    column: str = ""
+    text: str | None = None
 
 
 def rows_where(index: pa.Table, where: str) -> Int[np.ndarray, " k"]:
     """The positions of the rows for which the query holds, in order; a comparison with a missing value never does.
 
-    Raises InputError with the closest column where one is unknown.
+    Raises InputError with the closest column where one is unknown, and for a text that a column never has.
     """
     try:
         term = _read(ast.parse(_with_double_equals(where), mode="eval").body, index, where)
@@ -62,7 +65,8 @@ def _read(node: ast.expr, index: pa.Table, where: str) -> _Term:
     if isinstance(node, ast.Name):
         return _column(node.id, index, where)
     if isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float | str):
-        return _Term(_kind_of(node.value), pc.scalar(node.value))
+        text = node.value if isinstance(node.value, str) else None
+        return _Term(_kind_of(node.value), pc.scalar(node.value), text=text)
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub) and isinstance(node.operand, ast.Constant):
         if isinstance(node.operand.value, int | float):
             return _Term("a number", pc.scalar(-node.operand.value))
@@ -84,6 +88,9 @@ def _comparison(node: ast.Compare, index: pa.Table, where: str) -> _Term:
         if type(comparison) not in COMPARISONS:
             raise _problem(where, f"expected {GRAMMAR}, got {ast.unparse(node)}")
         _expect(right, left.kind, where)
+        if type(comparison) in (ast.Eq, ast.NotEq):
+            _expect_text(left, right, index, where)
+            _expect_text(right, left, index, where)
         parts.append(COMPARISONS[type(comparison)](left.value, right.value))
     return _joined(operator.and_, parts)
 
@@ -103,7 +110,7 @@ def _column(name: str, index: pa.Table, where: str) -> _Term:
     kind = index.schema.field(name).type
     if pa.types.is_boolean(kind):
         return _Term("a truth value", pc.field(name))
-    return _Term("text" if pa.types.is_string(kind) else "a number", pc.field(name))
+    return _Term("text" if pa.types.is_string(kind) else "a number", pc.field(name), column=name)
 
 
 def _kind_of(value: bool | int | float | str) -> ValueKind:
@@ -116,6 +123,16 @@ def _expect(term: _Term, kind: ValueKind, where: str) -> pc.Expression:
     if term.kind != kind:
         raise _problem(where, f"expected {kind}, got {term.kind}: {term.value}")
     return term.value
+
+
+def _expect_text(column: _Term, text: _Term, index: pa.Table, where: str) -> None:
+    """Raise InputError where a column is compared with a text that it can never have, and has nowhere in this index."""
+    known = TEXTS.get(column.column, ())
+    if not known or text.text is None or text.text in known:
+        return
+    if not pc.any(pc.equal(index[column.column], text.text)).as_py():
+        near = did_you_mean(text.text, known)
+        raise _problem(where, f"expected {column.column} to be one of {', '.join(known)}, got {text.text!r}{near}")
 
 
 def _problem(where: str, text: str) -> InputError:

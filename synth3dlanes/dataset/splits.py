@@ -19,18 +19,16 @@ def readers(folder: str) -> list[Reader]:
         if can_list(files) and not files.isdir(root):
             there = splits_near(folder)
             raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder{there}")
-    splits = splits_with_shards(folder)
+    splits = _finished_splits(folder)
     if splits is None:
         return [Reader(folder)]
-    if not splits:
-        raise FormatError(f"{folder}: expected finished shards (SPLIT/00000.parquet), got none; run generate again")
     return [Reader(f"{folder.rstrip('/')}/{split}") for split in splits]
 
 
 def only_split(place: str) -> str:
     """`DIR/SPLIT` for a data set with one split; other places unchanged. Raises InputError if there are several
-    splits."""
-    splits = splits_with_shards(place) or []
+    splits, FormatError if there is none."""
+    splits = _finished_splits(place) or []
     if len(splits) > 1:
         raise InputError(f"{place}: expected one split, got {len(splits)}{splits_near(place)}")
     return "/".join((place.rstrip("/"), *splits))
@@ -39,6 +37,15 @@ def only_split(place: str) -> str:
 def one_reader(place: str, columns: Sequence[str] | None = None) -> Reader:
     """The reader of the split that is named, or of the only split of a data set, with these columns of its index."""
     return Reader(only_split(place), columns)
+
+
+def _finished_splits(place: str) -> list[str] | None:
+    """The splits of a data set that have finished shards; None where there is none. Raises FormatError where no split
+    has any."""
+    splits = splits_with_shards(place)
+    if splits == []:
+        raise FormatError(f"{place}: expected finished shards (SPLIT/00000.parquet), got none; run generate again")
+    return splits
 
 
 def has_split(folder: str, split: str) -> bool:

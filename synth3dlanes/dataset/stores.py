@@ -13,7 +13,14 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from synth3dlanes.dataset.address import MAX_READ_BYTES, connect, kinds, read_file, translate_store_errors
+from synth3dlanes.dataset.address import (
+    MAX_READ_BYTES,
+    connect,
+    kinds,
+    listed_splits,
+    read_file,
+    translate_store_errors,
+)
 from synth3dlanes.dataset.description import DESCRIPTION, updated_description
 from synth3dlanes.dataset.folder import COMPANIONS, updated_companions
 from synth3dlanes.dataset.index import read_indices
@@ -156,7 +163,7 @@ def _description(files: Any, url: str, root: str) -> bytes | None:
     found = read_file(files, f"{root}/{DESCRIPTION}")
     if found is None:
         files.invalidate_cache()
-        if files.glob(f"{root}/*/*.parquet"):
+        if listed_splits(files, root):
             # Perhaps of a run that has written both since.
             found = read_file(files, f"{root}/{DESCRIPTION}")
             if found is None:

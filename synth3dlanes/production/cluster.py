@@ -29,7 +29,7 @@ Answer = TypeVar("Answer")
 def connected(address: str) -> Iterator[None]:
     """Connect this process to the cluster at `address` for the duration of the block. Ray's output goes to stderr.
 
-    Raises InputError if there is no cluster, OutageError if its machine does not answer.
+    Raises InputError if something else is there, OutageError if its machine does not answer or none has been started.
     """
     _check(address)
     with redirect_stdout(_OwnOutput(sys.stdout)):
@@ -37,7 +37,7 @@ def connected(address: str) -> Iterator[None]:
             with redirect_stdout(sys.stderr):
                 ray.init(address=address, log_to_driver=False, logging_level="error")
         except (ConnectionError, RuntimeError, ValueError) as error:
-            raise InputError(_no_cluster(address, str(error))) from None
+            raise _refusal(address)(_no_cluster(address, str(error))) from None
         try:
             yield
         finally:
@@ -138,10 +138,10 @@ def _check(address: str) -> None:
                 command, capture_output=True, text=True, timeout=HEALTH_S, env=os.environ, check=False
             )
         except subprocess.TimeoutExpired:
-            raise InputError(_no_cluster(address, f"no answer within {HEALTH_S:.0f} s")) from None
+            raise _refusal(address)(_no_cluster(address, f"no answer within {HEALTH_S:.0f} s")) from None
         if done.returncode:
             last = (done.stderr.strip().splitlines() or ["it is not healthy"])[-1]
-            raise InputError(_no_cluster(address, last))
+            raise _refusal(address)(_no_cluster(address, last))
 
 
 def _connection_problem(place: str) -> str:
@@ -154,6 +154,11 @@ def _connection_problem(place: str) -> str:
         raise
     except OSError as error:
         return str(error.strerror or error)
+
+
+def _refusal(address: str) -> type[InputError | OutageError]:
+    """What it means that no cluster is at an address: without one, it has still to be started."""
+    return OutageError if address == "auto" else InputError
 
 
 def _no_cluster(address: str, reason: str) -> str:

@@ -22,7 +22,7 @@ from synth3dlanes.production.recipe import Recipe
 from synth3dlanes.production.workers import DISK_FULL
 from synth3dlanes.system.errors import DiskFullError, Synth3dlanesError
 from synth3dlanes.system.files import Folder, read_bounded
-from synth3dlanes.system.words import counted
+from synth3dlanes.system.words import counted, sized
 
 # Measured on scenes of Appendix I at 480x360: core-seconds an image, bytes a pixel, bytes of text.
 SECONDS_PER_PIXEL_SAMPLE, SECONDS_PER_PIXEL, SECONDS_PER_SCENE = 2.3e-6, 1.6e-6, 0.25
@@ -65,7 +65,7 @@ class Forecast:
         """The forecast as one line of text."""
         return (
             f"{counted(self.samples, 'sample')} to make with {counted(self.workers, 'worker')}: "
-            f"about {duration(self.seconds)} and {self.bytes_kept / 1e9:.2g} GB"
+            f"about {duration(self.seconds)} and {sized(self.bytes_kept)}"
             f"{', as the samples before took' * self.is_measured}"
         )
 
@@ -76,8 +76,8 @@ class Forecast:
         free, needed = shutil.disk_usage(there).free, self.bytes_needed + reserve
         if self.samples and free < needed:
             raise DiskFullError(
-                f"{folder}: {counted(self.samples, 'sample')} need {needed / 1e9:.3g} GB, "
-                f"but only {free / 1e9:.3g} GB are free"
+                f"{folder}: {counted(self.samples, 'sample')} need {sized(needed, 3)}, "
+                f"but only {sized(free, 3)} are free"
             )
 
 

@@ -102,8 +102,13 @@ def test_merged_parts_are_what_one_run_makes(tmp_path, monkeypatch, linked):
     assert contents(tmp_path / "c") == contents(whole)
     # Splits are merged by their names.
     val = make(tmp_path / "val", [0, 1], split="val")
-    assert merge([str(whole), str(val)], str(tmp_path / "d")) == {"train": 8, "val": 2}
-    assert [reader.url.rpartition("/")[2] for reader in readers(str(tmp_path / "d"))] == ["train", "val"]
+    # A name is no pattern.
+    both = str(tmp_path / "d[1]*?")
+    assert merge([str(whole), str(val)], both) == {"train": 8, "val": 2}
+    assert [reader.url.rpartition("/")[2] for reader in readers(both)] == ["train", "val"]
+    assert merge([both], str(tmp_path / "e")) == {"train": 8, "val": 2}
+    with pytest.raises(FormatError, match=r"; there is .*/d\[1\]\*\?/train, .*/val$"):
+        readers(f"{both}/test")
 
 
 @pytest.mark.parametrize("garbage", ["zeros", "a cut", "a pipe"])
@@ -194,6 +199,10 @@ def test_any_query_means_what_python_means(query: str) -> None:
         ("n_lanes + 1 = 4", "expected columns, numbers"),
         ("n_lanes in (2, 3)", "expected columns, numbers"),
         ("(n_lanes = 2", "expected columns, numbers"),
+        (
+            "'merges' != junction",
+            "junction to be one of none, split, merge, crossing, got 'merges'; did you mean merge?",
+        ),
         ("'open", "expected columns, numbers"),
         ("", "expected columns, numbers"),
         ("n_lanes = 1" + "0" * 40, "expected columns, numbers"),

@@ -20,6 +20,7 @@ from synth3dlanes.dataset.format import tar_bytes, tar_end
 from synth3dlanes.dataset.index import ADDED, ADDED_SCHEMA
 from synth3dlanes.dataset.query import rows_where
 from synth3dlanes.dataset.read import Reader, find
+from synth3dlanes.dataset.splits import one_reader, readers
 from synth3dlanes.dataset.write import Shard, scan
 from synth3dlanes.labels import labels as labels_module
 from synth3dlanes.system.errors import FormatError, InputError
@@ -296,6 +297,12 @@ def test_reader_names_what_is_wrong(tmp_path, shard):
             Reader(str(place))
     with pytest.raises(FormatError, match=r"expected a split of a data set, got no folder; there is .*/train$"):
         Reader(str(tmp_path / "val"))
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    shutil.copyfile(tmp_path / "dataset.json", empty / "dataset.json")
+    for reads in (readers, one_reader):
+        with pytest.raises(FormatError, match=r"empty: expected finished shards .*, got none; run generate again$"):
+            reads(str(empty))
     reader = Reader(str(shard.folder))
     data = contents(shard)[0]
     shard.path("tar").write_bytes(data[:3000])

@@ -4,6 +4,7 @@ import functools
 import json
 import os
 import re
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +16,10 @@ from synth3dlanes_cli.generate import FIELDS
 from synth3dlanes_cli.main import main
 
 import synth3dlanes as s3d
+from synth3dlanes.dataset.columns import TEXTS, numbers_of
 from synth3dlanes.dataset.description import updated_description
 from synth3dlanes.dataset.read import Reader
-from synth3dlanes.draw.sample import Scenes, sample_scene
+from synth3dlanes.draw.sample import Scenes, draw_world, sample_scene
 from synth3dlanes.params.lidar_files import load_lidar
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
@@ -28,7 +30,7 @@ from synth3dlanes.production.run import generate
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.system.errors import InputError
-from synth3dlanes.truth.ground_truth import ground_truth
+from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.validate.origin import read_origin
 from tests import fake_samples
 from tests.maps.files import opendrive, plan, road
@@ -242,6 +244,28 @@ def test_while_none_fits_a_line_says_so_now_and_then(monkeypatch: pytest.MonkeyP
     with pytest.raises(InputError, match="expected a scene that fits, got none in 3 tries for sample 0"):
         jobs.Job(n=1, out="none", params="tiny", where="max_grade > 99", tries=3).plans(told.append)
     assert told == [f"where max_grade > 99: 0 of {n} scenes drawn fit; at most 3 are drawn" for n in (1, 2, 3)]
+
+
+@pytest.mark.parametrize("column", sorted(TEXTS))
+def test_a_text_that_no_scene_has_is_refused_before_any_second_one_is_drawn(column: str) -> None:
+    told = list[str]()
+    query = f"n_lanes > 0 and {column} = 'nobody'"
+    with pytest.raises(InputError, match=f"^where .*: expected {column} to be one of .*, got 'nobody'"):
+        recipe(query).where.probe(recipe(query).scenes, told.append)  # type: ignore[union-attr]
+    assert not told
+
+
+def test_texts_of_columns_are_all_that_scenes_have() -> None:
+    found = defaultdict[str, set[str]](set)
+    for preset in ("streets", "town"):
+        for number in range(3):
+            world = draw_world(Scenes(load_params(preset), 3, "train"), number)
+            row = numbers_of(world.scene, label(world, world.view))
+            for column in TEXTS:
+                found[column].add(row[column])
+    assert {column for column, texts in found.items() if not texts <= set(TEXTS[column])} == set()
+    names = {name for name, value in row.items() if isinstance(value, str)}
+    assert names == {*TEXTS, "camera_name"}
 
 
 def test_all_frames_of_a_clip_show_the_scene_that_its_first_one_fits() -> None:

@@ -238,7 +238,7 @@ def test_waits_for_room_and_goes_on(tmp_path, whole, monkeypatch):
     assert seen.index("pause") < seen.index("resume")
     assert contents(tmp_path) == whole
     free[0] = 10**6
-    with pytest.raises(DiskFullError, match=r"77 samples need .* GB, but only 0\.001 GB are free"):
+    with pytest.raises(DiskFullError, match=r"77 samples need .* MB, but only 1 MB are free"):
         go(plan(tmp_path, n=100))
 
 
