@@ -56,11 +56,16 @@ OUTAGES = {
     "requests": ("ConnectionError", "Timeout"),
 }
 REFUSALS = {"paramiko": ("AuthenticationException", "BadHostKeyException")}
+NO_KEYS = {
+    "botocore.exceptions": ("NoCredentialsError", "PartialCredentialsError", "CredentialRetrievalError"),
+    "google.auth.exceptions": ("GoogleAuthError",),
+    "paramiko": ("AuthenticationException",),
+}
 OUTAGE_ERRNOS = {
     *(errno.EBUSY, errno.EIO, getattr(errno, "EREMOTEIO", errno.EIO), errno.ESTALE),
     *(errno.ENETDOWN, errno.ENETUNREACH, errno.EHOSTDOWN, errno.EHOSTUNREACH),
 }
-TOO_MANY_REQUESTS, SERVER_ERROR = 429, 500
+TOO_MANY_REQUESTS, SERVER_ERROR, NO_ACCESS = 429, 500, (401, 403)
 
 
 def is_url(place: str) -> bool:
@@ -99,23 +104,32 @@ def translate_store_errors(place: str, problem: str = "cannot be reached") -> It
         raise
     except Exception as error:  # noqa: BLE001 - file systems raise what they like
         kind = OutageError if is_outage(error) else FormatError
-        raise kind(f"{place}: {problem}: {_reason(error)}") from None
+        hint = "; check the keys for this store, and what they allow" if _is_no_access(error) else ""
+        raise kind(f"{place}: {problem}: {_reason(error)}{hint}") from None
 
 
 def is_outage(error: BaseException) -> bool:
     """Whether an error is a failure of the connection or of the server, which a retry may not meet again."""
     if isinstance(error, _loaded(REFUSALS)):
         return False
-    response = getattr(error, "response", None)
-    for status in (
-        getattr(error, "status", None),
-        getattr(error, "code", None),
-        getattr(response, "status_code", None),
-    ):
-        if isinstance(status, int):
-            return status == TOO_MANY_REQUESTS or status >= SERVER_ERROR
+    status = _status(error)
+    if status is not None:
+        return status == TOO_MANY_REQUESTS or status >= SERVER_ERROR
     is_connection = isinstance(error, (ConnectionError, TimeoutError, socket.gaierror, EOFError, *_loaded(OUTAGES)))
     return is_connection or (isinstance(error, OSError) and error.errno in OUTAGE_ERRNOS)
+
+
+def _is_no_access(error: BaseException) -> bool:
+    """Whether a store, not this machine's disk, says who may not do what, or asks who it is."""
+    is_of_store = isinstance(error, PermissionError) and not error.strerror
+    return is_of_store or isinstance(error, _loaded(NO_KEYS)) or _status(error) in NO_ACCESS
+
+
+def _status(error: BaseException) -> int | None:
+    """The status of an answer by HTTP."""
+    response = getattr(error, "response", None)
+    found = (getattr(error, "status", None), getattr(error, "code", None), getattr(response, "status_code", None))
+    return next((status for status in found if isinstance(status, int)), None)
 
 
 def can_list(files: Any) -> bool:

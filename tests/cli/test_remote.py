@@ -113,6 +113,7 @@ def test_a_store_that_refuses_is_named(
         # Running again helps only where the server may come back.
         assert (result.exit_code, result.stdout) == (1 if fault == "no server" else 2, ""), result.output
         assert result.stderr.startswith(place)
+        assert ("check the keys for this store" in result.stderr) == (fault in ("wrong keys", "no keys"))
         assert result.stderr.count("\n") == 1
 
 
