@@ -29,6 +29,7 @@ from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.host import Shot
 from synth3dlanes.scene.settings import RenderSettings
 from synth3dlanes.scene.things import SEMANTIC_IDS
+from synth3dlanes.system.errors import DrawError
 from synth3dlanes.truth.ground_truth import label
 from tests.scenes import FLAT
 
@@ -154,6 +155,12 @@ def make_slowly(recipe: Recipe, index: int) -> EncodedSample:
 def crash_on_bad(recipe: Recipe, index: int) -> EncodedSample:
     if index == BAD:
         raise ValueError("this scene is bad")
+    return make(recipe, index)
+
+
+def fail_to_draw_bad(recipe: Recipe, index: int) -> EncodedSample:
+    if index == BAD:
+        raise DrawError("cars.n: no room for this scene")
     return make(recipe, index)
 
 

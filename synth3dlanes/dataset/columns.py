@@ -32,6 +32,7 @@ PARTS: dict[str, type[BaseModel]] = {
     "sensor": Sensor,
 }
 ADDED_PARTS = ("weather", "host", "vegetation")
+NAMED_PARTS: dict[str, type[BaseModel]] = {**PARTS, "weather": Weather}
 ROADSIDE = ("rails", "posts", "crossings", "buildings")
 PLACE_COLUMNS = list(dict.fromkeys(place_columns([name for name in COLUMN_OF_MEMBER if name != LIDAR])))
 
@@ -53,7 +54,7 @@ SCHEMA = pa.schema(
 # The texts that these columns may hold. Names of cameras are the user's.
 TEXTS: dict[str, tuple[str, ...]] = {
     PREFIXES.get(group, "") + name: get_args(field.annotation)
-    for group, part in {**PARTS, "weather": Weather}.items()
+    for group, part in NAMED_PARTS.items()
     for name, field in part.model_fields.items()
     if get_origin(field.annotation) is Literal
 } | {

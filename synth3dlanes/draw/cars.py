@@ -20,7 +20,7 @@ from synth3dlanes.scene.assets.catalogue import Assets
 from synth3dlanes.scene.road_map import LaneName
 from synth3dlanes.scene.scene import Car, Scene
 from synth3dlanes.system.arrays import Scalars
-from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.errors import DrawError
 from synth3dlanes.world import placement
 
 # Free length and width around a car, and draws of a place for each.
@@ -119,7 +119,7 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
     """The cars in the lanes of the road beside each other, within the stations of `cars.s_m`, or parked. The first car
     without room and all after it are left out.
 
-    Raises InputError if fewer cars are left than `cars.n` allows.
+    Raises DrawError if fewer cars are left than `cars.n` allows.
     """
     # What the paper does not draw has streams of its own, so that it changes none of the paper's draws.
     looks, at, parking = of("cars"), of("cars", "car_places"), of("cars", "parked_cars")
@@ -142,7 +142,10 @@ def cars_along_road(scene: Scene, network: Network, of: DrawsOf) -> tuple[Car, .
     cars = list[Car]()
     for car in draw_cars(looks, scene.assets, traffic, places, added):
         if car is None and len(cars) < looks.least("n"):
-            raise InputError(f"cars.n: no room for car {len(cars) + 1} within cars.s_m of scene {scene.index}")
+            raise DrawError(
+                f"cars.n: no room for car {len(cars) + 1} within cars.s_m of scene {scene.index}; with a range such as "
+                f"[1, {looks.least('n')}], cars without room are left out"
+            )
         if car is None:
             break
         cars.append(car)

@@ -28,7 +28,7 @@ from synth3dlanes.params.shots import SINGLE, ShotNumbers, Shots
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, Assets
 from synth3dlanes.scene.host import HostCamera, Lidar
 from synth3dlanes.scene.scene import SCENE_VERSION, Scene, Thing, Tree, to_json
-from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.errors import DrawError
 from synth3dlanes.system.processes import process_pool
 from synth3dlanes.system.streams import stream
 from synth3dlanes.world.ground import Ground
@@ -65,7 +65,7 @@ class Scenes:
 def sample_scene(scenes: Scenes, index: int) -> Scene:
     """Draw the scene of sample `index`, which depends on these arguments alone.
 
-    Raises InputError if there is no room for the least number of cars, or for the trees, in their ranges.
+    Raises DrawError if there is no room for the least number of cars, or for the trees, in their ranges.
     """
     return sample_world(scenes, index).scene
 
@@ -191,7 +191,7 @@ def _lidar(spec: LidarSpec, draw: Draw) -> Lidar:
 
 
 def draw_trees(scene: Scene, ground: Ground, of: DrawsOf, has_to_fit: bool) -> tuple[Tree, ...]:
-    """The trees of a scene. Without room in its ranges a tree is left out; with `has_to_fit` InputError is raised."""
+    """The trees of a scene. Without room in its ranges a tree is left out; with `has_to_fit` DrawError is raised."""
     looks, places = of("trees"), of("trees", "tree_places")
     drawn = looks.rows(("model", "yaw_deg", "scale"), looks("n"))
     models = scene.assets.tree_models
@@ -212,7 +212,7 @@ def draw_trees(scene: Scene, ground: Ground, of: DrawsOf, has_to_fit: bool) -> t
                 trees.append(Tree(model=model, x_m=x, y_m=y, yaw_rad=yaw_rad, scale=scale))
     if has_to_fit and len(trees) < len(drawn):
         missing = len(drawn) - len(trees)
-        raise InputError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {scene.index}")
+        raise DrawError(f"trees.x_m, trees.y_m: no room off the roads for {missing} trees of scene {scene.index}")
     return tuple(trees)
 
 

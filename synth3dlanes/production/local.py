@@ -5,9 +5,9 @@ when all its samples are there. A worker writes its finished sample itself, whol
 this process or the machine costs the samples in progress and no other.
 
 A sample that fails three times, or whose worker is killed from outside twenty times, is set aside under DIR/failed with
-its scene and the worker's last words. Its shard is joined without it, and the next run tries it again. Ten failures in
-a row mean that the machine is at fault, and stop the run, as do missing files and libraries. While the disk is full,
-the run waits.
+its scene and the worker's last words; at once, if its scene cannot be drawn. Its shard is joined without it, and the
+next run tries it again. Ten failures in a row mean that the machine or the parameters are at fault, and stop the run,
+as do missing files and libraries. While the disk is full, the run waits.
 """
 
 import os
@@ -29,7 +29,7 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.recipe import make_part, scene_json
 from synth3dlanes.production.tally import RunTally
 from synth3dlanes.production.workers import Limits, Outcome, Pool
-from synth3dlanes.system.errors import FormatError, LinkError, OutageError, told
+from synth3dlanes.system.errors import DrawError, FormatError, LinkError, OutageError, told
 from synth3dlanes.system.files import Folder
 
 MAX_FAILURES, MAX_KILLS, MAX_IN_A_ROW = 3, 20, 10
@@ -194,6 +194,9 @@ class _Run:
             self._finished(index)
         elif isinstance(outcome.value, LinkError):
             raise outcome.value
+        elif isinstance(outcome.value, DrawError):
+            self._set_aside(index, str(outcome.value))
+            self._finished(index)
         elif outcome.status == "done":
             self.in_a_row = 0
             self.room.has_been_of_use()
@@ -215,17 +218,18 @@ class _Run:
         if self.failures[index] < MAX_FAILURES and self.kills[index] < MAX_KILLS:
             self.todo.appendleft(("make", index))
             return
+        self._set_aside(index, outcome.reason, outcome.stderr)
+        self.todo.appendleft(("scene", index))
+
+    def _set_aside(self, index: int, reason: str, stderr: str = "") -> None:
         self.given_up.add(index)
         self.in_a_row += 1
         folder = self._failed(index)
         Folder(self.root).make(folder)
-        Folder(self.root).write(folder / "stderr.txt", f"{outcome.stderr}\n{outcome.reason}\n".encode())
-        self.todo.appendleft(("scene", index))
-        self.tally.tell(
-            "set_aside", f"{key_of(index)}: {outcome.reason}; see {self._place(self.root / folder)}", index=index
-        )
+        Folder(self.root).write(folder / "stderr.txt", f"{stderr}\n{reason}\n".lstrip().encode())
+        self.tally.tell("set_aside", f"{key_of(index)}: {reason}; see {self._place(self.root / folder)}", index=index)
         if self.in_a_row >= MAX_IN_A_ROW:
-            self.tally.problem = f"{MAX_IN_A_ROW} scenes in a row failed, the last with: {outcome.reason}"
+            self.tally.problem = f"{MAX_IN_A_ROW} scenes in a row failed, the last with: {reason}"
 
     def _finished(self, index: int) -> None:
         number = index // self.plan.shard_size
@@ -291,8 +295,9 @@ def _join_shard(shard: Shard, n: int) -> dict[int, str]:
 
 
 def _make_part(*args: Any) -> Any:
-    """Like `make_part`, but returns the problem if a link is in the way: every other worker would meet it too."""
+    """Like `make_part`, but returns the problem if a link is in the way, which every other worker would meet too, or if
+    the scene cannot be drawn, which no other try changes."""
     try:
         return make_part(*args)
-    except LinkError as error:
+    except (DrawError, LinkError) as error:
         return error

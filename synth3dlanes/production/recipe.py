@@ -32,7 +32,7 @@ from synth3dlanes.scene import scene as scene_module
 from synth3dlanes.scene.assets.catalogue import BUILT_IN, FIRST_KINDS, KINDS, Library
 from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.settings import SCENES_OF_ONE, TRIES, RenderSettings
-from synth3dlanes.system.errors import InputError, MissingPackageError
+from synth3dlanes.system.errors import DrawError, InputError, MissingPackageError
 from synth3dlanes.truth.ground_truth import label
 from synth3dlanes.world.height_map import height_map
 from synth3dlanes.world.world import View, World
@@ -72,7 +72,7 @@ class Condition:
 
     def probe(self, scenes: Scenes, tell: Callable[[str], None] = lambda line: None) -> str:
         """How many of the scenes drawn for the first sample fit, in words. `tell` is called now and then while none is
-        found. Raises InputError if none does."""
+        found. Raises DrawError if none does."""
         first = fitting_world(scenes, self, 0, tell).scene.index
         others = range(first + 1, PROBED)
         n_fitting = 1 + sum(self.fits(scenes, draw_world(scenes, number)) for number in others)
@@ -85,7 +85,7 @@ def fitting_world(
     scenes: Scenes, condition: Condition, n: int, tell: Callable[[str], None] = lambda line: None
 ) -> World:
     """The world of the scene that sample n shows, or clip n. `tell` is called now and then while none is found. Raises
-    InputError if none of those drawn fits."""
+    DrawError if none of those drawn fits."""
     told_s = time.monotonic()
     for drawn in range(condition.tries):
         world = draw_world(scenes, n * SCENES_OF_ONE + drawn)
@@ -94,7 +94,7 @@ def fitting_world(
         if time.monotonic() - told_s > TELL_EVERY_S:
             tell(f"where {condition.query}: 0 of {drawn + 1:,} scenes drawn fit; at most {condition.tries:,} are drawn")
             told_s = time.monotonic()
-    raise InputError(
+    raise DrawError(
         f"where {condition.query}: expected a scene that fits, got none in {condition.tries:,} tries for sample "
         f"{n} (up to {SCENES_OF_ONE:,} can be asked for)"
     )

@@ -6,6 +6,7 @@ Exception
  +-- Synth3dlanesError       all of ours
       +-- InputError           an argument, a parameter file or an override is wrong; a ValueError
       |    +-- ClaimedError      another run holds the lock on a shard
+      |    +-- DrawError             a scene cannot be drawn from its parameters
       |    +-- LinkError         a link lies where something is to be written
       +-- FormatError          a file does not follow its format, or a store refuses to give it; a ValueError
       +-- OutageError          a store or a cluster cannot be reached; running again later helps
@@ -39,6 +40,10 @@ class InputError(Synth3dlanesError, ValueError):
 
 class ClaimedError(InputError):
     """Another run holds the lock on a shard."""
+
+
+class DrawError(InputError):
+    """A scene cannot be drawn from its parameters; no other try changes that."""
 
 
 class LinkError(InputError):
