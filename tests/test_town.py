@@ -94,6 +94,18 @@ def test_a_centre_line_names_the_lines_beside_its_near_end() -> None:
     assert named >= 8
 
 
+def test_the_labels_have_who_yields_of_the_lanes_that_they_list() -> None:
+    own = "town.junction=crossing", "town.control=equal", "town.traffic=0", "town.parked=0"
+    network = town(3, *own).network
+    paths = [path.id for path in network.paths]
+    for listed in (paths[::2], paths[: len(paths) // 2], paths):
+        graph = network.graph(listed)
+        lanes = {segment.id for segment in graph.segments}
+        expected = {pair for pair in network.yields or () if lanes.issuperset(pair)}
+        assert set(graph.yields or ()) == expected != set()
+    assert len(expected) == len(network.yields or ()) > 20
+
+
 def test_parked_cars_keep_off_long_vehicles_in_bends() -> None:
     """Their ends swing out of narrow lanes."""
     wide = "cars.model={1: 1, 11: 1}", "cars.scale=1.2", "town.lane_width_m=2.9", "town.bend_deg=30"

@@ -68,6 +68,8 @@ def check_lanes(world: World, given: GivenMap, names: Mapping[str, str]) -> None
     assert set(names.values()) == set(world.network.lanes)
     graph = {(names[a], names[b]) for a, b in given.links}
     assert {(a, b) for a, b in graph if a != b} == {(a, b) for a, b in world.network.links if a != b}
+    yields = {(names[a], names[b]) for at in given.junctions for a, b in at.yields if {a, b} <= set(names)}
+    assert yields == set(world.network.yields or ())
     for name, place in given.lanes.items():
         aside_m, height_m = off(middle(place), world, names[name])
         assert aside_m < NEAR_M, name
