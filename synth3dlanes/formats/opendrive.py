@@ -50,7 +50,8 @@ PLAIN = {"dots": "dashed", "dashed_dashed": "dashed"}
 """Kinds of marks that the labels call dashed."""
 
 
-MAJOR, MINOR = "1", "7"
+# Only files that need it are of the version that knows lanes which go against their side of the road.
+MAJOR, MINOR, REVERSED_MINOR = "1", "7", "8"
 NO_NUMBER = "-1"
 # CARLA and others read ids as whole numbers of 32 bits.
 NUMBER = re.compile(r"0|[1-9]\d{0,8}")
@@ -60,7 +61,7 @@ LANE_TYPES = {kind: name for name, kind in reversed(KINDS.items())}
 MARK_TYPES = {kind: name for name, kind in MARK_KINDS.items()}
 
 
-README = f"""OpenDRIVE {MAJOR}.{MINOR}: a map of each scene.
+README = f"""OpenDRIVE {MAJOR}.{MINOR}, or {MAJOR}.{REVERSED_MINOR} if a lane has a `direction`: a map of each scene.
 
 - `SPLIT/KEY.xodr`: the roads of the scene of this frame. Its coordinates are those of `world_from_cam` in the frame's
   labels (x, y on the ground, z up, metres), which so places the camera in the map.
@@ -98,7 +99,9 @@ def opendrive(world: World, name: str) -> str:
     root = ElementTree.Element("OpenDRIVE")
     xy_world = np.concatenate([road.line_world for road in roads])
     (west, south), (east, north) = xy_world.min(axis=0), xy_world.max(axis=0)
-    header = {"revMajor": MAJOR, "revMinor": MINOR, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
+    is_reversed = any(lane.against for road in found.values() for part in road.sections for lane in part.lanes)
+    minor = REVERSED_MINOR if is_reversed else MINOR
+    header = {"revMajor": MAJOR, "revMinor": minor, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
     add(root, "header", **header, north=north, south=south, east=east, west=west)
     direct = _direct_junctions(found, touches)
     # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.

@@ -126,3 +126,17 @@ def test_given_maps_come_back_with_banks_and_direct_junctions() -> None:
     scenes = replace(Scenes(load_params("streets"), 5, "round"), map=MapPlace(given))
     for index in range(2):
         check(sample_world(scenes, index))
+
+
+@pytest.mark.parametrize(("told", "minor"), [("", "7"), ('direction="reversed"', "8")])
+def test_lanes_against_their_side_come_back_in_a_version_that_knows_them(told: str, minor: str) -> None:
+    roads = road(plan(("<line/>", 300.0)), section(lane(1, more=told), lane(-1)), "1")
+    given = read_opendrive(file_of(roads), "one.xodr", "map one.xodr")
+    world = sample_world(replace(Scenes(load_params("streets"), 5, "round"), map=MapPlace(given)), 0)
+    check(world)
+    text = opendrive(world, "scene")
+    header = ElementTree.fromstring(text).find("header")
+    assert header is not None
+    assert (header.get("revMinor"), told in text) == (minor, True)
+    back = read_opendrive(text.encode(), "scene.xodr", "map scene.xodr").lanes
+    assert {name: place.ascends for name, place in back.items()} == {"1.0.1": bool(told), "1.0.-1": True}
