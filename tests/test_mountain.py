@@ -11,7 +11,7 @@ from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world
 from synth3dlanes.formats.comparing import Rule, SourceSample
 from synth3dlanes.formats.comparing_maps import compare_map
 from synth3dlanes.formats.lane_map import lane_segments
-from synth3dlanes.formats.lanelet_map import lanelets_of
+from synth3dlanes.formats.lanelet2 import lanelets_of
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params

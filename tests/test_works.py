@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from synth3dlanes.dataset.columns import numbers_of
 from synth3dlanes.draw.sample import Scenes, draw_world, world_in_shot
-from synth3dlanes.formats.lanelet_map import lanelets_of
+from synth3dlanes.formats.lanelet2 import lanelets_of
 from synth3dlanes.labels import labels as label_file
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import SINGLE, Shots

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image, UnidentifiedImageError
 
-from synth3dlanes.blender.sky_file import read_sky
+from synth3dlanes.blender.load_assets import read_sky
 from synth3dlanes.blender.user_models import ImportedMesh, ModelKind, import_model, points_of
 from synth3dlanes.imaging.user_sky import brightest_azimuth
 from synth3dlanes.scene.assets.catalogue import (

@@ -1,15 +1,16 @@
 """Load the meshes, textures and skies of a process: the built-in ones, or a user's own. Done once per process."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
+from jaxtyping import Float
 
-from synth3dlanes.blender.assets import load_meshes
-from synth3dlanes.blender.sky_file import read_sky
 from synth3dlanes.blender.user_models import ModelKind, import_model
-from synth3dlanes.imaging.user_sky import UserSky, prepare_sky
+from synth3dlanes.imaging.user_sky import UserSky, prepare_sky, resized
+from synth3dlanes.scene.assets.built_in import assets_dir
 from synth3dlanes.scene.assets.catalogue import (
     BUILT_IN,
     CARS,
@@ -72,6 +73,42 @@ def load_assets(library: Library = BUILT_IN) -> LoadedAssets:
     for mesh in (*loaded.cars, *loaded.trees, *things):
         _fix_normals(mesh)
     return loaded
+
+
+def load_meshes(names: Sequence[str]) -> tuple[bpy.types.Mesh, ...]:
+    """Append meshes with their materials; each gets a fake user, so that it outlives any scene."""
+    path = assets_dir() / "assets.blend"
+    if not path.is_file():
+        raise FormatError(f"{path}: expected the asset library, found no file; `make assets` builds it")
+    with bpy.data.libraries.load(str(path)) as (library, wanted):
+        missing = sorted(set(names) - set(library.meshes))
+        if missing:
+            raise FormatError(f"{path}: expected meshes named like the catalogue, found no {', '.join(missing)}")
+        wanted.meshes = list(names)
+    for mesh in wanted.meshes:
+        mesh.use_fake_user = True
+    return tuple(wanted.meshes)
+
+
+def read_sky(path: Path) -> Float[np.ndarray, "3 h w"]:
+    """The picture's upper half at the size of the built-in dome; raise FormatError if it is not a sky picture."""
+    image = bpy.data.images.load(str(path))
+    try:
+        width, height = image.size
+        if width == 0:
+            raise FormatError(f"{path.name}: cannot read the picture")
+        if width != 2 * height:
+            raise FormatError(
+                f"{path.name}: expected a picture twice as wide as high (equirectangular), got {width}x{height}"
+            )
+        pixels = np.zeros(width * height * image.channels, dtype=np.float32)
+        image.pixels.foreach_get(pixels)
+    finally:
+        bpy.data.images.remove(image)
+    upper = pixels.reshape(height, width, -1)[height // 2 :, :, :3]
+    if not np.isfinite(upper).all() or upper.min() < 0 or upper.max() <= 0:
+        raise FormatError(f"{path.name}: expected light above the horizon, got black, negative or infinite values")
+    return resized(np.moveaxis(upper, -1, 0))
 
 
 def _fix_normals(mesh: bpy.types.Mesh) -> None:

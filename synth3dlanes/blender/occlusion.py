@@ -13,6 +13,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from synth3dlanes.blender.build import MeshInstance
+from synth3dlanes.blender.user_models import points_of
 from synth3dlanes.geometry.frames import invert, transform
 
 # Rays end before the point, so that surfaces touching it do not hide it.
@@ -83,7 +84,7 @@ def search_tree(mesh_name: str) -> BVHTree:
 @cache
 def bounding_box(mesh_name: str) -> Bounds:
     """The least and the greatest coordinates of a mesh."""
-    points = _vertices(mesh_name)
+    points = points_of(bpy.data.meshes[mesh_name])
     return points.min(axis=0), points.max(axis=0)
 
 
@@ -91,11 +92,4 @@ def bounding_box(mesh_name: str) -> Bounds:
 def bounding_sphere(mesh_name: str) -> tuple[Float[np.ndarray, "3"], float]:
     """Middle of a mesh's bounding box, and the distance of its farthest vertex from there."""
     center = np.mean(bounding_box(mesh_name), axis=0)
-    return center, float(np.linalg.norm(_vertices(mesh_name) - center, axis=1).max())
-
-
-def _vertices(mesh_name: str) -> Float[np.ndarray, "n 3"]:
-    mesh = bpy.data.meshes[mesh_name]
-    points = np.zeros(3 * len(mesh.vertices), dtype=np.float32)
-    mesh.vertices.foreach_get("co", points)
-    return points.reshape(-1, 3).astype(float)
+    return center, float(np.linalg.norm(points_of(bpy.data.meshes[mesh_name]) - center, axis=1).max())

@@ -3,14 +3,20 @@
 Renders with Principled BSDF take 10 to 20 % longer.
 """
 
+import hashlib
+import os
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
+from PIL import Image
 
-from synth3dlanes.blender.quick_copy import quick_copy
 from synth3dlanes.scene.assets.built_in import assets_dir
+from synth3dlanes.scene.settings import SCRATCH
+from synth3dlanes.system.files import Folder, encoded
 
 Socket = Any  # an output socket, a number or a tuple: the value of a node input
 
@@ -105,6 +111,23 @@ def texture(graph: ShaderGraph, file: Path | str, vector: Socket, is_color: bool
     image = bpy.data.images.load(str(quick_copy(assets_dir() / "textures" / file)), check_existing=True)
     image.colorspace_settings.name = "sRGB" if is_color else "Non-Color"
     return graph.node("ShaderNodeTexImage", {"Vector": vector}, image=image).outputs["Color"]
+
+
+def quick_copy(file: Path) -> Path:
+    """An uncompressed copy of a JPEG in the scratch folder that a run's workers share, created on first use. Returns
+    the file itself if there is no such folder or the copy fails.
+
+    Cycles reads every file again for every render: decoding JPEG costs 2 % of an image at the default settings. Packing
+    a file into Blender costs more than it saves.
+    """
+    scratch = os.environ.get(SCRATCH)
+    if scratch is None or file.suffix.lower() not in (".jpg", ".jpeg"):
+        return file
+    copy = Path(scratch) / f"{file.stem}-{hashlib.sha256(str(file).encode()).hexdigest()[:16]}.tif"
+    if not copy.exists():
+        with suppress(OSError), Image.open(file) as picture:
+            Folder(copy.parent).write(copy.name, encoded(partial(picture.save, format="TIFF")))
+    return copy if copy.exists() else file
 
 
 def coated(

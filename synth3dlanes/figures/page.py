@@ -30,7 +30,7 @@ from synth3dlanes.figures.scene_view import SceneView
 from synth3dlanes.figures.space import triangles
 from synth3dlanes.figures.stats import Histogram, LabelStatistics, SceneStatistics, histograms, is_fine
 from synth3dlanes.imaging.sweep import Sweep
-from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
+from synth3dlanes.labels.labels import CameraLabel, Labels
 from synth3dlanes.scene.scene import Scene, to_json
 from synth3dlanes.system.arrays import RgbImage
 
@@ -38,74 +38,8 @@ MAX_FRAMES = 60
 _JPEG_QUALITY = 92
 
 
-class Switch(NamedTuple):
-    """A check box that shows or hides what a CSS selector finds."""
-
-    shows: str
-    name: str
-    color: str
-    is_on: bool
-
-
-class DrawnLane(NamedTuple):
-    """A lane in the image: (is_seen, points of an SVG polyline) for each stretch."""
-
-    id: str
-    kind: LaneKind
-    color: str
-    stretches: list[tuple[bool, str]]
-
-
-class DrawnObject(NamedTuple):
-    """An object or traffic element in the image: its CSS class, its name, and the polylines of its box or face."""
-
-    of_class: str
-    name: str
-    color: str
-    lines: list[str]
-
-
-class DrawnMask(NamedTuple):
-    """The label points in the image to which a mask applies, in pixels."""
-
-    name: str
-    color: str
-    points: list[tuple[str, str]]
-
-
-class Drawing(NamedTuple):
-    """An image with its lanes, objects, traffic elements and masks, as an SVG needs them; `jpeg` is a data URL, None
-    without an image."""
-
-    width: int
-    height: int
-    jpeg: str | None
-    lanes: list[DrawnLane]
-    objects: list[DrawnObject]
-    masks: list[DrawnMask]
-
-
-class Card(NamedTuple):
-    """A sample in a report: its name in the data set, such as train:00000017, and what its road is."""
-
-    name: str
-    words: str
-    drawn: Drawing
-
-
-class PassPicture(NamedTuple):
-    """A pass as a picture (a data URL), and what its colours mean."""
-
-    name: str
-    words: str
-    jpeg: str
-
-
-class ClipFrame(NamedTuple):
-    """A frame of a clip: when it is, and its image with its lanes."""
-
-    words: str
-    drawn: Drawing
+# What the macros of `web/parts.html` take: a drawing, or a part of one.
+Values = dict[str, Any]
 
 
 def scene_page(
@@ -117,7 +51,11 @@ def scene_page(
     scene, labels, shot = shown.scene, shown.labels, shown.shot
     step = max(1, -(-len(shown.clip) // MAX_FRAMES))
     numbers = range(0, len(shown.clip), step)
-    frames = [_frame(number, *shown.clip[number]) for number in numbers]
+    clip = [(number, *shown.clip[number]) for number in numbers]
+    frames = [
+        {"words": f"frame {number}, {seen.time_s or 0:.2f} s", "drawn": drawing(seen, image)}
+        for number, seen, image in clip
+    ]
     return render(
         "scene.html",
         title=shown_title(shown),
@@ -128,7 +66,8 @@ def scene_page(
         start=min(range(len(frames)), key=lambda i: abs(numbers[i] - shot.frame), default=0),
         rig=[(found.camera.name, drawing(found, picture)) for found, picture in shown.rig],
         passes=[
-            PassPicture(name, WORDS[name], _jpeg(pass_picture(name, values))) for name, values in shown.passes.items()
+            {"name": name, "words": WORDS[name], "jpeg": _jpeg(pass_picture(name, values))}
+            for name, values in shown.passes.items()
         ],
         groups=describe(shown),
         lane_columns=LANE_COLUMNS,
@@ -153,7 +92,7 @@ def report_page(
         n_scenes=scenes.n_scenes,
         switches=_switches(sample for _, _, sample, _ in samples),
         cards=[
-            Card(name, scene.roads.words if scene else "", drawing(sample, image))
+            {"name": name, "words": scene.roads.words if scene else "", "drawn": drawing(sample, image)}
             for name, scene, sample, image in samples
         ],
         topologies=scenes.topologies.items(),
@@ -187,33 +126,32 @@ def render(template: str, **values: Any) -> str:
     return environment.get_template(template).render(values)
 
 
-def _frame(number: int, labels: Labels, image: RgbImage) -> ClipFrame:
-    return ClipFrame(f"frame {number}, {labels.time_s or 0:.2f} s", drawing(labels, image))
-
-
-def drawing(labels: Labels, image: RgbImage | None) -> Drawing:
-    """An image with its lanes, its objects and its masks, as the macro `drawing` of `web/parts.html` shows them."""
-    return Drawing(
-        labels.camera.width_px,
-        labels.camera.height_px,
-        None if image is None else _jpeg(image),
-        [_lane(labels, lane) for lane in labels.lanes],
-        [
-            DrawnObject(
-                "element" if item.is_element else "object",
-                " ".join(element_row(item)[:3]) if item.is_element else f"{item.category} {item.id}",
-                colors.hexadecimal(color_of(item)),
-                [_points(line) for line in lines],
-            )
-            for item, lines in objects_in_image(labels)
-        ],
-        [DrawnMask(_class(name), color, _dots(labels, name)) for name, color in colors.MASKS.items()],
-    )
-
-
-def _lane(labels: Labels, lane: Lane) -> DrawnLane:
-    stretches = [(is_seen, _points(stretch)) for is_seen, stretch in stretches_img(labels.camera, lane)]
-    return DrawnLane(lane.id, lane.kind, colors.hexadecimal(colors.KINDS[lane.kind]), stretches)
+def drawing(labels: Labels, image: RgbImage | None) -> Values:
+    """An image, if there is one, with its lanes in seen and hidden stretches, the boxes of its objects or faces of its
+    traffic elements, and the points of each mask, in pixels."""
+    lanes = [
+        {
+            "id": lane.id,
+            "kind": lane.kind,
+            "color": colors.hexadecimal(colors.KINDS[lane.kind]),
+            "stretches": [(is_seen, _points(line)) for is_seen, line in stretches_img(labels.camera, lane)],
+        }
+        for lane in labels.lanes
+    ]
+    objects = [
+        {
+            "of_class": "element" if item.is_element else "object",
+            "name": " ".join(element_row(item)[:3]) if item.is_element else f"{item.category} {item.id}",
+            "color": colors.hexadecimal(color_of(item)),
+            "lines": [_points(line) for line in lines],
+        }
+        for item, lines in objects_in_image(labels)
+    ]
+    masks = [
+        {"name": _class(name), "color": color, "points": _dots(labels, name)} for name, color in colors.MASKS.items()
+    ]
+    size = {"width": labels.camera.width_px, "height": labels.camera.height_px}
+    return {**size, "jpeg": image is not None and _jpeg(image), "lanes": lanes, "objects": objects, "masks": masks}
 
 
 def _points(stretch: Float[np.ndarray, "n 2"]) -> str:
@@ -231,27 +169,24 @@ def _dots(labels: Labels, mask: str) -> list[tuple[str, str]]:
     return dots
 
 
-def _switches(labels: Iterable[Labels]) -> list[Switch]:
+def _switches(labels: Iterable[Labels]) -> list[Values]:
     """Check boxes for the images: lanes by kind, hidden stretches, objects, traffic elements, and one for each mask
     (initially off)."""
     labels, masks = list(labels), dict(colors.MASKS)
     if any(lane.object_visible is None for one in labels for lane in one.lanes):
         del masks["hidden by objects"]
+    is_element = {item.is_element for one in labels for item, _ in objects_in_image(one)}
+    hexadecimal = colors.hexadecimal
+    lines = {
+        f".lane.{kind}": (f"{colors.KIND_WORDS[kind]}s", hexadecimal(color)) for kind, color in colors.KINDS.items()
+    }
+    lines[".lane .hidden"] = "hidden parts", "currentColor"
+    lines |= {".object": ("objects", hexadecimal(colors.OBJECT))} if False in is_element else {}
+    lines |= {".element": ("traffic elements", hexadecimal(colors.ELEMENT))} if True in is_element else {}
+    points = {f".mask.{_class(name)}": (f"points {name}", color) for name, color in masks.items()}
     return [
-        *(
-            Switch(f".lane.{kind}", f"{colors.KIND_WORDS[kind]}s", colors.hexadecimal(color), is_on=True)
-            for kind, color in colors.KINDS.items()
-        ),
-        Switch(".lane .hidden", "hidden parts", "currentColor", is_on=True),
-        *(
-            Switch(selector, words, colors.hexadecimal(color), is_on=True)
-            for selector, words, color, is_element in (
-                (".object", "objects", colors.OBJECT, False),
-                (".element", "traffic elements", colors.ELEMENT, True),
-            )
-            if any(item.is_element == is_element for one in labels for item, _ in objects_in_image(one))
-        ),
-        *(Switch(f".mask.{_class(name)}", f"points {name}", color, is_on=False) for name, color in masks.items()),
+        {"shows": shows, "name": name, "color": color, "is_on": shows in lines}
+        for shows, (name, color) in {**lines, **points}.items()
     ]
 
 

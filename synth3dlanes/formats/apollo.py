@@ -13,7 +13,7 @@ the format share puts the camera at (0, h sin p, h cos p), where h is the field 
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,15 @@ from pydantic import Field, model_validator
 from synth3dlanes.formats.comparing import Comparison, ExportView, OurLine, Rule, SourceSample, camera_problems, compare
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
 from synth3dlanes.formats.lines import NEAR_START_M, LaneAhead, keep_lines, lines_ahead, sifted
-from synth3dlanes.formats.reading import ForeignLane, ForeignSample, LabelLines, first_lines, labels_of, read_image
+from synth3dlanes.formats.reading import (
+    ForeignLane,
+    ForeignSample,
+    JsonLine,
+    LabelLines,
+    first_lines,
+    labels_of,
+    read_image,
+)
 from synth3dlanes.formats.scoring import EVERY, GEN_LANENET, Line3d, LinePair, line_score, lines_by, predicted, rates
 from synth3dlanes.formats.sidecar import Sidecars
 from synth3dlanes.formats.writing import CV_FROM_CAM, POINT_DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
@@ -287,10 +295,16 @@ def _in_band(line: OurLine) -> OurLine:
 
 class _Prediction(Excerpt):
     raw_file: str
-    laneLines: tuple[JsonPoints, ...]
+    laneLines: tuple[JsonLine, ...]
     laneLines_prob: tuple[Unit, ...]
-    centerLines: tuple[JsonPoints, ...] = ()
+    centerLines: tuple[JsonLine, ...] = ()
     centerLines_prob: tuple[Unit, ...] = ()
+
+    @model_validator(mode="after")
+    def _every_line_has_a_probability(self) -> "_Prediction":
+        if any(len(getattr(self, name)) != len(getattr(self, f"{name}_prob")) for name in FIELDS.values()):
+            raise ValueError("expected a probability for every line")
+        return self
 
 
 def score(out: Path, predictions: Path) -> Iterator[Rates]:
@@ -302,26 +316,18 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
         found = by_image.get(true.raw_file)
         if found is None:
             return None
-        return {
-            kind: (
-                list(map(Line3d, true.lines_apollo(kind), true.visible(kind))),
-                _found(getattr(found, name), getattr(found, f"{name}_prob"), f"{predictions}: {found.raw_file}"),
-            )
-            for kind, name in FIELDS.items()
-        }
+        pairs = dict[LaneKind, LinePair]()
+        for kind, name in FIELDS.items():
+            lines, shares = getattr(found, name), getattr(found, f"{name}_prob")
+            guessed = [Line3d.whole(points, probability=share) for points, share in zip(lines, shares, strict=True)]
+            pairs[kind] = list(map(Line3d, true.lines_apollo(kind), true.visible(kind))), guessed
+        return pairs
 
     for name, frames in predicted(read(out, EVERY), of_frame, predictions):
         for kind in FIELDS:
             pairs = [pair_of[kind] for _, pair_of in frames]
             if kind == "delimiter" or any(found for _, found in pairs):
-                yield rates(f"{name}, {RULES[kind].name}s", frames, line_score(pairs, GEN_LANENET))
-
-
-def _found(lines: Sequence[Polyline3], shares: Sequence[float], where: str) -> list[Line3d]:
-    if len(lines) != len(shares) or any(len(points) < 2 for points in lines):
-        raise FormatError(f"{where}: expected lines of two points or more with a probability each, got others")
-    every = (np.ones(len(points), dtype=bool) for points in lines)
-    return [Line3d(points, all_, 0, share) for points, all_, share in zip(lines, every, shares, strict=True)]
+                yield rates(f"{name}, {RULES[kind].name}s", len(frames), line_score(pairs, GEN_LANENET))
 
 
 FORMAT = PinholeFormat(

@@ -57,6 +57,11 @@ class FoundLane:
     after: Collection[str] | None = None
     before: Collection[str] | None = None
 
+    def without(self, ids: Collection[str]) -> "FoundLane":
+        """It without links to these."""
+        after, before = (at if at is None else {*at} - {*ids} for at in (self.after, self.before))
+        return replace(self, after=after, before=before)
+
 
 def paint_word(
     marking: Marking, color: PaintColor | None = None, double: bool | None = None, pair: Pair | None = None
@@ -91,7 +96,14 @@ def compare_lanes(
     is_in_area: Callable[[Points], Flags] = lambda points: np.ones(len(points), dtype=bool),
 ) -> Comparison:
     """Lanes beside those of the labels: middles in metres (`compare_map`), sides, links and paint. `b_from_world` is
-    given for a map in another frame than the world, in which `truth` then is, too."""
+    given for a map in another frame than the world, in which `truth` then is, too. Lanes of the scene's map that are
+    beyond the lane graph are counted alone."""
+    segments = {segment.id for segment in truth.labels.graph.segments}
+    others = {lane.segment for lane in lanes} - segments
+    beyond = others & {*truth.scene.roads.driving_lanes} if others else others
+    if beyond:
+        there = {lane.id for lane in lanes if lane.segment in beyond}
+        lanes = [lane.without(there) for lane in lanes if lane.id not in there]
     by_segment = dict[str, list[FoundLane]]()
     for lane in lanes:
         by_segment.setdefault(lane.segment, []).append(lane)
@@ -99,7 +111,7 @@ def compare_lanes(
     if not rule.of_pieces:
         middles = [(name, np.concatenate([lane.middle for lane in own])) for name, own in by_segment.items()]
     compared = compare_map(middles, truth, rule, is_in_area)
-    segments = {segment.id for segment in truth.labels.graph.segments}
+    compared += Comparison(outside=Counter({rule.name: len(beyond)}))
     known = {name: own for name, own in by_segment.items() if name in segments}
     sided = [lane for own in known.values() for lane in own if lane.sides]
     halves_m = half_widths(truth.scene, {lane.segment for lane in sided}, b_from_world)

@@ -42,7 +42,6 @@ from synth3dlanes.formats.comparing import (
     distances,
 )
 from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, middle_of, symbol_problems
-from synth3dlanes.formats.cosmos_lens import LIMIT_PX, fitted
 from synth3dlanes.formats.cosmos_videos import (
     CATEGORIES,
     DRAWN,
@@ -54,9 +53,9 @@ from synth3dlanes.formats.cosmos_videos import (
     scenario,
 )
 from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, of_parts
-from synth3dlanes.formats.lane_map import Boundary
 from synth3dlanes.formats.reading import json_object, pose_of, read_file
 from synth3dlanes.formats.writing import (
+    CV_FROM_CAM,
     FrameAnnotation,
     host_from_flu,
     objects_of,
@@ -77,6 +76,7 @@ from synth3dlanes.world.world import resolve
 
 FRONT_VIEW = "camera_front_wide_120fov"
 """The view of a camera that is alone, and the one whose times the readers take."""
+TIMES, DEPTHS = f"{FRONT_VIEW}.json", "depth.json"
 VERSION = 1
 FOLDERS = {"rgb": "videos", "depth": "depth", "seg": "seg", "edge": "edge", "hdmap": "control_input_hdmap_bbox"}
 """The videos of a view, and the folders that the loaders expect them in."""
@@ -128,17 +128,9 @@ class ClipFiles:
     part: str
     clip: str
 
-    def table(self, name: str) -> str:
-        return f"{self.part}/clipgt/{self.clip}/{self.clip}.{name}.parquet"
-
-    @property
-    def times(self) -> str:
-        return f"{self.part}/clipgt/{self.clip}/{self.clip}.{FRONT_VIEW}.json"
-
-    @property
-    def depths(self) -> str:
-        """What the greys of depth videos are, by view."""
-        return f"{self.part}/clipgt/{self.clip}/{self.clip}.depth.json"
+    def of_scenario(self, ending: str) -> str:
+        """A table (NAME.parquet), the times of frames (TIMES) or the spans of depth videos (DEPTHS)."""
+        return f"{self.part}/clipgt/{self.clip}/{self.clip}.{ending}"
 
     def video(self, kind: str, view: str) -> str:
         return f"{self.part}/{FOLDERS[kind]}/ftheta_{view}/{self.clip}.mp4"
@@ -191,7 +183,7 @@ class CosmosClip:
 
     @cached_property
     def views(self) -> dict[str, CosmosView]:
-        (row,), where = self.rows("calibration_estimate"), str(self.out / self.files.table("calibration_estimate"))
+        (row,), where = self.rows("calibration_estimate"), str(self._path("calibration_estimate.parquet"))
         document = json_object(row["rig_json"], where)
         try:
             return {sensor["name"].replace(":", "_"): _view(sensor, where) for sensor in document["rig"]["sensors"]}
@@ -206,7 +198,7 @@ class CosmosClip:
     @cached_property
     def times(self) -> list[int]:
         """The times of the frames (microseconds), as the readers take them."""
-        where = self.out / self.files.times
+        where = self._path(TIMES)
         return [frame.timestamp for frame in schema.parse(_Times, read_file(where), str(where), "times of frames").root]
 
     def obstacles(self, micros: int) -> list[FoundBox]:
@@ -223,7 +215,7 @@ class CosmosClip:
 
     def span(self, view: str) -> tuple[float, float]:
         """The least and the greatest nearness that the greys of a depth video stand for (1/m)."""
-        where = self.out / self.files.depths
+        where = self._path(DEPTHS)
         found = schema.parse(_Spans, read_file(where), str(where), "spans of depth videos").root
         if view not in found:
             raise FormatError(f"{where}: expected a span of {view}, got none")
@@ -237,22 +229,22 @@ class CosmosClip:
                 raise FormatError(f"{path}: expected {rate_hz:g} frames a second, got {video.rate_hz:g}")
             yield from video.frames
 
+    def _path(self, ending: str) -> Path:
+        return self.out / self.files.of_scenario(ending)
+
     def rows(self, name: str) -> list[dict[str, Any]]:
         """Rows of a table: the values of the key and of the element together."""
         if name not in self._tables:
-            self._tables[name] = self._rows(name)
+            where, wanted = self._path(f"{name}.parquet"), TABLES[name]
+            with reading_table(str(where), wanted.names):
+                table = read_parquet(read_file(where), str(where), BOUNDS)
+                if table.schema.names != wanted.names:
+                    raise ValueError(f"columns {', '.join(table.schema.names)}")
+                rows = [{**row["key"], **row[name]} for row in table.cast(wanted).to_pylist()]
+            if any(value is None for row in rows for value in row.values()):
+                raise FormatError(f"{where}: expected a value in every field, got none in some")
+            self._tables[name] = rows
         return self._tables[name]
-
-    def _rows(self, name: str) -> list[dict[str, Any]]:
-        where, wanted = self.out / self.files.table(name), TABLES[name]
-        with reading_table(str(where), wanted.names):
-            table = read_parquet(read_file(where), str(where), BOUNDS)
-            if table.schema.names != wanted.names:
-                raise ValueError(f"columns {', '.join(table.schema.names)}")
-            rows = [{**row["key"], **row[name]} for row in table.cast(wanted).to_pylist()]
-        if any(value is None for row in rows for value in row.values()):
-            raise FormatError(f"{where}: expected a value in every field, got none in some")
-        return rows
 
 
 def _view(sensor: Any, where: str) -> CosmosView:
@@ -290,6 +282,9 @@ def _array(point: dict[str, float]) -> Float[np.ndarray, "3"]:
 CAM_FROM_FLU = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 HOST_FROM_RIG = host_from_flu(1.3, 0.0)
 """The rear axle in our host's road frame, as for argoverse2, but on the road."""
+DEGREE, GRID, ROUNDS = 5, (41, 31), 30
+LIMIT_PX = 1.0
+"""How far an f-theta polynomial may be from the camera: 0.4 px for a pinhole of 110 degrees and 1600 columns."""
 CRF = 12
 """Finer than a film's: the greys of depth and the edges are data."""
 NAME = re.compile("[A-Za-z0-9_-]{1,80}")
@@ -375,9 +370,9 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
         own |= {files.video(kind, view): data for kind, data in videos.items()}
     rows = {"calibration_estimate": [_calibration(frame, views, where)], **_moving(frame, clip_from_world)}
     rows |= _still(around, clip_from_world)
-    own |= {files.table(name): _table(name, rows[name], files.clip) for name in TABLES}
+    own |= {files.of_scenario(f"{name}.parquet"): _table(name, rows[name], files.clip) for name in TABLES}
     times = [{"timestamp": _micros(picture.scene)} for picture in frame.pictures(frame.key)]
-    own |= {files.times: json.dumps(times), files.depths: json.dumps(depths)}
+    own |= {files.of_scenario(TIMES): json.dumps(times), files.of_scenario(DEPTHS): json.dumps(depths)}
     return FrameAnnotation(None, len(around.lines), files=own)
 
 
@@ -411,20 +406,49 @@ def _calibration(frame: SampleFrame, views: Mapping[str, str], where: str) -> di
     for key, view in views.items():
         first = next(iter(frame.pictures(key)))
         camera = first.labels.camera
-        lens = fitted(camera, where)
+        (fx, _, cx), (_, fy, cy), _ = (camera.img_from_cam @ CV_FROM_CAM.T).tolist()
         rig_from_cam = invert(world_from_vehicle(camera, first.scene, HOST_FROM_RIG)) @ camera.world_from_cam
         turn = rig_from_cam[:3, :3] @ CAM_FROM_FLU
         yaw, pitch = np.arctan2(turn[1, 0], turn[0, 0]), np.arcsin(np.clip(-turn[2, 0], -1, 1))
         roll = np.arctan2(turn[2, 1], turn[2, 2])
         properties = {
-            "Model": "ftheta", "cx": repr(lens.cx_px), "cy": repr(lens.cy_px), "width": str(camera.width_px),
-            "height": str(camera.height_px), "polynomial": " ".join(map(repr, lens.polynomial)),
-            "polynomial-type": "angle-to-pixeldistance", "linear-c": repr(lens.stretch), "linear-d": "0.0",
+            "Model": "ftheta", "cx": repr(cx), "cy": repr(cy), "width": str(camera.width_px),
+            "height": str(camera.height_px), "polynomial": " ".join(map(repr, fitted(camera, where))),
+            "polynomial-type": "angle-to-pixeldistance", "linear-c": repr(fx / fy), "linear-d": "0.0",
             "linear-e": "0.0",
         }  # fmt: skip
         place = {"t": rig_from_cam[:3, 3].tolist(), "roll-pitch-yaw": np.degrees([roll, pitch, yaw]).tolist()}
         sensors.append({"name": view.replace("_", ":"), "properties": properties, "nominalSensor2Rig_FLU": place})
     return {"name": "synth3dlanes", "rig_json": json.dumps({"rig": {"sensors": sensors}})}
+
+
+def fitted(camera: CameraLabel, where: str) -> tuple[float, ...]:
+    """The coefficients of rising powers by which the angle of a ray gives its distance from the principal point (px):
+    least squares over the image, weighted towards the worst places. Raises InputError for a camera that is farther than
+    LIMIT_PX from all of these."""
+    (fx, _, cx), (_, fy, cy), _ = camera.img_from_cam @ CV_FROM_CAM.T
+    steps = (np.linspace(0.0, size, n) for size, n in zip((camera.width_px, camera.height_px), GRID, strict=True))
+    uv = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    rays = camera.rays(uv)
+    known = np.isfinite(rays).all(axis=1)
+    uv, rays = uv[known], rays[known]
+    angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 2]), rays[:, 1])
+    radius = np.hypot((uv[:, 0] - cx) * fy / fx, uv[:, 1] - cy)
+    powers, weights = angle[:, None] ** np.arange(1, DEGREE + 1), np.ones(len(angle))
+    for _ in range(ROUNDS):
+        factors = np.linalg.lstsq(powers * weights[:, None], radius * weights, rcond=None)[0]
+        apart = np.abs(powers @ factors - radius)
+        weights *= np.sqrt(1 + apart / max(apart.max(), 1e-12))
+    factors = np.array([float(f"{factor:.8g}") for factor in factors])  # the rest depends on threads and processors
+    aside = rays[:, [0, 2]] * [1, -1] / np.maximum(np.hypot(rays[:, 0], rays[:, 2]), 1e-12)[:, None]
+    found = aside * (powers @ factors)[:, None] * [fx / fy, 1] + [cx, cy]
+    worst_px = float(np.linalg.norm(found - uv, axis=1).max())
+    if not worst_px <= LIMIT_PX:
+        raise InputError(
+            f"{where}: expected a camera that an f-theta polynomial follows within {LIMIT_PX:g} px, got"
+            f" {camera.name or 'one'} that it misses by {worst_px:.1f} px"
+        )
+    return (0.0, *factors.tolist())
 
 
 def _moving(frame: SampleFrame, clip_from_world: Matrix4) -> dict[str, list[dict[str, Any]]]:
@@ -459,7 +483,9 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
     for lane in around.lanes:
         row: dict[str, Any] = {"map_id": lane.id}
         for side, boundary in (("left", lane.left), ("right", lane.right)):
-            row |= {f"{side}_rail": points(boundary.points_world), **_edge_paint(side, boundary)}
+            style, n = line_style(boundary.marking, boundary.double, boundary.pair), len(boundary.points_world) - 1
+            row |= {f"{side}_rail": points(boundary.points_world), f"{side}_edge_styles": [style] * n}
+            row[f"{side}_edge_colors"] = [color_name(boundary.color)] * n
         rows["lane"].append(row)
     for name, line in around.lines.items():
         n, style = len(line.points_world), line_style(line.marking, line.double, line.pair)
@@ -483,12 +509,6 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
         category = SIGN_CATEGORIES.get(label.kind or "", "TRAFFIC_SIGN_INFORMATION") if label.state is None else table
         rows[table].append({**box, "category": category})
     return {name: rows[name] for name in TABLES if name not in MOVING}
-
-
-def _edge_paint(side: str, boundary: Boundary) -> dict[str, list[str]]:
-    style = line_style(boundary.marking, boundary.double, boundary.pair)
-    n = len(boundary.points_world) - 1
-    return {f"{side}_edge_styles": [style] * n, f"{side}_edge_colors": [color_name(boundary.color)] * n}
 
 
 def _micros(scene: Scene) -> int:
@@ -528,7 +548,7 @@ def read(out: Path, most_frames: int) -> Iterator[FrameList]:
 def _clips(out: Path, part: str, most: int) -> Iterator[ReadFrame]:
     for folder in sorted(path for path in (out / part / "clipgt").glob("*") if path.is_dir())[:most]:
         files = ClipFiles(part, folder.name)
-        name = files.table("egomotion_estimate")
+        name = files.of_scenario("egomotion_estimate.parquet")
         yield ReadFrame(name, str(out / part / "clipgt" / folder.name), None, CosmosClip(out, files))
 
 
@@ -567,7 +587,10 @@ def _compared_view(
             problems.append(f"expected {what} at {_shown(micros)} microseconds, got {_shown(got)}")
     if problems:
         return Comparison(problems=tuple(problems))
-    compared = _lens(name, view, pictures[0])
+    camera = pictures[0].labels.camera
+    compared = compare_camera(
+        name, camera, lambda points_cam: view.project(points_cam @ CAM_FROM_FLU), LIMIT_PX, SHARES, view.size_px
+    )
     for number, (at, picture) in enumerate(zip(micros, pictures, strict=True)):
         cam_from_clip = CAM_OF_FLU @ invert(view.rig_from_flu) @ invert(clip.poses[at])
         here = _lines(clip, cam_from_clip, picture) + _objects(clip, at, cam_from_clip, picture)
@@ -601,14 +624,6 @@ def video_problems(
                 yield f"{path}: frame {n - 1}: {problem}"
         if n != len(pictures):
             yield f"{path}: expected {len(pictures)} frames, got {'more' if n > len(pictures) else n}"
-
-
-def _lens(name: str, view: CosmosView, picture: SourceSample) -> Comparison:
-
-    def project(points_cam: Points3) -> Float[np.ndarray, "n 2"]:
-        return view.project(points_cam @ CAM_FROM_FLU)
-
-    return compare_camera(name, picture.labels.camera, project, LIMIT_PX, SHARES, view.size_px)
 
 
 def _lines(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:

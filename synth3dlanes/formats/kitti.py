@@ -38,10 +38,10 @@ from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.scene.things import classes_in
 from synth3dlanes.system.errors import FormatError
 
-TRAINING, LISTS = "training", "ImageSets"
+LISTS = "ImageSets"
+IMAGE, LABEL = "training/image_2/{}.png", "training/label_2/{}.txt"
+CALIB, POINTS = "training/calib/{}.txt", "training/velodyne/{}.bin"
 """All frames are in one folder, as KITTI's own training and validation frames are."""
-FOLDERS = {"image": "image_2", "label": "label_2", "calib": "calib", "points": "velodyne"}
-ENDINGS = {"image": "png", "label": "txt", "calib": "txt", "points": "bin"}
 TYPES = classes_in("kitti")
 DONT_CARE = "DontCare"
 HALF_PX = 0.5
@@ -116,11 +116,6 @@ NOTHING = dont_care(np.zeros(4))
 that has none. A region without a size hides no detection."""
 
 
-def path_of(what: str, name: str) -> str:
-    """The place of a frame's file in an export."""
-    return f"{TRAINING}/{FOLDERS[what]}/{name}.{ENDINGS[what]}"
-
-
 def wrapped(angle_rad: float) -> float:
     """The same angle between -pi and pi."""
     return float((angle_rad + np.pi) % (2 * np.pi) - np.pi)
@@ -142,17 +137,17 @@ def write(frame: SampleFrame) -> FrameAnnotation:
         else:
             lines.append(kitti_object(labels.camera, item).line())
     files: dict[str, str | bytes] = {
-        path_of("label", name): "\n".join(lines or [NOTHING.line()]),
-        path_of("calib", name): _calib(labels),
+        LABEL.format(name): "\n".join(lines or [NOTHING.line()]),
+        CALIB.format(name): _calib(labels),
     }
     if frame.sweep is not None:
         xyz_velo = frame.sweep.points().xyz_lidar @ VELO_FROM_LIDAR[:3, :3].T
-        files[path_of("points", name)] = np.column_stack([xyz_velo, np.zeros(len(xyz_velo))]).astype("<f4").tobytes()
+        files[POINTS.format(name)] = np.column_stack([xyz_velo, np.zeros(len(xyz_velo))]).astype("<f4").tobytes()
     lists: list[str] = [*frame.served]
     if {"train", "val"} & {*lists}:
         lists.append("trainval")
     shared = ((name, tuple(f"{LISTS}/{part}.txt" for part in lists)),)
-    return FrameAnnotation(path_of("image", name), len(lines), dropped, files, shared)
+    return FrameAnnotation(IMAGE.format(name), len(lines), dropped, files, shared)
 
 
 def _left_out(item: ObjectLabel) -> str:
@@ -197,11 +192,8 @@ def _calib(labels: Labels) -> str:
     projection = np.column_stack([img_from_cv_centred(camera), np.zeros(3)])
     matrices = {**{f"P{i}": projection for i in range(4)}, "R0_rect": np.eye(3)}
     matrices |= {"Tr_velo_to_cam": cv_from_velo, "Tr_imu_to_velo": np.eye(4)[:3]}
-    return "\n".join(f"{name}: {_row(matrix)}" for name, matrix in matrices.items())
-
-
-def _row(matrix: Float[np.ndarray, "..."]) -> str:
-    return " ".join(f"{value:.12e}" for value in (matrix + 0.0).ravel())
+    rows = {name: " ".join(f"{value:.12e}" for value in (matrix + 0.0).ravel()) for name, matrix in matrices.items()}
+    return "\n".join(f"{name}: {row}" for name, row in rows.items())
 
 
 Content = tuple[list[KittiObject], dict[str, Float[np.ndarray, "r c"]], Float[np.ndarray, "n 4"] | None]
@@ -228,12 +220,12 @@ def read(out: Path, most_frames: int) -> Iterator[FrameList]:
 def _frame(out: Path, name: str) -> ReadFrame:
     if not name.isdecimal():
         raise FormatError(f"{out / LISTS}: expected names of frames, which are numbers, got {name[:60]!r}")
-    where = str(out / path_of("label", name))
+    where, image = str(out / LABEL.format(name)), IMAGE.format(name)
     lines = [line for line in read_text(Path(where)).splitlines() if line.strip()]
     objects = [parse_line(line, f"{where}:{number}") for number, line in enumerate(lines, start=1)]
-    points = out / path_of("points", name)
-    content = objects, _matrices(out / path_of("calib", name)), _points(points) if points.exists() else None
-    return ReadFrame(path_of("image", name), where, path_of("image", name), content)
+    points = out / POINTS.format(name)
+    content = objects, _matrices(out / CALIB.format(name)), _points(points) if points.exists() else None
+    return ReadFrame(image, where, image, content)
 
 
 def _matrices(path: Path) -> dict[str, Float[np.ndarray, "r c"]]:
@@ -279,10 +271,12 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
             gaps += _gaps(found, item, calib, truth)
             problems += _problems(found, item)
     problems += (f"expected {item.category} {item.id}, got it in no line" for item in left.values())
+    cv_from_velo = np.vstack([calib["Tr_velo_to_cam"], [0, 0, 0, 1]])
+    found_cam = None if points is None else transform(cv_from_velo, points[:, :3]) @ CV_FROM_CAM
     return (
         Comparison.within(gaps, {"m": LIMIT_M, "px": LIMIT_PX})
         + Comparison((), tuple(problems), strange=strange)
-        + _of_points(points, calib, truth)
+        + compare_sweep(found_cam, truth, LIMIT_M)
     )
 
 
@@ -350,16 +344,6 @@ def _problems(found: KittiObject, item: ObjectLabel) -> Iterator[str]:
     off_rad = abs(wrapped(found.alpha_rad - float(looks)))
     if not off_rad <= ANGLE_RAD:
         yield f"object {item.id}: expected alpha as it is seen from the camera, got it {off_rad:.4f} rad off"
-
-
-def _of_points(
-    points: Float[np.ndarray, "n 4"] | None, calib: dict[str, np.ndarray], truth: SourceSample
-) -> Comparison:
-    """The points of the lidar beside those of the sweep."""
-    if points is None:
-        return compare_sweep(None, truth, LIMIT_M)
-    cv_from_velo = np.vstack([calib["Tr_velo_to_cam"], [0, 0, 0, 1]])
-    return compare_sweep(transform(cv_from_velo, points[:, :3]) @ CV_FROM_CAM, truth, LIMIT_M)
 
 
 FORMAT = SampleFormat(

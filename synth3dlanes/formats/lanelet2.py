@@ -1,54 +1,73 @@
 """Lanelet2: a map of each scene as an OSM file, of lanelets with shared bounds in 3D, and its comparison with labels.
 
-Local coordinates are the world frame, metres; latitude and longitude are those of UTM around ORIGIN_DEG. Bounds go as
-the traffic of the lanelet that has them first; lines that are drawn twice, as between neighbours, are one way.
+A lanelet is a piece of a lane along which neither the lanes beside it nor the paint on its edges changes. Those beside
+each other share their bounds, and those that follow each other the ends of these.
+
+Local coordinates are the world frame, metres; latitude and longitude are those of UTM around ORIGIN_DEG. Here bounds go
+with the stations of their roads; in the file as the traffic of the lanelet that has them first. Lines that are drawn
+twice, as between neighbours, are one way.
 """
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import shapely
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from synth3dlanes.formats.comparing import Comparison, Gap, SourceSample, distances
-from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes, middle_of, paint_word
-from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
-from synth3dlanes.formats.lanelet_map import (
-    BOUND_STEP_M,
-    JOIN_M,
-    LINE_M,
-    REACH_M,
-    SAME_M,
-    Bound,
-    LaneletPiece,
-    Lanelets,
-    Tags,
-    lanelets_of,
-    painted_along,
-    painted_lines,
+from synth3dlanes.formats.comparing import Comparison, SourceSample, distances
+from synth3dlanes.formats.comparing_maps import (
+    FoundLane,
+    MapRule,
+    compare_lanes,
+    middle_of,
+    paint_word,
+    symbol_problems,
 )
+from synth3dlanes.formats.format import FrameList, ReadFrame, SampleFormat, SampleFrame, maps_of
 from synth3dlanes.formats.reading import read_text
 from synth3dlanes.formats.writing import FrameAnnotation
 from synth3dlanes.geometry.frames import transform
 from synth3dlanes.geometry.polylines import lengths_along, resampled, stretches, thinned
 from synth3dlanes.labels.labels import MIRRORED
+from synth3dlanes.roads.lane_curves import LaneCurve
 from synth3dlanes.roads.maps.elements import GERMAN_SIGNS
 from synth3dlanes.roads.maps.lanelets import Lanelet, LaneletBound, read_lanelet
 from synth3dlanes.roads.maps.osm import Osm, read_osm
 from synth3dlanes.roads.maps.utm import degrees_from_utm, utm_from_degrees, zone_of
+from synth3dlanes.roads.reference_line import Offset
+from synth3dlanes.roads.roads import NetworkLane, Road
+from synth3dlanes.scene.scene import Markings
 from synth3dlanes.scene.things import classes_in
-from synth3dlanes.system.arrays import Polyline3
+from synth3dlanes.system.arrays import Polyline3, Scalars
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.world.elements import TrafficElement
+from synth3dlanes.world.paint import is_double, line_width_m, paint_color, pair_of
 from synth3dlanes.world.rails import KERBS, foot_of_front
 from synth3dlanes.world.symbols import ARROWS, SymbolShape
 from synth3dlanes.world.world import World, resolve
+
+# The tags of a primitive; the members of a relation: type, id and role of each.
+Tags = Mapping[str, str]
+Members = list[tuple[str, int, str]]
+# Roads without ends are written between these stations.
+REACH_M = 250.0
+# Distance between the points of bounds before thinning, and the most that thinning moves a line.
+BOUND_STEP_M, LINE_M = 0.5, 0.002
+LEAST_WIDTH_M = 0.1
+# Lines within SAME_M of each other are one. Paint is that of a line at most PAINT_M from a lane's edge, or of a line of
+# another road along the share ON_LINE of it; where paint changes nearer than LEAST_M to an end, it does so there.
+SAME_M, PAINT_M, ON_LINE, LEAST_M = 0.02, 0.05, 0.9, 1.0
+# Lanes are joined over gaps of up to JOIN_M; the next points are at least NEXT_M from where they then meet.
+JOIN_M, NEXT_M = 0.5, 0.25
+THICK_M = 0.18
 
 # Where the world's origin is: in the middle of a zone, so that x is east.
 ORIGIN_DEG = (49.0, 9.0)
@@ -89,12 +108,241 @@ README = f"""Lanelet2: a map of each scene.
 """
 
 
+# -- lanelets
+
+
+@dataclass(frozen=True)
+class Paint:
+    """Paint along a road between two of its stations: its tags as s grows, and as s falls, and whether it is a line of
+    road works that moves."""
+
+    t: Offset
+    from_m: float
+    to_m: float
+    ascending: Tags
+    descending: Tags
+    is_temporary: bool
+
+
+@dataclass(eq=False)
+class Bound:
+    """A line along a road, as s grows, with the numbers of the joints at its ends."""
+
+    points: Polyline3
+    joints: tuple[int, int]
+    paint: Paint | None
+
+
+@dataclass(eq=False)
+class LaneletPiece:
+    """A part of a lane that is a lanelet, with its bounds and, once it is written, its id."""
+
+    lane: NetworkLane
+    left: Bound
+    right: Bound
+    id: int = 0
+
+    def ends(self, leaves: bool) -> tuple[int, int]:
+        """The joints on the left and the right where traffic leaves it, or enters it."""
+        at = int(leaves == self.lane.ascends)
+        return self.left.joints[at], self.right.joints[at]
+
+    @cached_property
+    def middle(self) -> Polyline3:
+        """The middle between its bounds as its traffic drives."""
+        return np.asarray((self.left.points + self.right.points)[:: 1 if self.lane.ascends else -1] / 2)
+
+
+@dataclass
+class Lanelets:
+    """The pieces of all lanes in the order of traffic, and the joints of their bounds: places, of which some are
+    one."""
+
+    pieces: dict[str, list[LaneletPiece]] = field(default_factory=dict)
+    places: list[Float[np.ndarray, "3"]] = field(default_factory=list)
+    same_as: list[int] = field(default_factory=list)
+
+    def joint(self, place: Float[np.ndarray, "3"]) -> int:
+        self.places.append(place)
+        self.same_as.append(len(self.same_as))
+        return len(self.same_as) - 1
+
+    def first(self, joint: int) -> int:
+        """The first of the joints that are one with a joint."""
+        while self.same_as[joint] != joint:
+            joint = self.same_as[joint]
+        return joint
+
+    def line(self, bound: Bound) -> Polyline3:
+        """The points of a bound between the joints at its ends, as stations grow."""
+        ends = [self.places[self.first(joint)] for joint in bound.joints]
+        kept = bound.points[1:-1]
+        for own, other, end in zip(bound.points[[0, -1]], bound.points[[1, -2]], ends, strict=True):
+            if np.linalg.norm(own - end) > SAME_M:
+                # What lies behind a joint that has moved, or just before it.
+                inward = (other - own) / np.linalg.norm(other - own)
+                is_near = np.linalg.norm(kept - own, axis=1) < 2 * JOIN_M
+                kept = kept[~is_near | ((kept - end) @ inward > NEXT_M)]
+        return np.concatenate([ends[:1], kept, ends[1:]])
+
+    def join(self, leaving: tuple[int, int], entering: tuple[int, int]) -> bool:
+        """Make joints on the left and on the right one; not where they are too far apart."""
+        pairs = [sorted((self.first(a), self.first(b))) for a, b in zip(leaving, entering, strict=True)]
+        if any(np.linalg.norm(self.places[a] - self.places[b]) > JOIN_M for a, b in pairs):
+            return False
+        for a, b in pairs:
+            self.same_as[b] = a
+        return True
+
+
+def lanelets_of(world: World) -> tuple[Lanelets, int]:
+    """The lanelets of all lanes, and how many links are left out because lanes do not meet."""
+    found, network = Lanelets(), world.network
+    for road in network.roads:
+        lanes = [(lane, *ends) for lane in road.lanes if (ends := _wide(road, lane))]
+        painted = list(_paint_along(world, road))
+        before = dict[str, LaneletPiece]()
+        for from_m, to_m in pairwise(_cuts(lanes, painted, road)):
+            here = [lane for lane, low, high in lanes if low <= from_m and to_m <= high]
+            pieces = _pieces(road, here, from_m, to_m, painted, found) if here else {}
+            for name, piece in pieces.items():
+                if name in before:
+                    for old, new in ((before[name].left, piece.left), (before[name].right, piece.right)):
+                        found.join((old.joints[1],) * 2, (new.joints[0],) * 2)
+                own = found.pieces.setdefault(name, [])
+                own.insert(len(own) if piece.lane.ascends else 0, piece)
+            before = pieces
+    met = [found.join(found.pieces[a][-1].ends(True), found.pieces[b][0].ends(False)) for a, b in network.links]
+    return found, met.count(False)
+
+
+def _wide(road: Road, lane: NetworkLane) -> tuple[float, float] | None:
+    """The stations between which a lane is written: readers stumble over bounds that begin at one place."""
+    from_m, to_m = np.nan_to_num([lane.start_m, lane.end_m], neginf=-REACH_M, posinf=REACH_M)
+    s = np.linspace(from_m, to_m, 3 + int(abs(to_m - from_m) / BOUND_STEP_M))
+    low, high = lane.edges
+    wide = s[high(s) - low(s) > LEAST_WIDTH_M] if to_m > from_m else s[:0]
+    return (float(wide[0]), float(wide[-1])) if len(wide) > 1 else None
+
+
+def _look(line: LaneCurve, markings: Markings) -> tuple[Tags, Tags]:
+    """The tags of a painted line in its own direction, and in the other one."""
+    pair, width_m = pair_of(line, markings), line_width_m(line, markings)
+    word = pair or ("solid_solid" if is_double(line, markings) and line.marking == "solid" else line.marking)
+    tags = {"type": "line_thick" if width_m > THICK_M else "line_thin", "subtype": word}
+    tags |= {"color": str(paint_color(line, markings)), "width": f"{width_m:.3f}"}
+    if pair is None:
+        tags["lane_change"] = "yes" if word == "dashed" else "no"
+    return tags, {**tags, "subtype": MIRRORED[pair]} if pair else tags
+
+
+def painted_lines(world: World) -> Iterator[tuple[Polyline3, Tags, Tags]]:
+    """Points of all painted lines, and what they look like in their order and against it."""
+    for line in world.network.delimiters:
+        low, high = np.nan_to_num([line.start_m, line.end_m], neginf=-REACH_M, posinf=REACH_M)
+        s = np.linspace(low, high, 2 + int((high - low) / BOUND_STEP_M))
+        tags, other = _look(line, world.scene.markings)
+        yield line.points_world(s), *((tags, other) if world.network.onwards > 0 else (other, tags))
+
+
+def painted_along(points: Polyline3, painted: Sequence[tuple[Polyline3, Tags, Tags]]) -> Tags | None:
+    """What a painted line looks like that runs along most of these points, in their order."""
+    fine, best, best_share = resampled(points, 2 + len(points)), None, ON_LINE
+    low, high = fine.min(axis=0) - PAINT_M, fine.max(axis=0) + PAINT_M
+    for line, tags, other in painted:
+        near = ((line > low) & (line < high)).all(axis=1)
+        if not near.any():
+            continue
+        first, last = np.flatnonzero(near)[[0, -1]]
+        part = line[max(first - 1, 0) : last + 2]
+        share = float(np.mean(distances(fine, part) < PAINT_M)) if len(part) > 1 else 0.0
+        if share > best_share:
+            is_along = np.linalg.norm(part[0] - fine[0]) < np.linalg.norm(part[0] - fine[-1])
+            best, best_share = tags if is_along else other, share
+    return best
+
+
+def _paint_along(world: World, road: Road) -> Iterator[Paint]:
+    for line in world.network.delimiters:
+        tags, other = _look(line, world.scene.markings)
+        for piece in line.pieces:
+            if piece.road.id == road.id:
+                ends = np.clip([max(piece.start_m, line.start_m), min(piece.end_m, line.end_m)], -1e6, 1e6)
+                low, high = sorted(piece.on(ends).tolist())
+                along = piece.along * world.network.onwards
+                is_temporary = bool(world.network.removed) and piece.offset.moves is not None
+                yield Paint(piece.offset, low, high, *((tags, other) if along > 0 else (other, tags)), is_temporary)
+
+
+def _cuts(lanes: Sequence[tuple[NetworkLane, float, float]], painted: Sequence[Paint], road: Road) -> list[float]:
+    """The stations where lanelets of a road end: where lanes do, and where paint on their edges begins or ends."""
+    ends = {end for _, *own in lanes for end in own}
+    for paint in painted:
+        for s_m in (paint.from_m, paint.to_m):
+            at = np.array([s_m])
+            is_on = any(
+                low < s_m < high and np.abs(edge(at) - paint.t(at))[0] < PAINT_M
+                for lane, low, high in lanes
+                for edge in lane.edges
+            )
+            if is_on and min(abs(s_m - end) for end in ends) > LEAST_M:
+                ends.add(s_m)
+        for s_m in _meeting(lanes, paint) if paint.is_temporary else ():
+            if min(abs(s_m - end) for end in ends) > LEAST_M:
+                ends.add(s_m)
+    return sorted(ends)
+
+
+def _meeting(lanes: Sequence[tuple[NetworkLane, float, float]], paint: Paint) -> Iterator[float]:
+    """The stations where a line of road works comes to the edge of a lane, or leaves it."""
+    for lane, low, high in lanes:
+        s = np.arange(max(low, paint.from_m), min(high, paint.to_m), BOUND_STEP_M)
+        for edge in lane.edges:
+            is_near = np.abs(edge(s) - paint.t(s)) < PAINT_M
+            yield from s[1:][is_near[1:] != is_near[:-1]].tolist()
+
+
+def _pieces(
+    road: Road, lanes: Sequence[NetworkLane], from_m: float, to_m: float, painted: Sequence[Paint], found: Lanelets
+) -> dict[str, LaneletPiece]:
+    """The pieces of lanes of a road between two stations; where these are beside each other they share a bound."""
+    s = np.linspace(from_m, to_m, 3 + int((to_m - from_m) / BOUND_STEP_M))
+    lines, edges, sides = list[Scalars](), list[Polyline3](), dict[str, list[int]]()
+    for lane in lanes:
+        offsets = lane.edges
+        for t in (offset(s) for offset in offsets):
+            at = next((i for i, line in enumerate(lines) if np.abs(line - t).max() < SAME_M), len(lines))
+            if at == len(lines):
+                lines.append(t)
+                edges.append(road.stretch_of(lane).points(s, t))
+            sides.setdefault(lane.id, []).append(at)
+    places = thinned(np.stack(edges, axis=1), LINE_M)
+    bounds = []
+    for i, t in enumerate(lines):
+        points = places[:, i]
+        along = [at for at in painted if np.mean(_is_along(at, s, t)) > 0.5]
+        paint = min(along, key=lambda at: float(np.abs(at.t(s) - t).mean()), default=None)
+        bounds.append(Bound(points, (found.joint(points[0]), found.joint(points[-1])), paint))
+    made = {}
+    for lane in lanes:
+        low, high = (bounds[i] for i in sides[lane.id])
+        made[lane.id] = LaneletPiece(lane, *((low, high) if lane.ascends != road.line.is_mirrored else (high, low)))
+    return made
+
+
+def _is_along(paint: Paint, s: Scalars, t: Scalars) -> Bool[np.ndarray, " n"]:
+    return np.asarray((s >= paint.from_m) & (s <= paint.to_m) & (np.abs(paint.t(s) - t) < PAINT_M))
+
+
+# -- the file
+
+
 class _Document:
     """An OSM file in the making; ids differ among all that is in it."""
 
     def __init__(self) -> None:
         self.n, self.nodes, self.places = 0, list[tuple[int, Tags]](), list[Float[np.ndarray, "3"]]()
-        self.ways, self.relations = list[tuple[int, list[int], Tags]](), dict[int, _Relation]()
+        self.ways, self.relations = list[tuple[int, list[int], Tags]](), dict[int, tuple[dict[str, str], Members]]()
 
     def _id(self) -> int:
         self.n += 1
@@ -115,7 +363,7 @@ class _Document:
 
     def relation(self, tags: Tags, members: Iterable[tuple[str, int, str]]) -> int:
         """A new relation; members are (type, id, role)."""
-        self.relations[self._id()] = _Relation(tags, list(members))
+        self.relations[self._id()] = dict(tags), list(members)
         return self.n
 
     def text(self) -> str:
@@ -129,17 +377,11 @@ class _Document:
             _add(root, "node", name, {**local, **tags}, (), **given)
         for name, nodes, tags in self.ways:
             _add(root, "way", name, tags, [("nd", {"ref": str(node)}) for node in nodes])
-        for name, relation in self.relations.items():
-            members = [{"type": kind, "ref": str(ref), "role": role} for kind, ref, role in relation.members]
-            _add(root, "relation", name, relation.tags, [("member", member) for member in members])
+        for name, (tags, members) in self.relations.items():
+            parts = [("member", {"type": kind, "ref": str(ref), "role": role}) for kind, ref, role in members]
+            _add(root, "relation", name, tags, parts)
         ElementTree.indent(root)
         return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-@dataclass
-class _Relation:
-    tags: Tags
-    members: list[tuple[str, int, str]]
 
 
 def _add(
@@ -150,9 +392,6 @@ def _add(
         ElementTree.SubElement(element, tag, dict(words))
     for key, value in tags.items():
         ElementTree.SubElement(element, "tag", k=key, v=value)
-
-
-# -- the file
 
 
 def annotate(frame: SampleFrame) -> FrameAnnotation:
@@ -296,7 +535,7 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
             return
         name = document.relation({"type": "regulatory_element", "subtype": subtype}, members)
         for piece in pieces:
-            document.relations[piece.id].members.append(("relation", name, "regulatory_element"))
+            document.relations[piece.id][1].append(("relation", name, "regulatory_element"))
 
     for element in world.site.elements:
         lanes = [lane for lane in element.lanes if lane in found.pieces]
@@ -322,8 +561,7 @@ def _write_rules(document: _Document, found: Lanelets, stops: Mapping[str, int],
                     if (piece.middle[-1] - pose[:3, 3]) @ pose[:3, 1] > 0
                 ]  # fmt: skip
                 for piece in last:
-                    of = document.relations[piece.id]
-                    of.tags = {**of.tags, "speed_limit": limit}
+                    document.relations[piece.id][0]["speed_limit"] = limit
             else:
                 members += [("way", stops[lane], "ref_line") for lane in lanes if lane in stops and kind in STOPPING]
             rule("speed_limit" if limit else "traffic_sign", members, last)
@@ -394,11 +632,8 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
                 found.setdefault(lanelet.tags[SEGMENT], []).append(lanelet)
             elif lanelet.tags.get("subtype") == "crosswalk":
                 crosswalks.append(lanelet)
-    segments = {segment.id for segment in truth.labels.graph.segments}
-    beyond = {name for name in found if name not in segments and name in truth.scene.roads.driving_lanes}
-    begins = dict[tuple[str, str], list[str]]()
-    labelled = [(name, at) for name, lanelets in found.items() if name not in beyond for at in lanelets]
-    for _, at in labelled:
+    begins, lanelets = dict[tuple[str, str], list[str]](), [(name, at) for name, own in found.items() for at in own]
+    for _, at in lanelets:
         begins.setdefault(at.begins, []).append(at.id)
     lanes = [
         FoundLane(
@@ -409,12 +644,12 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
             {"left": _look_of(at.left), "right": _look_of(at.right)},
             begins.get(at.ends, ()),
         )
-        for name, at in labelled
+        for name, at in lanelets
     ]
-    compared = compare_lanes(lanes, truth, RULE) + Comparison(outside=Counter({RULE.name: len(beyond)}))
-    compared += _crosswalks(crosswalks, truth)
-    known = {name: lanelets for name, lanelets in found.items() if name in segments}
-    return compared.because([*problems, *_degree_problems(osm), *_neighbour_problems(known, truth)])
+    outlines = [np.concatenate([at.left.points, at.right.points[::-1]]) for at in crosswalks]
+    problems += symbol_problems("crosswalk", outlines, truth, ("crosswalk",), CROSSWALK_M)
+    problems += [*_degree_problems(osm), *_neighbour_problems(found, truth)]
+    return compare_lanes(lanes, truth, RULE).because(problems)
 
 
 def _degree_problems(osm: Osm) -> Iterator[str]:
@@ -429,8 +664,10 @@ def _degree_problems(osm: Osm) -> Iterator[str]:
 def _neighbour_problems(found: Mapping[str, list[Lanelet]], truth: SourceSample) -> Iterator[str]:
     """Findings where lanes share a bound that are not beside each other in the lane graph, or the other way round.
     Connectors may share one."""
-    on_right = {(at.right.way, at.right.is_against): name for name, lanelets in found.items() for at in lanelets}
-    for segment in truth.labels.graph.segments:
+    segments = {segment.id: segment for segment in truth.labels.graph.segments}
+    rights = [(name, at.right) for name, lanelets in found.items() if name in segments for at in lanelets]
+    on_right = {(right.way, right.is_against): name for name, right in rights}
+    for segment in segments.values():
         swaps = truth.scene.roads.sides_are_hosts and segment.s_start_m > segment.s_end_m
         wanted = segment.right if swaps else segment.left
         lefts = [at.left for at in found.get(segment.id, ())]
@@ -438,19 +675,6 @@ def _neighbour_problems(found: Mapping[str, list[Lanelet]], truth: SourceSample)
         is_wrong = got - {wanted} if segment.junction is None else set[str]()
         if is_wrong or (lefts and wanted in found and not got):
             yield f"lane {segment.id}: expected it to share its left bound with {wanted}, got {sorted(got) or 'none'}"
-
-
-def _crosswalks(found: Sequence[Lanelet], truth: SourceSample) -> Comparison:
-    """How far bounds of crosswalks are from their outlines in the labels."""
-    pose = truth.labels.camera.world_from_cam
-    ours = [transform(pose, symbol.xyz_cam) for symbol in truth.labels.symbols if symbol.kind == "crosswalk"]
-    problems = [] if len(ours) == len(found) else [f"expected {len(ours)} crosswalks, got {len(found)}"]
-    gaps = []
-    for lanelet in found:
-        corners = np.concatenate([lanelet.left.points, lanelet.right.points])
-        apart = [distances(corners, np.concatenate([line, line[:1]])) for line in ours] or [np.array([np.inf])]
-        gaps.append(Gap.of(f"crosswalk {lanelet.id}", "m", min(apart, key=lambda at: float(at.max())), "crosswalk"))
-    return Comparison.within(gaps, {"m": CROSSWALK_M}).because(problems)
 
 
 def _look_of(bound: LaneletBound) -> str:

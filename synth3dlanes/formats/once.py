@@ -10,7 +10,6 @@
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,14 +29,13 @@ from synth3dlanes.formats.comparing import (
 )
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
 from synth3dlanes.formats.lines import LaneAhead, keep_lines, lines_ahead
-from synth3dlanes.formats.reading import listed_files, read_text
-from synth3dlanes.formats.scoring import EVERY, scored
+from synth3dlanes.formats.reading import JsonLine, listed_files, read_text
+from synth3dlanes.formats.scoring import EVERY, Scores, f_score, overlaps, scored
 from synth3dlanes.formats.writing import CV_FROM_CAM, PARTS, POINT_DECIMALS, FrameAnnotation, Pinhole, PinholeFrame
 from synth3dlanes.geometry.polylines import resampled
 from synth3dlanes.system import schema
-from synth3dlanes.system.arrays import Polyline3
-from synth3dlanes.system.errors import FormatError
-from synth3dlanes.system.json_arrays import JsonPoints, Row4
+from synth3dlanes.system.arrays import MaskImage, Polyline3
+from synth3dlanes.system.json_arrays import Row4
 from synth3dlanes.system.schema import Excerpt, Number, Unit
 
 CAMERA = Pinhole(1920, 1020, 958.0)
@@ -99,7 +97,7 @@ def _is_placed(line: LaneAhead) -> bool:
 class OnceFrame(Excerpt):
     """One label file. The camera's height and pitch are in our exports alone."""
 
-    lanes_cv: list[JsonPoints] = Field(alias="lanes")
+    lanes_cv: list[JsonLine] = Field(alias="lanes")
     calibration: tuple[Row4, Row4, Row4]
     camera_height_m: Number | None = None
     camera_pitch_rad: Number | None = None
@@ -124,8 +122,6 @@ def _frames(out: Path, path: Path, most_frames: int) -> Iterator[ReadFrame]:
     for name in listed_files(path, most_frames):
         file = f"{ROOT}/{path.stem}/{name}.json"
         frame = parse(read_text(out / file), str(out / file))
-        if any(len(points_cv) < 2 for points_cv in frame.lanes_cv):
-            raise FormatError(f"{out / file}: lanes: expected two points or more each, got fewer")
         yield ReadFrame(file, str(out / file), f"{ROOT}/data/{name}.jpg", frame)
 
 
@@ -151,35 +147,20 @@ N_POINTS = 10
 CONFIDENT = 0.5
 
 
-@dataclass(frozen=True)
-class OnceScore:
-    """F1, precision, recall, and the mean distance of matched lines (NaN without any)."""
-
-    f_score: float
-    recall: float
-    precision: float
-    distance_m: float
-
-
-def benchmark(frames: Sequence[tuple[Sequence[Polyline3], Sequence[Polyline3]]]) -> OnceScore:
+def benchmark(frames: Sequence[tuple[Sequence[Polyline3], Sequence[Polyline3]]]) -> Scores:
     """Frames of (ground truth, prediction), in `_cv`. Lines are paired by overlap in a bird's-eye raster of the first
     10 m, those without any in the order of the list, then matched within 0.3 m in 3D."""
-    n_true = sum(len(true) for true, _ in frames)
-    n_predicted = sum(len(predicted) for _, predicted in frames)
     distances_m = []
     for true, predicted in frames:
-        overlaps = np.array([[_overlap(_raster(a), _raster(b)) for b in predicted] for a in true])
-        overlaps = overlaps.reshape(len(true), len(predicted))
+        overlapping = overlaps(*(list(map(_raster, lines)) for lines in (true, predicted)))
         in_order = -1e-6 * np.abs(np.subtract.outer(np.arange(len(true)), np.arange(len(predicted))))
-        rows, columns = scipy.optimize.linear_sum_assignment(overlaps + in_order, maximize=True)
+        rows, columns = scipy.optimize.linear_sum_assignment(overlapping + in_order, maximize=True)
         distances_m += [_distance_m(true[i], predicted[j]) for i, j in zip(rows, columns, strict=True)]
     matched_m = [distance_m for distance_m in distances_m if distance_m < MATCH_M]
-    recall, precision = len(matched_m) / max(1, n_true), len(matched_m) / max(1, n_predicted)
-    f_score = 2 * recall * precision / (recall + precision) if matched_m else 0.0
-    return OnceScore(f_score, recall, precision, float(np.mean(matched_m)) if matched_m else float("nan"))
+    return {**f_score(len(matched_m), frames), "distance_m": float(np.mean(matched_m)) if matched_m else np.nan}
 
 
-def _raster(points_cv: Polyline3) -> Image.Image:
+def _raster(points_cv: Polyline3) -> MaskImage:
     size_px = int(2 * RASTER_M * RASTER_PX_PER_M), int(RASTER_M * RASTER_PX_PER_M)
     raster = Image.new("1", size_px)
     x_m, z_m = points_cv[:, 0], points_cv[:, 2]
@@ -187,12 +168,7 @@ def _raster(points_cv: Polyline3) -> Image.Image:
     if np.count_nonzero(inside) >= 2:
         pixels = np.column_stack([x_m + RASTER_M, z_m])[inside] * RASTER_PX_PER_M
         ImageDraw.Draw(raster).line([(float(u), float(v)) for u, v in pixels], fill=1, width=RASTER_WIDTH_PX)
-    return raster
-
-
-def _overlap(a: Image.Image, b: Image.Image) -> float:
-    cells_a, cells_b = np.asarray(a), np.asarray(b)
-    return float(np.count_nonzero(cells_a & cells_b) / max(1, np.count_nonzero(cells_a | cells_b)))
+    return np.asarray(raster)
 
 
 def _distance_m(true_cv: Polyline3, predicted_cv: Polyline3) -> float:
@@ -201,7 +177,7 @@ def _distance_m(true_cv: Polyline3, predicted_cv: Polyline3) -> float:
 
 
 class _Found(Excerpt):
-    points: JsonPoints
+    points: JsonLine
     score: Unit
 
 
@@ -218,8 +194,6 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
         if not path.exists():
             return None
         lanes = schema.parse(_Prediction, read_text(path), str(path), "predictions of ONCE-3DLanes").lanes
-        if any(len(lane.points) < 2 for lane in lanes):
-            raise FormatError(f"{path}: expected lanes of two points or more, got fewer")
         return frame.content.lanes_cv, [lane.points for lane in lanes if lane.score >= CONFIDENT]
 
     return scored(read(out, EVERY), of_frame, benchmark, predictions)

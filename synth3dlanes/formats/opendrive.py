@@ -1,7 +1,6 @@
 """OpenDRIVE: one file a scene, with its roads, their lanes and paint, and what stands beside them."""
 
 import re
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from itertools import count, pairwise
 from pathlib import Path
@@ -372,15 +371,11 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
     problems = [] if largest_m <= GAP_M else [f"expected roads without gaps, got one of {largest_m:.3f} m"]
     segments = _segments(root, given)
     named = {name: segments[name] for name in given.lanes if name in segments}
-    labelled = {segment.id for segment in truth.labels.graph.segments}
-    beyond = {name for name, of in named.items() if of not in labelled and of in truth.scene.roads.driving_lanes}
     lanes = [
-        _found(name, of, given.lanes[name], {*given.following.get(name, ())} & named.keys() - beyond)
+        _found(name, of, given.lanes[name], {*given.following.get(name, ())} & named.keys())
         for name, of in named.items()
-        if name not in beyond
     ]
-    outside = Comparison(outside=Counter({RULE.name: len(beyond)}))
-    return (compare_lanes(lanes, truth, RULE) + outside).because(problems)
+    return compare_lanes(lanes, truth, RULE).because(problems)
 
 
 def _segments(root: Element, given: GivenMap) -> dict[str, str]:

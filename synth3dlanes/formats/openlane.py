@@ -42,6 +42,7 @@ from synth3dlanes.formats.reading import (
     UNKNOWN,
     ForeignLane,
     ForeignSample,
+    JsonLine,
     image_size,
     labels_of,
     listed_files,
@@ -54,8 +55,7 @@ from synth3dlanes.formats.writing import CV_FROM_CAM, POINT_DECIMALS, FrameAnnot
 from synth3dlanes.labels.labels import Labels, Lane, Marking, PaintColor, Pair
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Polyline2, Polyline3
-from synth3dlanes.system.errors import FormatError
-from synth3dlanes.system.json_arrays import JsonMatrix3, JsonMatrix4, JsonPoints
+from synth3dlanes.system.json_arrays import JsonMatrix3, JsonMatrix4
 from synth3dlanes.system.schema import Excerpt, Number, PathBelow
 
 CAMERA = Pinhole(1920, 1280, 2015.0)
@@ -371,7 +371,7 @@ def verify(frame: ReadFrame, truth: SourceSample) -> Comparison:
 
 
 class _FoundLine(Excerpt):
-    xyz: JsonPoints
+    xyz: JsonLine
     category: int
 
 
@@ -388,13 +388,11 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
         if not path.exists():
             return None
         lines = schema.parse(_Prediction, read_text(path), str(path), "predictions of OpenLane").lane_lines
-        if any(len(line.xyz) < 2 for line in lines):
-            raise FormatError(f"{path}: expected lines of two points or more, got fewer")
         pose = frame.content.vehicle_from_cam_waymo
         true = [
             Line3d(ground_from_waymo(line.xyz_waymo, pose), line.visible, line.category) for line in frame.content.lines
         ]
-        return true, [Line3d(line.xyz, np.ones(len(line.xyz), dtype=bool), line.category) for line in lines]
+        return true, [Line3d.whole(line.xyz, line.category) for line in lines]
 
     return scored(read(out, EVERY), of_frame, partial(line_score, rules=OPENLANE), predictions)
 

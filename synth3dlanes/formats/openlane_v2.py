@@ -30,7 +30,7 @@ from synth3dlanes.formats.lane_map import REACH_M, LaneSegment, lane_segments
 from synth3dlanes.formats.reading import MOST_BYTES, image_size, read_file, read_text
 from synth3dlanes.formats.writing import CV_FROM_CAM, FrameAnnotation, expect_pinhole
 from synth3dlanes.geometry.frames import invert, transform
-from synth3dlanes.geometry.polylines import resampled, stretches
+from synth3dlanes.geometry.polylines import lengths_along, resampled, stretches
 from synth3dlanes.labels.labels import CameraLabel, Marking
 from synth3dlanes.labels.object_labels import ObjectLabel
 from synth3dlanes.scene.traffic_elements import ElementKind, ElementState
@@ -234,7 +234,7 @@ def _lanes(
     for segment in lane_segments(world, frame.labels.graph.segments, world_from_ego[:3, 3]):
         middle_ego = transform(ego_from_world, segment.points_world)
         inside = list(stretches(_in_area(middle_ego, behind_m)))
-        parts = [ends for ends in inside if _length_m(middle_ego[slice(*ends)]) >= LEAST_LENGTH_M]
+        parts = [ends for ends in inside if lengths_along(middle_ego[slice(*ends)])[-1] >= LEAST_LENGTH_M]
         if not parts:
             dropped[SHORT if inside else OUTSIDE] += 1
         for number, (first, last) in enumerate(parts):
@@ -299,13 +299,9 @@ def _areas(world: World, frame: SampleFrame, world_from_ego: Matrix4, behind_m: 
         edge_ego = transform(ego_from_world, edge_world)
         for first, end in stretches(_in_area(edge_ego, behind_m)):
             run = edge_ego[first:end]
-            if _length_m(run) >= LEAST_LENGTH_M:
+            if lengths_along(run)[-1] >= LEAST_LENGTH_M:
                 yield {"id": index, "category": ROAD_BOUNDARY, "points": _rounded(resampled(run, POINTS))}
                 index += 1
-
-
-def _length_m(points: Float[np.ndarray, "n 3"]) -> float:
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def _rounded(points: Float[np.ndarray, "n 3"]) -> list[list[float]]:

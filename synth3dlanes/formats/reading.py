@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 from PIL import Image
-from pydantic import TypeAdapter, ValidationError
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from synth3dlanes.dataset.format import decode_image, shown_size
 from synth3dlanes.geometry.frames import from_axes, inside_image, project, road_from_cam, rotation
@@ -19,6 +19,7 @@ from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneGraph, Lan
 from synth3dlanes.system.arrays import Matrix4
 from synth3dlanes.system.errors import FormatError
 from synth3dlanes.system.files import open_regular, read_bounded
+from synth3dlanes.system.json_arrays import JsonPoints
 from synth3dlanes.system.schema import PathBelow, shown
 
 MAX_FILE_BYTES = 512 << 20
@@ -32,6 +33,16 @@ LEAST_SPACING_M = 0.5
 MAX_NUMBER = 1e6
 """Beyond any coordinate or column."""
 _BELOW = TypeAdapter(PathBelow)
+
+
+def _two_or_more(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    if len(points) < 2:
+        raise ValueError(f"expected a line of two points or more, got {len(points)}")
+    return points
+
+
+JsonLine = Annotated[JsonPoints, AfterValidator(_two_or_more)]
+"""Points of a line that can be measured."""
 UNKNOWN: tuple[Marking, None, None, None] = ("none", None, None, None)
 """The paint of lines of formats that do not have it."""
 

@@ -6,8 +6,8 @@ line at y = 3..102 m and call a pair's sample matched within 1.5 m; frame: each 
 forward, z up), metres.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +24,8 @@ from synth3dlanes.system.schema import Excerpt, parse
 
 EVERY = 10**9
 
+Scores = Mapping[str, float]
+"""The numbers of a benchmark by name; NaN where one is not defined."""
 Prediction = TypeVar("Prediction")
 Line = TypeVar("Line", bound=Excerpt)
 
@@ -60,13 +62,13 @@ def predicted(
 def scored(
     lists: Iterable[FrameList],
     of_frame: Callable[[ReadFrame], Prediction | None],
-    benchmark: Callable[[list[Prediction]], Any],
+    benchmark: Callable[[list[Prediction]], Scores],
     predictions: Path,
 ) -> Iterator[Rates]:
-    """The rates of each list: `benchmark` makes a dataclass of numbers of what `of_frame` gives for its frames, such as
-    the true and the predicted lines; None for a frame without a prediction."""
+    """The rates of each list by what `of_frame` gives for its frames, such as the true and the predicted lines; None
+    for a frame without a prediction."""
     for name, frames in predicted(lists, of_frame, predictions):
-        yield rates(name, frames, benchmark([found for _, found in frames]))
+        yield rates(name, len(frames), benchmark([found for _, found in frames]))
 
 
 def lines_by(path: Path, model: type[Line], key: str) -> dict[str, Line]:
@@ -75,9 +77,16 @@ def lines_by(path: Path, model: type[Line], key: str) -> dict[str, Line]:
     return {getattr(line, key): line for line in found}
 
 
-def rates(name: str, frames: list[Any], score: Any) -> Rates:
-    """What a score, a dataclass of numbers, says of these frames; without what the benchmark does not have."""
-    return Rates(name, len(frames), {key: value for key, value in asdict(score).items() if value == value})
+def rates(name: str, n_frames: int, scores: Scores) -> Rates:
+    """The scores of a list of frames, without those that are not defined."""
+    return Rates(name, n_frames, {key: value for key, value in scores.items() if value == value})
+
+
+def f_score(n_matched: int, frames: Sequence[tuple[Sequence[Any], Sequence[Any]]]) -> dict[str, float]:
+    """F1, recall and precision of frames of (ground truth, prediction); 0 where nothing matches."""
+    recall, precision = (n_matched / max(1, sum(len(pair[i]) for pair in frames)) for i in (0, 1))
+    f1 = 2 * recall * precision / (recall + precision) if n_matched else 0.0
+    return {"f_score": f1, "recall": recall, "precision": precision}
 
 
 STEPS = 50
@@ -93,30 +102,16 @@ class Canvas:
     iou: float
 
 
-@dataclass(frozen=True)
-class BandScore:
-    """F1, recall and precision; 0 where nothing matches."""
-
-    f_score: float
-    recall: float
-    precision: float
-
-
-def band_score(frames: Sequence[tuple[Sequence[Polyline2], Sequence[Polyline2]]], canvas: Canvas) -> BandScore:
+def band_score(frames: Sequence[tuple[Sequence[Polyline2], Sequence[Polyline2]]], canvas: Canvas) -> Scores:
     """Frames of (ground truth, prediction); pairs are those of the greatest overlap in all."""
-    n_true = sum(len(true) for true, _ in frames)
-    n_predicted = sum(len(predicted) for _, predicted in frames)
     n_matched = sum(_matched(true, predicted, canvas) for true, predicted in frames)
-    recall, precision = n_matched / max(1, n_true), n_matched / max(1, n_predicted)
-    return BandScore(2 * recall * precision / (recall + precision) if n_matched else 0.0, recall, precision)
+    return f_score(n_matched, frames)
 
 
 def _matched(true: Sequence[Polyline2], predicted: Sequence[Polyline2], canvas: Canvas) -> int:
-    bands_true, bands_predicted = ([_band(line, canvas) for line in lines] for lines in (true, predicted))
-    overlaps = np.array([[_overlap(a, b) for b in bands_predicted] for a in bands_true])
-    overlaps = overlaps.reshape(len(true), len(predicted))
-    pairs = scipy.optimize.linear_sum_assignment(overlaps, maximize=True)
-    return int(np.count_nonzero(overlaps[pairs] > canvas.iou))
+    found = overlaps(*([_band(line, canvas) for line in lines] for lines in (true, predicted)))
+    pairs = scipy.optimize.linear_sum_assignment(found, maximize=True)
+    return int(np.count_nonzero(found[pairs] > canvas.iou))
 
 
 def _band(line: Polyline2, canvas: Canvas) -> MaskImage:
@@ -139,8 +134,10 @@ def _spline(line: Polyline2) -> Polyline2:
     return np.asarray(scipy.interpolate.CubicSpline(knots_px, line, bc_type="natural")(at_px))
 
 
-def _overlap(a: MaskImage, b: MaskImage) -> float:
-    return float(np.count_nonzero(a & b) / max(1, np.count_nonzero(a | b)))
+def overlaps(true: Sequence[MaskImage], predicted: Sequence[MaskImage]) -> Float[np.ndarray, "t p"]:
+    """The overlap (IoU) of each true mask with each predicted one."""
+    shares = [np.count_nonzero(a & b) / max(1, np.count_nonzero(a | b)) for a in true for b in predicted]
+    return np.array(shares).reshape(len(true), len(predicted))
 
 
 SAMPLES_Y_M = np.arange(3.0, 103.0)
@@ -149,6 +146,7 @@ HALF_WIDTH_M = 10.0
 LOADED_Y_M = 200.0
 MATCH_M = 1.5
 MATCHED_SHARE = 0.75
+ERRORS = ("x_near_m", "x_far_m", "z_near_m", "z_far_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,25 +158,15 @@ class Line3d:
     category: int = 0
     probability: float = 1.0
 
+    @classmethod
+    def whole(cls, points_ground: Polyline3, category: int = 0, probability: float = 1.0) -> "Line3d":
+        """A line that is visible everywhere."""
+        return cls(points_ground, np.ones(len(points_ground), dtype=bool), category, probability)
+
 
 LinePair = tuple[Sequence[Line3d], Sequence[Line3d]]
 """Ground truth and prediction of a frame."""
 Frames = Sequence[LinePair]
-
-
-@dataclass(frozen=True)
-class Score3d:
-    """`ap` is Gen-LaneNet's, `category_accuracy` OpenLane's; NaN where undefined."""
-
-    f_score: float
-    recall: float
-    precision: float
-    ap: float
-    category_accuracy: float
-    x_near_m: float
-    x_far_m: float
-    z_near_m: float
-    z_far_m: float
 
 
 @dataclass(frozen=True)
@@ -212,7 +200,7 @@ class SampledLine:
 
 @dataclass
 class LineTally:
-    """Counts and errors (x near, x far, z near, z far) of pairs over many frames."""
+    """Counts and errors (ERRORS) of pairs over many frames."""
 
     n_true: int = 0
     n_predicted: int = 0
@@ -225,26 +213,27 @@ class LineTally:
         """Recall and precision."""
         return self.recalled / max(1, self.n_true), self.precise / max(1, self.n_predicted)
 
-    def score(self, ap: float = float("nan")) -> Score3d:
+    def score(self, ap: float = np.nan) -> Scores:
         """Rates, and the errors' means over all pairs that have them."""
         recall, precision = self.rates()
-        columns = np.array(self.errors_m).reshape(-1, 4).T
-        means = [
-            float(np.mean(column[~np.isnan(column)])) if (~np.isnan(column)).any() else np.nan for column in columns
-        ]
-        return Score3d(
-            2 * recall * precision / (recall + precision + 1e-6),
-            recall,
-            precision,
-            ap,
-            self.same_category / len(self.errors_m) if self.errors_m else float("nan"),
-            *means,
-        )
+        columns = np.array(self.errors_m).reshape(-1, len(ERRORS)).T
+        known = [column[~np.isnan(column)] for column in columns]
+        return {
+            "f_score": 2 * recall * precision / (recall + precision + 1e-6),
+            "recall": recall,
+            "precision": precision,
+            "ap": ap,
+            "category_accuracy": self.same_category / len(self.errors_m) if self.errors_m else np.nan,
+            **{
+                name: float(np.mean(errors)) if len(errors) else np.nan
+                for name, errors in zip(ERRORS, known, strict=True)
+            },
+        }
 
 
-def line_score(frames: Frames, rules: ScoreRules) -> Score3d:
+def line_score(frames: Frames, rules: ScoreRules) -> Scores:
     """The evaluator over all frames, in the benchmark's ground frame. Where predictions have probabilities, those above
-    0.5 count, and the AP looks at 19 thresholds."""
+    0.5 count, and the AP (Gen-LaneNet's) looks at 19 thresholds. OpenLane has the accuracy of categories."""
     if not rules.has_probabilities:
         return _tally(frames, rules).score()
     curve = [_tally(frames, rules, threshold).rates() for threshold in THRESHOLDS]
@@ -287,7 +276,7 @@ def prune(line: Line3d, rules: ScoreRules) -> Line3d | None:
     points_ground = points_ground[(np.abs(x_m) < rules.half_width_m) & (y_m > 0) & (y_m < LOADED_Y_M)].copy()
     if len(points_ground) < 2:
         return None
-    return Line3d(points_ground, np.ones(len(points_ground), dtype=bool), line.category, line.probability)
+    return Line3d.whole(points_ground, line.category, line.probability)
 
 
 def sample_line(line: Line3d) -> SampledLine:

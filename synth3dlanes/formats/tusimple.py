@@ -9,7 +9,7 @@
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -251,7 +251,7 @@ def score(out: Path, predictions: Path) -> Iterator[Rates]:
         lanes = np.array(found.lanes, dtype=float).reshape(-1, len(ROWS_PX))
         return score_frame(frame.content[0].lanes_u_px, lanes, ROWS_PX.astype(float))
 
-    return scored(read(out, EVERY), of_frame, mean_score, predictions)
+    return scored(read(out, EVERY), of_frame, lambda found: asdict(mean_score(found)), predictions)
 
 
 FORMAT = PinholeFormat(

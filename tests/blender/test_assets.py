@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from synth3dlanes.blender.quick_copy import quick_copy
+from synth3dlanes.blender.shaders import quick_copy
 from synth3dlanes.scene.settings import SCRATCH
 
 bpy = pytest.importorskip("bpy")

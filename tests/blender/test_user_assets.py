@@ -16,7 +16,7 @@ from PIL import Image  # noqa: E402
 from synth3dlanes.blender import example_assets as example  # noqa: E402
 from synth3dlanes.blender import render as renderer  # noqa: E402
 from synth3dlanes.blender.check_assets import _wheels, check_folder  # noqa: E402
-from synth3dlanes.blender.sky_file import read_sky  # noqa: E402
+from synth3dlanes.blender.load_assets import read_sky  # noqa: E402
 from synth3dlanes.draw.sample import Scenes, sample_scene  # noqa: E402
 from synth3dlanes.geometry.frames import transform  # noqa: E402
 from synth3dlanes.imaging.daylight import daylight  # noqa: E402

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from synth3dlanes.formats import argoverse2_maps, comparing_maps, cosmos, nuscenes_maps, openlane
+from synth3dlanes.formats import argoverse2, comparing_maps, cosmos, nuscenes_maps, openlane
 from synth3dlanes.labels.labels import Marking, PaintColor, Pair
 from tests.formats import closed_form as cf
 
@@ -42,7 +42,7 @@ def in_colors(words: tuple[str, ...]) -> list[str]:
 
 
 WORDS: dict[str, tuple[Callable[..., object], list[object]]] = {
-    "argoverse2": (argoverse2_maps.mark_type, [*in_colors(AV2)]),
+    "argoverse2": (argoverse2.mark_type, [*in_colors(AV2)]),
     "nuscenes": (nuscenes_maps.segment_type, [*in_colors(NUSCENES)]),
     "cosmos": (lambda marking, color, double, pair: cosmos.line_style(marking, double, pair), [*in_colors(COSMOS)]),
     "lanelet2": (

@@ -58,19 +58,7 @@ KINDS: dict[str, tuple[str, tuple[str, ...], dict[str, Any], int]] = {
     "given map": ("realistic", SMALL, {}, 2),
     "fisheye": ("streets", SMALL, {"cameras": ("fisheye",)}, 1),
 }
-ONE_PICTURE = {
-    "paper",
-    "streets",
-    "night",
-    "town",
-    "roundabout",
-    "rig",
-    "town rig",
-    "ring rig",
-    "lidar",
-    "given map",
-    "fisheye",
-}
+ONE_PICTURE = KINDS.keys() - {"clip", "town clip"}
 OF_PINHOLES = ("argoverse2", "kitti", "nuscenes", "openlane_v2")
 REFUSED = (
     {("cosmos", kind): "expected a clip of two frames or more" for kind in ONE_PICTURE}

@@ -208,7 +208,7 @@ def review_page(split: ReviewedSplit, frames: Iterable[ReviewedFrame], before: R
             for xy in np.round(xyz[:, :2], 2).tolist():
                 own.setdefault(tuple(int(value // PLACES_M) for value in xy), xy)
         ids = sorted({_drive_id(lane) for lane in lines})
-        shown.append((frame.name, frame.words, ids, drawing(frame.labels, frame.image)._replace(masks=[])))
+        shown.append((frame.name, frame.words, ids, {**drawing(frame.labels, frame.image), "masks": []}))
         told.append({"name": frame.name, "time_s": frame.labels.time_s})
     data = {
         "format": REVIEW_FORMAT,
