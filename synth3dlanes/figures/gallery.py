@@ -1,6 +1,5 @@
 """Several images in one file: contact sheets, and clips as animated pictures."""
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ from synth3dlanes.figures import colors
 from synth3dlanes.figures.overlay import draw_overlay
 from synth3dlanes.figures.samples import ShownSample
 from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.files import encoded
 
 _GAP_PX = 4
 _TEXT_PX, _CAPTION_PX = 12, 18
@@ -63,7 +63,5 @@ def draw_clip(frames: Sequence[RgbImage], fps: float, width_px: int | None = Non
     # Whole milliseconds (for a GIF, hundredths of a second) that add up to the clip's duration.
     unit_ms = 10 if kind == "gif" else 1
     ends_ms = unit_ms * np.round(1000 / unit_ms / fps * np.arange(len(frames) + 1)).astype(int)
-    stream = io.BytesIO()
     animation = {"save_all": True, "append_images": others, "duration": np.diff(ends_ms).tolist(), "loop": 0}
-    first.save(stream, kind.upper(), **animation, **OPTIONS[kind])
-    return stream.getvalue()
+    return encoded(lambda stream: first.save(stream, kind.upper(), **animation, **OPTIONS[kind]))

@@ -2,7 +2,6 @@
 histograms are paths of an SVG."""
 
 import base64
-import io
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -33,6 +32,7 @@ from synth3dlanes.imaging.sweep import Sweep
 from synth3dlanes.labels.labels import CameraLabel, Labels
 from synth3dlanes.scene.scene import Scene, to_json
 from synth3dlanes.system.arrays import RgbImage
+from synth3dlanes.system.files import encoded
 
 MAX_FRAMES = 60
 _JPEG_QUALITY = 92
@@ -195,9 +195,8 @@ def _class(mask: str) -> str:
 
 
 def _jpeg(image: RgbImage) -> str:
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "JPEG", quality=_JPEG_QUALITY)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+    jpeg = encoded(lambda stream: Image.fromarray(image).save(stream, "JPEG", quality=_JPEG_QUALITY))
+    return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}"
 
 
 def _space(view: SceneView, sweep: Sweep | None, others: Sequence[CameraLabel]) -> dict[str, Any]:

@@ -68,21 +68,49 @@ def load_shown(
     read from the files beside it. Raises InputError if an image is given for a sample, or if passes are asked for and
     there are none.
     """
-    is_sample = SAMPLE.fullmatch(where) is not None
-    name, scene, labels, image = _sample(where, image_path) if is_sample else _rendered(where, image_path)
-    shown = ShownScene(
+    if SAMPLE.fullmatch(where) is None:
+        shown = _of_files(where, image_path, with_passes)
+    elif image_path is not None:
+        raise InputError(f"image {image_path}: expected none beside a sample, which has its own")
+    else:
+        shown = _of_sample(where, with_passes, with_clip)
+    if with_passes and not shown.passes:
+        raise InputError(f"passes: expected {where} to have passes, got none")
+    return shown
+
+
+def _of_sample(where: str, with_passes: bool, with_clip: bool) -> ShownScene:
+    reader, i = find(where)
+    sample = reader[i]
+    scene = None if sample.scene_json is None else from_json(sample.scene_json, where)
+    shot = _shot(reader, i) if scene is None else scene.shot
+    return ShownScene(
         scene,
-        labels,
-        image,
-        load_passes(where, image_path) if with_passes else {},
-        load_sweep(where, image_path, labels),
-        name=name,
-        lifted_shot=_shot(*find(where)) if scene is None else None,
+        sample.labels,
+        sample.image,
+        reader.passes(i) if with_passes else {},
+        reader.lidar(i) if sample.labels.lidar is not None else None,
+        clip=load_clip(where).frames if with_clip and shot.n_frames > 1 else (),
+        rig=_pictures(reader, reader.rig(i)) if shot.n_cameras > 1 else (),
+        name=sample.key,
+        lifted_shot=shot if scene is None else None,
     )
-    if not is_sample:
+
+
+def _of_files(where: str, image_path: Path | None, with_passes: bool) -> ShownScene:
+    name, scene = find_scene(where)
+    shown = ShownScene(scene, ground_truth(scene), name=name)
+    if image_path is None:
         return shown
-    clip = load_clip(where).frames if with_clip and shown.shot.n_frames > 1 else ()
-    return replace(shown, clip=clip, rig=load_rig_pictures(where) if shown.shot.n_cameras > 1 else ())
+    size_px = scene.camera.width_px, scene.camera.height_px
+    image = decode_image(read_bounded(image_path, MAX_IMAGE_BYTES), str(image_path), size_px)
+    passes: dict[str, Shaped[np.ndarray, ...]] = {}
+    for path in (image_path.with_suffix(f".{ending}") for ending in (PASSES, HEIGHT) if with_passes):
+        passes |= read_passes(read_bounded(path, MAX_IMAGE_BYTES), str(path)) if path.exists() else {}
+    path, lidar, sweep = image_path.with_suffix(f".{LIDAR}"), shown.labels.lidar, None
+    if lidar is not None and path.exists():
+        sweep = read_sweep(read_bounded(path, MAX_IMAGE_BYTES), str(path), lidar)
+    return replace(shown, image=image, passes=passes, sweep=sweep)
 
 
 def _shot(reader: Reader, i: int) -> Shot:
@@ -91,22 +119,8 @@ def _shot(reader: Reader, i: int) -> Shot:
     return Shot(frame=int(reader.frame_of[i]), n_frames=n_frames, fps=fps)
 
 
-def _sample(where: str, image_path: Path | None) -> tuple[str, Scene | None, Labels, RgbImage]:
-    if image_path is not None:
-        raise InputError(f"image {image_path}: expected none beside a sample, which has its own")
-    reader, position = find(where)
-    sample = reader[position]
-    scene = None if sample.scene_json is None else from_json(sample.scene_json, where)
-    return sample.key, scene, sample.labels, sample.image
-
-
-def _rendered(where: str, image_path: Path | None) -> tuple[str, Scene, Labels, RgbImage | None]:
-    name, scene = find_scene(where)
-    if image_path is None:
-        return name, scene, ground_truth(scene), None
-    size_px = scene.camera.width_px, scene.camera.height_px
-    image = decode_image(read_bounded(image_path, MAX_IMAGE_BYTES), str(image_path), size_px)
-    return name, scene, ground_truth(scene), image
+def _pictures(reader: Reader, positions: Sequence[int]) -> list[tuple[Labels, RgbImage]]:
+    return [(reader.labels(position), reader.image(position)) for position in positions]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,40 +142,7 @@ def load_clip(where: str) -> Clip:
     shot = _shot(reader, i)
     if shot.n_frames == 1:
         raise InputError(f"{where}: expected a sample of a clip (generate --frames), got a single picture")
-    positions = reader.clip(int(reader.scene_of[i]), int(reader.camera_of[i]))
-    return Clip(shot.fps, [(reader.labels(position), reader.image(position)) for position in positions])
-
-
-def load_rig_pictures(where: str) -> list[tuple[Labels, RgbImage]]:
-    """Labels and image of every camera of the rig, for the scene and frame of a sample `DIR/SPLIT:KEY`."""
-    reader, i = find(where)
-    return [(reader.labels(position), reader.image(position)) for position in reader.rig(i)]
-
-
-def load_passes(where: str, image_path: Path | None) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """The passes of a sample, or of the files beside a rendered image. Raises InputError where there are none."""
-    passes: dict[str, Shaped[np.ndarray, ...]] = {}
-    if SAMPLE.fullmatch(where):
-        reader, position = find(where)
-        passes = reader.passes(position)
-    elif image_path is not None:
-        files = [image_path.with_suffix(f".{name}") for name in (PASSES, HEIGHT)]
-        for path in filter(Path.exists, files):
-            passes |= read_passes(read_bounded(path, MAX_IMAGE_BYTES), str(path))
-    if not passes:
-        raise InputError(f"passes: expected {where} to have passes, got none")
-    return passes
-
-
-def load_sweep(where: str, image_path: Path | None, labels: Labels) -> Sweep | None:
-    """The lidar sweep of a sample, or of the file beside a rendered image; None where there is none."""
-    if labels.lidar is None:
-        return None
-    if SAMPLE.fullmatch(where):
-        reader, position = find(where)
-        return reader.lidar(position)
-    path = image_path and image_path.with_suffix(f".{LIDAR}")
-    return read_sweep(read_bounded(path, MAX_IMAGE_BYTES), str(path), labels.lidar) if path and path.exists() else None
+    return Clip(shot.fps, _pictures(reader, reader.clip(int(reader.scene_of[i]), int(reader.camera_of[i]))))
 
 
 def shown_samples(

@@ -77,6 +77,7 @@ from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Points3
 from synth3dlanes.system.columnar import TableBounds, read_arrow, reading_table
 from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import encoded
 from synth3dlanes.system.schema import Excerpt, Number
 from synth3dlanes.world.motion import host_driven
 from synth3dlanes.world.world import World, resolve
@@ -272,9 +273,7 @@ def _table(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> bytes:
 
 
 def _bytes(table: pa.Table) -> bytes:
-    stream = io.BytesIO()
-    feather.write_feather(table, stream)
-    return stream.getvalue()
+    return encoded(lambda stream: feather.write_feather(table, stream))
 
 
 # -- the map
@@ -322,9 +321,8 @@ def map_files(world: World, graph: LaneGraph) -> tuple[tuple[str, bytes, str], i
     }
     heights, west_south = _heights(world, np.concatenate([strip.reshape(-1, 3)[:, :2] for strip in strips]))
     cells = {"R": [1.0, 0.0, 0.0, 1.0], "t": (-west_south).tolist(), "s": 1 / CELL_M}
-    stream = io.BytesIO()
-    np.save(stream, heights)
-    return (json.dumps(vectors), stream.getvalue(), json.dumps(cells)), len(rows)
+    saved = encoded(lambda stream: np.save(stream, heights))
+    return (json.dumps(vectors), saved, json.dumps(cells)), len(rows)
 
 
 @dataclass(frozen=True, eq=False)

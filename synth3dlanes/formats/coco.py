@@ -44,16 +44,12 @@ from synth3dlanes.system.schema import MAX_PX, Excerpt, PathBelow, parse
 CLASSES_AT_MOST = 32  # segment ids are instance * 32 + category
 
 
-def category_id(semantic: int) -> int:
-    """The category of a semantic id; 0 would be none."""
-    return semantic + 1
-
-
+# A category is the semantic id + 1: 0 would be none.
 CATEGORIES = [
-    {"id": category_id(number), "name": name, "supercategory": name, "isthing": int(name not in STUFF)}
+    {"id": number + 1, "name": name, "supercategory": name, "isthing": int(name not in STUFF)}
     for name, number in SEMANTIC_IDS.items()
 ]
-STUFF_IDS = {category_id(SEMANTIC_IDS[name]) for name in STUFF}
+STUFF_IDS = {SEMANTIC_IDS[name] + 1 for name in STUFF}
 
 
 def segment_id(semantic: Shaped[np.ndarray, "h w"], instance: Shaped[np.ndarray, "h w"]) -> Shaped[np.ndarray, "h w"]:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 
 from synth3dlanes.dataset.format import SCENE
 from synth3dlanes.geometry.frames import transform
-from synth3dlanes.geometry.polylines import all_feet, distances_between, feet_of
+from synth3dlanes.geometry.polylines import all_feet, distances_between, feet_of, lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Labels, Lane, LaneKind
 from synth3dlanes.labels.object_labels import CORNERS, ObjectLabel
 from synth3dlanes.system.arrays import Matrix4, Points3, Polyline2, RgbImage
@@ -325,9 +325,8 @@ def distances(points: Points, line: Points) -> Distances:
 
 def stations(points: Points, line: Points) -> Distances:
     """Where along a polyline the nearest places to points are, by its length."""
-    _, at, share = feet_of(points, line)
-    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    return np.asarray(np.concatenate([[0.0], np.cumsum(lengths)])[at] + share * np.append(lengths, 0.0)[at])
+    (_, at, share), along = feet_of(points, line), lengths_along(line)
+    return np.asarray(along[at] + share * np.diff(along, append=along[-1])[at])
 
 
 def is_beside(points: Points, line: Points) -> Flags:

@@ -71,6 +71,7 @@ from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Points3, RgbImage
 from synth3dlanes.system.columnar import TableBounds, read_parquet, reading_table
 from synth3dlanes.system.errors import FormatError, InputError
+from synth3dlanes.system.files import encoded
 from synth3dlanes.system.schema import Excerpt, Number
 from synth3dlanes.world.world import resolve
 
@@ -536,9 +537,7 @@ def _table(name: str, rows: Sequence[Mapping[str, Any]], clip: str) -> bytes:
         }
         for row in rows
     ]
-    stream = io.BytesIO()
-    parquet.write_table(pa.Table.from_pylist(nested, schema=schema), stream)
-    return stream.getvalue()
+    return encoded(lambda stream: parquet.write_table(pa.Table.from_pylist(nested, schema=schema), stream))
 
 
 def read(out: Path, most_frames: int) -> Iterator[FrameList]:

@@ -27,7 +27,7 @@ from synth3dlanes.formats.comparing import (
     places_beside,
 )
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.lines import LaneAhead, columns_of, ego_places, keep_lines, lines_ahead, sifted
+from synth3dlanes.formats.lines import ego_places, keep_lines, lines_ahead, points_at, sifted
 from synth3dlanes.formats.reading import drawable, file_below, first_lines, numbers, read_mask, read_text
 from synth3dlanes.formats.scoring import EVERY, Canvas, band_score, scored
 from synth3dlanes.formats.segments import png
@@ -95,7 +95,7 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     image, mask = f"{name}.jpg", f"{MASKS}/{name}.png"
     ahead = lines_ahead(labels, frame.pinhole, "delimiter")
     places = ego_places(ahead, labels.camera)
-    points = {line.id: _points(line, frame.pinhole) for line in ahead}
+    points = {line.id: points_at(line, frame.pinhole, ROWS_PX) for line in ahead}
     reason = "not one of the two nearest on either side of the camera"
     beside = sifted(ahead, lambda line: line.id in places, dropped, reason)
     reason = f"its visible part crosses fewer than {MIN_POINTS} of the rows 250 to 590 (CLRNet drops those)"
@@ -114,13 +114,6 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
         sidecar(image, frame, [line.id for line in kept]),
     )
     return FrameAnnotation(image, len(kept), dropped, {lines_path(image): text, mask: _mask(lines_px)}, shared)
-
-
-def _points(line: LaneAhead, pinhole: Pinhole) -> Float[np.ndarray, "n 2"]:
-    """The line's points in the image, at the format's rows from the bottom up."""
-    columns_px = columns_of(line, pinhole, ROWS_PX)
-    inside = (columns_px >= 0) & (columns_px < pinhole.width_px)
-    return np.column_stack([columns_px, ROWS_PX])[inside]
 
 
 def _mask(lines_px: dict[int, Float[np.ndarray, "_ 2"]]) -> bytes:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from synth3dlanes.formats.comparing import Comparison, Rule, SourceSample, compare_lines
 from synth3dlanes.formats.format import FrameList, PinholeFormat, Rates, ReadFrame
-from synth3dlanes.formats.lines import LaneAhead, columns_of, keep_lines, lines_ahead, sifted
+from synth3dlanes.formats.lines import keep_lines, lines_ahead, points_at, sifted
 from synth3dlanes.formats.reading import drawable, image_size, listed_files, numbers, read_text
 from synth3dlanes.formats.scoring import EVERY, Canvas, band_score, scored
 from synth3dlanes.formats.sidecar import Sidecar, Sidecars, sidecar
@@ -54,11 +54,12 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     part = "train" if frame.is_train else "valid" if frame.serves_as("val") else "test"
     image = f"{part}/images/{frame.split}_{frame.key}.jpg"
     ahead = lines_ahead(labels, frame.pinhole, "delimiter")
-    points = {line.id: _points(line, frame.pinhole) for line in ahead}
+    rows_px = np.arange(frame.pinhole.height_px, -1, -ROW_STEP_PX)
+    points = {line.id: points_at(line, frame.pinhole, rows_px).tolist() for line in ahead}
     reason = f"its visible part crosses fewer than {MIN_POINTS} rows"
     crossing = sifted(ahead, lambda line: len(points[line.id]) >= MIN_POINTS, dropped, reason)
     kept = keep_lines(crossing, dropped)
-    text = json.dumps({"Lines": [points[line.id] for line in kept]})
+    text = json.dumps({"Lines": [[_point(*at) for at in points[line.id]] for line in kept]})
     shared = (
         (image.partition("/")[2], (f"{part}/{part}.txt",)),
         sidecar(image, frame, [line.id for line in kept]),
@@ -66,12 +67,8 @@ def write(frame: PinholeFrame) -> FrameAnnotation:
     return FrameAnnotation(image, len(kept), dropped, {labels_path(image): text}, shared)
 
 
-def _points(line: LaneAhead, pinhole: Pinhole) -> list[dict[str, str]]:
-    rows_px = np.arange(pinhole.height_px, -1, -ROW_STEP_PX)
-    columns_px = columns_of(line, pinhole, rows_px)
-    inside = (columns_px >= 0) & (columns_px < pinhole.width_px)
-    pixels = zip(columns_px[inside].tolist(), rows_px[inside].tolist(), strict=True)
-    return [{"y": f"{y:.{PX_DECIMALS}f}", "x": f"{x:.{PX_DECIMALS}f}"} for x, y in pixels]
+def _point(x: float, y: float) -> dict[str, str]:
+    return {"y": f"{y:.{PX_DECIMALS}f}", "x": f"{x:.{PX_DECIMALS}f}"}
 
 
 class _Point(Excerpt):

@@ -83,6 +83,12 @@ def columns_of(line: LaneAhead, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]
     return np.interp(rows_px, v_px[:n][::-1], u_px[:n][::-1], left=np.nan, right=np.nan)
 
 
+def points_at(line: LaneAhead, pinhole: Pinhole, rows_px: Int[np.ndarray, " r"]) -> Float[np.ndarray, "n 2"]:
+    """The points of the visible line in the image at those of the rows that it crosses there."""
+    columns_px = columns_of(line, pinhole, rows_px)
+    return np.column_stack([columns_px, rows_px])[(columns_px >= 0) & (columns_px < pinhole.width_px)]
+
+
 def ego_places(ahead: Sequence[LaneAhead], camera: CameraLabel) -> dict[str, int]:
     """1 to 4 for the lines left-left, left, right and right-right of the camera, by id: the two nearest on either side
     of those that begin beside it."""

@@ -78,13 +78,6 @@ class LaneJoint(NamedTuple):
     enters: str
 
 
-class FileIds(NamedTuple):
-    """The ids in the file of roads and junctions by ours."""
-
-    roads: Mapping[str, str]
-    junctions: Mapping[str, str]
-
-
 def annotate(frame: SampleFrame) -> FrameAnnotation:
     text = opendrive(resolve(frame.scene), frame.key)
     return FrameAnnotation(None, text.count('type="driving"'), files={f"{frame.split}/{frame.key}.xodr": text})
@@ -93,8 +86,7 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
 def opendrive(world: World, name: str) -> str:
     """The OpenDRIVE file of a world; its inertial frame is the world frame."""
     roads, links = _file_roads(world)
-    found = {road.told.id: road.told for road in roads}
-    touches = list(_touches(links, found))
+    joined = FileLinks(links, {road.told.id: road.told for road in roads})
     root = ElementTree.Element("OpenDRIVE")
     xy_world = np.concatenate([road.line_world for road in roads])
     (west, south), (east, north) = xy_world.min(axis=0), xy_world.max(axis=0)
@@ -102,16 +94,12 @@ def opendrive(world: World, name: str) -> str:
     minor = REVERSED_MINOR if is_reversed else MINOR
     header = {"revMajor": MAJOR, "revMinor": minor, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
     add(root, "header", **header, north=north, south=south, east=east, west=west)
-    direct = _direct_junctions(found, touches)
-    # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.
-    roads_by, junctions = numbered(found), [at.junction for at in found.values() if at.junction is not None]
-    ids = FileIds(roads_by, numbered(dict.fromkeys([*junctions, *direct.values()]), roads_by.values()))
     elements = {}
     for road, segments in ((at.told, at.segments) for at in roads):
-        element = add(root, "road", name=road.id, length=road.length_m, id=ids.roads[road.id])
-        element.set("junction", ids.junctions[road.junction] if road.junction else NO_NUMBER)
+        element = add(root, "road", name=road.id, length=road.length_m, id=joined.roads[road.id])
+        element.set("junction", joined.junctions[road.junction] if road.junction else NO_NUMBER)
         element.set("rule", "LHT" if road.keeps_left else "RHT")
-        _add_links(add(element, "link"), road, found, touches, direct, ids)
+        joined.add(add(element, "link"), road)
         view, s = add(element, "planView"), 0.0
         for piece in road.plan:
             _add_piece(view, piece, s)
@@ -121,12 +109,10 @@ def opendrive(world: World, name: str) -> str:
         _add_cubics(lateral, "superelevation", road.banks)
         for shape in road.shapes:
             add(lateral, "shape", s=shape.s_m, t=shape.t_m, a=shape.a, b=shape.b, c=shape.c, d=shape.d)
-        # At a junction the lanes of its arms have no links: the connections of the junction tell them.
-        own = [touch for touch in touches if road.junction is not None or not _enters_junction(touch, found)]
-        _add_lanes(add(element, "lanes"), road, own, segments)
+        _add_lanes(add(element, "lanes"), road, joined.of_lanes(road), segments)
         elements[road.id] = element
     add_things(world, roads, elements)
-    _add_junctions(root, world.network.yields or (), found, touches, direct, ids)
+    joined.add_junctions(root, world.network.yields or ())
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
@@ -163,69 +149,101 @@ def numbered(names: Collection[str], taken: Collection[str] = ()) -> dict[str, s
 # -- links
 
 
-def _touches(links: Iterable[tuple[LaneName, LaneName]], found: Mapping[str, MapRoad]) -> Iterable[LaneJoint]:
-    for a, b in links:
-        (one, i, m), (other, j, n) = (lane_key(name) for name in (a, b))
-        if one in found and other in found:
-            ends = [lane_ascends(found[one], i, m), lane_ascends(found[other], j, n)]
-            yield LaneJoint((one, i, m), "end" if ends[0] else "start", (other, j, n), "start" if ends[1] else "end")
+Lanes = dict[tuple[str, str, str], list[tuple[int, int]]]
+"""Pairs of lanes by the roads that they are of and the end where the second one is entered."""
 
 
-def _enters_junction(touch: LaneJoint, found: Mapping[str, MapRoad]) -> bool:
-    """Whether it is between a connecting road of a junction and another one."""
-    return found[touch.one[0]].junction != found[touch.other[0]].junction
+class FileLinks:
+    """How the roads of a file follow each other, lane by lane; the numbers of roads and junctions. `direct` are the
+    names of direct junctions by ends of roads: where lanes lead from one road to several without connecting roads."""
+
+    def __init__(self, links: Iterable[tuple[LaneName, LaneName]], found: Mapping[str, MapRoad]) -> None:
+        self.found, self.touches = found, list[LaneJoint]()
+        for a, b in links:
+            (one, i, m), (other, j, n) = (lane_key(name) for name in (a, b))
+            if one in found and other in found:
+                leaves = "end" if lane_ascends(found[one], i, m) else "start"
+                enters = "start" if lane_ascends(found[other], j, n) else "end"
+                self.touches.append(LaneJoint((one, i, m), leaves, (other, j, n), enters))
+        self.direct = dict[tuple[str, str], str]()
+        for road in found.values():
+            for end in ("start", "end"):
+                beyond = [at for at in self._beyond(road.id, end) if found[at[0]].junction is None]
+                is_new = road.junction is None and (road.id, end) not in self.direct
+                if is_new and len({name for name, _ in beyond}) > 1:
+                    self.direct |= dict.fromkeys([(road.id, end), *beyond], f"direct_{len(self.direct)}")
+        self.connecting = list(dict.fromkeys(road.junction for road in found.values() if road.junction is not None))
+        # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.
+        self.roads = numbered(found)
+        self.junctions = numbered(dict.fromkeys([*self.connecting, *self.direct.values()]), self.roads.values())
+
+    def of_lanes(self, road: MapRoad) -> list[LaneJoint]:
+        """Those that the lanes of a road tell: at a junction the connections of that do, in place of its arms."""
+        is_arm = road.junction is None
+        return [at for at in self.touches if not (is_arm and self._junction(at.one) != self._junction(at.other))]
+
+    def _junction(self, lane: tuple[str, int, int]) -> str | None:
+        return self.found[lane[0]].junction
+
+    def _beyond(self, road: str, end: str) -> dict[tuple[str, str], None]:
+        """The ends of other roads that lanes lead to or come from at an end of a road."""
+        found: dict[tuple[str, str], None] = {}
+        for touch in self.touches:
+            if _is_within(touch):
+                continue
+            sides = [(touch.one[0], touch.leaves), (touch.other[0], touch.enters)]
+            for here, there in (sides, sides[::-1]):
+                if here == (road, end):
+                    found[there] = None
+        return found
+
+    def add(self, element: Element, road: MapRoad) -> None:
+        """Add what a road leads to at its ends."""
+        for tag, end in (("predecessor", "start"), ("successor", "end")):
+            beyond = self._beyond(road.id, end)
+            through = [self.found[name].junction for name, _ in beyond if self.found[name].junction is not None]
+            if (road.id, end) in self.direct:
+                add(element, tag, elementType="junction", elementId=self.junctions[self.direct[road.id, end]])
+            elif road.junction is None and through:
+                add(element, tag, elementType="junction", elementId=self.junctions[str(through[0])])
+            elif beyond:
+                (name, contact), *_ = beyond
+                add(element, tag, elementType="road", elementId=self.roads[name], contactPoint=contact)
+
+    def add_junctions(self, root: Element, yields: Iterable[tuple[LaneName, LaneName]]) -> None:
+        pairs = sorted({(lane_key(low)[0], lane_key(high)[0]) for low, high in yields})
+        for name in self.connecting:
+            junction = add(root, "junction", name=name, id=self.junctions[name], type="default")
+            entered: Lanes = {}
+            for (one, _, m), _, (other, _, n), enters in self.touches:
+                if self.found[other].junction == name and self.found[one].junction != name:
+                    entered.setdefault((one, other, enters), []).append((m, n))
+            self._add_connections(junction, entered, "connectingRoad")
+            for low, high in (pair for pair in pairs if all(self.found[road].junction == name for road in pair)):
+                add(junction, "priority", high=self.roads[high], low=self.roads[low])
+        for name in dict.fromkeys(self.direct.values()):
+            junction = add(root, "junction", name=name, id=self.junctions[name], type="direct")
+            parted: Lanes = {}
+            for touch in self.touches:
+                (one, _, m), leaves, (other, _, n), enters = touch
+                ends = (one, leaves), (other, enters)
+                if not _is_within(touch) and all(self.direct.get(end) == name for end in ends):
+                    parted.setdefault((one, other, enters), []).append((m, n))
+            self._add_connections(junction, parted, "linkedRoad")
+
+    def _add_connections(self, junction: Element, entered: Lanes, key: str) -> None:
+        for number, ((one, other, contact), lanes) in enumerate(entered.items()):
+            incoming = {"incomingRoad": self.roads[one], "contactPoint": contact}
+            connection = add(junction, "connection", id=str(number), **incoming)
+            connection.set(key, self.roads[other])
+            for m, n in lanes:
+                add(connection, "laneLink", **{"from": str(m), "to": str(n)})
 
 
 def _is_within(touch: LaneJoint) -> bool:
     """Whether it is between two sections of a road."""
     (one, i, _), (other, j, _) = touch.one, touch.other
     return one == other and abs(i - j) == 1 and touch.leaves != touch.enters and (i < j) == (touch.leaves == "end")
-
-
-def _beyond(road: str, end: str, touches: Iterable[LaneJoint]) -> dict[tuple[str, str], None]:
-    """The ends of other roads that lanes lead to or come from at an end of a road."""
-    found: dict[tuple[str, str], None] = {}
-    for touch in touches:
-        if _is_within(touch):
-            continue
-        sides = [(touch.one[0], touch.leaves), (touch.other[0], touch.enters)]
-        for here, there in (sides, sides[::-1]):
-            if here == (road, end):
-                found[there] = None
-    return found
-
-
-def _direct_junctions(found: Mapping[str, MapRoad], touches: list[LaneJoint]) -> dict[tuple[str, str], str]:
-    """The ids of direct junctions by ends of roads: where lanes lead from one road to several without connecting
-    roads."""
-    groups: dict[tuple[str, str], str] = {}
-    for road in found.values():
-        for end in ("start", "end"):
-            beyond = [at for at in _beyond(road.id, end, touches) if found[at[0]].junction is None]
-            if road.junction is None and len({name for name, _ in beyond}) > 1 and (road.id, end) not in groups:
-                name = f"direct_{len(groups)}"
-                groups |= dict.fromkeys([(road.id, end), *beyond], name)
-    return groups
-
-
-def _add_links(
-    element: Element,
-    road: MapRoad,
-    found: Mapping[str, MapRoad],
-    touches: list[LaneJoint],
-    direct: Mapping[tuple[str, str], str],
-    ids: FileIds,
-) -> None:
-    for tag, end in (("predecessor", "start"), ("successor", "end")):
-        beyond = _beyond(road.id, end, touches)
-        through = [name for name, _ in beyond if found[name].junction is not None]
-        if (road.id, end) in direct:
-            add(element, tag, elementType="junction", elementId=ids.junctions[direct[road.id, end]])
-        elif road.junction is None and through:
-            add(element, tag, elementType="junction", elementId=ids.junctions[str(found[through[0]].junction)])
-        elif beyond:
-            (name, contact), *_ = beyond
-            add(element, tag, elementType="road", elementId=ids.roads[name], contactPoint=contact)
 
 
 def _linked(road: str, i: int, number: int, end: str, touches: list[LaneJoint]) -> list[tuple[str, int]]:
@@ -237,47 +255,6 @@ def _linked(road: str, i: int, number: int, end: str, touches: list[LaneJoint]) 
         if touch.other == here and touch.enters == end:
             found.append((touch.one[0], touch.one[2]))
     return found
-
-
-def _add_junctions(
-    root: Element,
-    yields: Iterable[tuple[LaneName, LaneName]],
-    found: Mapping[str, MapRoad],
-    touches: list[LaneJoint],
-    direct: Mapping[tuple[str, str], str],
-    ids: FileIds,
-) -> None:
-    for name in dict.fromkeys(road.junction for road in found.values() if road.junction is not None):
-        junction = add(root, "junction", name=name, id=ids.junctions[name], type="default")
-        entered: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
-        for touch in touches:
-            (one, _, m), (other, _, n) = touch.one, touch.other
-            if found[other].junction == name and found[one].junction != name:
-                entered.setdefault((one, other, touch.enters), []).append((m, n))
-        _add_connections(junction, entered, "connectingRoad", ids)
-        pairs = {(lane_key(low)[0], lane_key(high)[0]) for low, high in yields}
-        for low, high in sorted(pair for pair in pairs if all(found[road].junction == name for road in pair)):
-            add(junction, "priority", high=ids.roads[high], low=ids.roads[low])
-    for name in dict.fromkeys(direct.values()):
-        junction = add(root, "junction", name=name, id=ids.junctions[name], type="direct")
-        parted: dict[tuple[str, str, str], list[tuple[int, int]]] = {}
-        for touch in touches:
-            ends = (touch.one[0], touch.leaves), (touch.other[0], touch.enters)
-            if not _is_within(touch) and all(direct.get(end) == name for end in ends):
-                parted.setdefault((touch.one[0], touch.other[0], touch.enters), []).append(
-                    (touch.one[2], touch.other[2])
-                )
-        _add_connections(junction, parted, "linkedRoad", ids)
-
-
-def _add_connections(
-    junction: Element, entered: Mapping[tuple[str, str, str], list[tuple[int, int]]], key: str, ids: FileIds
-) -> None:
-    for number, ((one, other, contact), lanes) in enumerate(entered.items()):
-        connection = add(junction, "connection", id=str(number), incomingRoad=ids.roads[one], contactPoint=contact)
-        connection.set(key, ids.roads[other])
-        for m, n in lanes:
-            add(connection, "laneLink", **{"from": str(m), "to": str(n)})
 
 
 # -- form

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
-from pydantic import Field, RootModel
+from pydantic import AliasChoices, Field, RootModel
 
 from synth3dlanes.formats.comparing import Comparison, SourceSample, compare_pinhole
 from synth3dlanes.formats.comparing_maps import FoundLane, MapRule, compare_lanes
@@ -366,23 +366,14 @@ class _Segment(Excerpt):
 Topology = list[list[Literal[0, 1]]]
 
 
-class _Centerlines(Excerpt):
-    """Lanes; which lane (column) follows which (row); traffic elements, and which of them (column) governs which
-    lane (row)."""
+class _Lanes(Excerpt):
+    """Lane segments or centre lines; which lane (column) follows which (row); traffic elements, and which of them
+    (column) governs which lane (row)."""
 
-    lanes: list[_Centerline] = Field(alias="lane_centerline")
-    follows: Topology = Field(alias="topology_lclc")
+    lanes: list[_Segment] | list[_Centerline] = Field(validation_alias=AliasChoices("lane_segment", "lane_centerline"))
+    follows: Topology = Field(validation_alias=AliasChoices("topology_lsls", "topology_lclc"))
     elements: list[_Element] = Field(alias="traffic_element")
-    governs: Topology = Field(alias="topology_lcte")
-
-
-class _Segments(Excerpt):
-    """The same of lane segments."""
-
-    lanes: list[_Segment] = Field(alias="lane_segment")
-    follows: Topology = Field(alias="topology_lsls")
-    elements: list[_Element] = Field(alias="traffic_element")
-    governs: Topology = Field(alias="topology_lste")
+    governs: Topology = Field(validation_alias=AliasChoices("topology_lste", "topology_lcte"))
 
 
 class _Pose(Excerpt):
@@ -412,7 +403,7 @@ class TopologyFrame(Excerpt):
 
     pose: _Pose
     cameras: dict[str, _Camera] = Field(alias="sensor")
-    annotation: _Segments | _Centerlines
+    annotation: _Lanes
 
 
 def parse(text: str, where: str) -> TopologyFrame:

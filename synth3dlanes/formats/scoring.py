@@ -18,6 +18,7 @@ from PIL import Image, ImageDraw
 
 from synth3dlanes.formats.format import FrameList, Rates, ReadFrame, open_format
 from synth3dlanes.formats.reading import json_lines
+from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.system.arrays import MaskImage, Polyline2, Polyline3
 from synth3dlanes.system.errors import FormatError, InputError
 from synth3dlanes.system.schema import Excerpt, parse
@@ -128,9 +129,8 @@ def _band(line: Polyline2, canvas: Canvas) -> MaskImage:
 
 
 def _spline(line: Polyline2) -> Polyline2:
-    lengths_px = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    knots_px = np.concatenate([[0.0], np.cumsum(lengths_px)])
-    at_px = np.interp(np.arange(STEPS * len(lengths_px) + 1) / STEPS, np.arange(len(knots_px)), knots_px)
+    knots_px = lengths_along(line)
+    at_px = np.interp(np.arange(STEPS * (len(line) - 1) + 1) / STEPS, np.arange(len(line)), knots_px)
     return np.asarray(scipy.interpolate.CubicSpline(knots_px, line, bc_type="natural")(at_px))
 
 

@@ -3,7 +3,6 @@
 There, masks are the sorted numbers of their pixels, row by row.
 """
 
-import io
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from synth3dlanes.geometry.polylines import lengths_along
 from synth3dlanes.labels.labels import CameraLabel, Lane
 from synth3dlanes.scene.instance_ids import numbers_of, thing_of
 from synth3dlanes.scene.things import SEMANTIC_IDS, STUFF
+from synth3dlanes.system.files import encoded
 
 PASSES = ("semantic", "instance")
 LINE_STEP_M = 0.1
@@ -38,9 +38,7 @@ def image_path(frame: SampleFrame) -> str:
 
 def png(pixels: Shaped[np.ndarray, "h w ..."]) -> bytes:
     """A PNG of 8 or 16 bits a pixel without palette, or of RGB."""
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "PNG")
-    return stream.getvalue()
+    return encoded(lambda stream: Image.fromarray(pixels).save(stream, "PNG"))
 
 
 def delimiter_numbers(instance: Shaped[np.ndarray, "h w"]) -> Shaped[np.ndarray, "h w"]:

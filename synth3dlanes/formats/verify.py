@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -92,34 +92,6 @@ def _noun(word: str) -> tuple[str, str]:
     return word, f"{word}es" if word.endswith("x") else f"{word}s"
 
 
-@dataclass
-class _Tally:
-    """What is known of the frames of a list so far."""
-
-    n_frames: int = 0
-    n: Counter[str] = field(default_factory=Counter)
-    n_matched: Counter[str] = field(default_factory=Counter)
-    n_outside: Counter[str] = field(default_factory=Counter)
-    gaps: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    tracks: dict[str, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-
-    def add(self, where: str, found: Comparison, tolerances: dict[str, float]) -> None:
-        self.n_frames += 1
-        self.problems += [f"{where}: {problem}" for problem in found.problems]
-        # A line may be compared in metres and in pixels.
-        things = {(gap.word, gap.name) for gap in found.gaps}
-        off = {(gap.word, gap.name) for gap in found.gaps if not gap.worst <= tolerances[gap.unit]}
-        self.n += Counter(word for word, _ in things) + found.strange
-        self.n_matched += Counter(word for word, _ in things - off)
-        self.n_outside += found.outside
-        for gap in found.gaps:
-            self.gaps.setdefault(gap.unit, []).append((gap.worst, gap.median))
-        for track, lane in found.tracks.items():
-            if self.tracks.setdefault(track, lane) != lane:
-                self.problems.append(f"{where}: track {track}: expected {self.tracks[track]} as before, got {lane}")
-
-
 def verify(job: Export, most_frames: int = 500) -> tuple[Verification, ...]:
     """Compare at most the first `most_frames` frames of every list of a finished export with the labels."""
     marks = written(job)
@@ -137,29 +109,40 @@ def verify(job: Export, most_frames: int = 500) -> tuple[Verification, ...]:
 
 
 def _verified(job: Export, frames: FrameList, marks: Written, seen: set[str]) -> Verification:
-    foreign, tally = job.format, _Tally()
+    foreign, found = job.format, list[Comparison]()
+    problems, tracks = list[str](), dict[str, str]()
     for frame in frames.frames:
         if frame.file not in marks.samples:
             raise FormatError(f"{frame.where}: expected a frame of this export, got {frame.file}")
         seen |= {frame.file, *frame.more_images}
         url, place = marks.samples[frame.file]
         truth = SourceSample(open_reader(url), place)
-        tally.problems += _image_problems(job, frame, truth)
-        tally.add(frame.where, foreign.verify(frame, truth), dict(foreign.tolerances))
+        problems += _image_problems(job, frame, truth)
+        compared = foreign.verify(frame, truth)
+        problems += (f"{frame.where}: {problem}" for problem in compared.problems)
+        for track, lane in compared.tracks.items():
+            if tracks.setdefault(track, lane) != lane:
+                problems.append(f"{frame.where}: track {track}: expected {tracks[track]} as before, got {lane}")
+        found.append(compared)
+    apart = dict[str, list[tuple[float, float]]]()
+    n, n_matched, n_outside = Counter[str](), Counter[str](), Counter[str]()
+    for compared in found:
+        # A line may be compared in metres and in pixels.
+        things = {(gap.word, gap.name) for gap in compared.gaps}
+        off = {(gap.word, gap.name) for gap in compared.gaps if not gap.worst <= foreign.tolerances[gap.unit]}
+        n += Counter(word for word, _ in things) + compared.strange
+        n_matched += Counter(word for word, _ in things - off)
+        n_outside += compared.outside
+        for gap in compared.gaps:
+            apart.setdefault(gap.unit, []).append((gap.worst, gap.median))
     measures = tuple(
         DistanceMeasure(
-            unit,
-            max(worst for worst, _ in gaps),
-            float(np.median([median for _, median in gaps])),
-            foreign.tolerances[unit],
+            unit, max(worst for worst, _ in gaps), float(np.median([m for _, m in gaps])), foreign.tolerances[unit]
         )
-        for unit, gaps in tally.gaps.items()
+        for unit, gaps in apart.items()
     )
-    compared = {
-        word: Compared(tally.n[word], tally.n_matched[word], tally.n_outside[word])
-        for word in sorted(tally.n | tally.n_outside)
-    }
-    return Verification(frames.name, frames.word, tally.n_frames, compared, measures, _shortened(tally.problems))
+    words = {word: Compared(n[word], n_matched[word], n_outside[word]) for word in sorted(n | n_outside)}
+    return Verification(frames.name, frames.word, len(found), words, measures, _shortened(problems))
 
 
 def _image_problems(job: Export, frame: ReadFrame, truth: SourceSample) -> Iterator[str]:

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.draw.sample import Scenes
-from synth3dlanes.formats import cosmos
 from synth3dlanes.formats import cosmos as of_tables
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.cosmos import FOLDERS, ClipFiles, CosmosClip, fitted, video_problems
@@ -373,7 +372,7 @@ def test_painted_lines_and_cars_are_in_the_lane_map_where_the_labels_have_them(c
 def test_f_theta_follows_pinholes_and_refuses_what_it_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = cf.camera_label()
     with monkeypatch.context() as patched:
-        patched.setattr(cosmos, "LIMIT_PX", 0.2)
+        patched.setattr(of_tables, "LIMIT_PX", 0.2)
         fitted(camera, "a")
     bent = Lens(model="opencv", coefficients=(0.0, 0.0, 0.05, 0.05, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="a: expected a camera that an f-theta polynomial follows within 1 px"):

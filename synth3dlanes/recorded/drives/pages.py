@@ -6,7 +6,6 @@ to the right, its y up. Scans are read one after the other; tiles are made where
 """
 
 import base64
-import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -24,6 +23,7 @@ from synth3dlanes.recorded.drives.drive import Drive, DriveFrame
 from synth3dlanes.recorded.drives.marks import REVIEW_FORMAT, REVIEW_VERSION, Review, marks_document
 from synth3dlanes.system.arrays import Points3, Polyline2, RgbImage, Scalars
 from synth3dlanes.system.errors import InputError
+from synth3dlanes.system.files import encoded
 
 CELL_M, TILE_PX = 0.1, 256
 # How far beside the lidar the ground is shown, and how far over or under its plane it may be.
@@ -90,9 +90,8 @@ def top_view(drive: Drive, frames: Sequence[DriveFrame] | None = None, cell_m: f
 
 def png_url(pixels: UInt8[np.ndarray, "h w 2"]) -> str:
     """Gray and alpha as a PNG file in a data URL."""
-    stream = io.BytesIO()
-    Image.fromarray(pixels, "LA").save(stream, "PNG", optimize=False, compress_level=6)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+    png = encoded(lambda stream: Image.fromarray(pixels, "LA").save(stream, "PNG", optimize=False, compress_level=6))
+    return f"data:image/png;base64,{base64.b64encode(png).decode()}"
 
 
 def _on_ground(xyz_lidar: Points3) -> np.ndarray:
