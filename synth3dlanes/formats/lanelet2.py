@@ -56,7 +56,7 @@ from synth3dlanes.world.world import World, resolve
 
 # The tags of a primitive; the members of a relation: type, id and role of each.
 Tags = Mapping[str, str]
-Members = list[tuple[str, int, str]]
+RelationMembers = list[tuple[str, int, str]]
 # Roads without ends are written between these stations.
 REACH_M = 250.0
 # Distance between the points of bounds before thinning, and the most that thinning moves a line.
@@ -342,7 +342,10 @@ class _Document:
 
     def __init__(self) -> None:
         self.n, self.nodes, self.places = 0, list[tuple[int, Tags]](), list[Float[np.ndarray, "3"]]()
-        self.ways, self.relations = list[tuple[int, list[int], Tags]](), dict[int, tuple[dict[str, str], Members]]()
+        self.ways, self.relations = (
+            list[tuple[int, list[int], Tags]](),
+            dict[int, tuple[dict[str, str], RelationMembers]](),
+        )
 
     def _id(self) -> int:
         self.n += 1
