@@ -151,7 +151,7 @@ def opendrive(world: World, name: str) -> str:
     root = ElementTree.Element("OpenDRIVE")
     xy_world = np.concatenate([road.line_world for road in roads])
     (west, south), (east, north) = xy_world.min(axis=0), xy_world.max(axis=0)
-    is_reversed = any(lane.against for road in found.values() for part in road.sections for lane in part.lanes)
+    is_reversed = any(lane.against for road in joined.found.values() for part in road.sections for lane in part.lanes)
     minor = REVERSED_MINOR if is_reversed else MINOR
     header = {"revMajor": MAJOR, "revMinor": minor, "name": name, "version": "1.00", "vendor": "synth3dlanes"}
     add(root, "header", **header, north=north, south=south, east=east, west=west)
