@@ -13,6 +13,7 @@ from pathlib import Path
 
 import boto3
 import pytest
+import s3fs
 from botocore.exceptions import EndpointConnectionError
 
 START_S = 60.0
@@ -68,6 +69,23 @@ def server(log: Path) -> Iterator[dict[str, str]]:
     finally:
         found.process.kill()
         found.process.wait()
+
+
+@contextmanager
+def seen_by_clients(environment: dict[str, str]) -> Iterator[None]:
+    """Let clients of this process see the store of an environment, and remember nothing of another one."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        s3fs.S3FileSystem.clear_instance_cache()
+        yield
+        s3fs.S3FileSystem.clear_instance_cache()
+
+
+def contents(place: str) -> dict[str, bytes]:
+    """The files below a place such as `lanes/d` by their paths, as they are in fact: nothing is remembered."""
+    store = s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
+    return {name.removeprefix(f"{place}/"): store.cat_file(name) for name in store.find(place)}
 
 
 class Gate:

@@ -19,6 +19,7 @@ from synth3dlanes.dataset.address import translate_store_errors
 from synth3dlanes.dataset.read import Reader
 from synth3dlanes.system.errors import FormatError, InputError, OutageError, Synth3dlanesError
 from tests import store_server
+from tests.power_cut import contents
 from tests.thorough import first
 
 Run = Callable[..., Result]
@@ -32,28 +33,16 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]
 
 
 @pytest.fixture
-def store(server: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Iterator[s3fs.S3FileSystem]:
+def store(server: dict[str, str]) -> Iterator[s3fs.S3FileSystem]:
     """The store as the library sees it, and as it is in fact: nothing is remembered."""
-    for name, value in server.items():
-        monkeypatch.setenv(name, value)
-    s3fs.S3FileSystem.clear_instance_cache()
-    yield s3fs.S3FileSystem(use_listings_cache=False)
-    s3fs.S3FileSystem.clear_instance_cache()
-
-
-def files_at(store: s3fs.S3FileSystem, place: str) -> dict[str, bytes]:
-    return {name.removeprefix(f"{place}/"): store.cat_file(name) for name in store.find(place)}
-
-
-def files_in(folder: Path) -> dict[str, bytes]:
-    found = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+    with store_server.seen_by_clients(server):
+        yield s3fs.S3FileSystem(use_listings_cache=False)
 
 
 def test_every_command_that_reads_reads_a_store(store: s3fs.S3FileSystem, run: Run, folder: Path) -> None:
     url = "s3://lanes/read"
     assert run("merge", folder, "--out", url).stdout == f"{url}/train: 12 samples\n"
-    assert files_at(store, "lanes/read") == files_in(folder)
+    assert store_server.contents("lanes/read") == contents(folder)
     for command in (("info", "PLACE", "--json"), ("stats", "PLACE", "--json", "--n", 4), ("evaluate", "PLACE/train")):
         told = []
         for place in (str(folder), url):
@@ -86,7 +75,7 @@ def test_validate_finds_in_a_store_what_it_finds_in_a_folder(store: s3fs.S3FileS
     assert told[1, "here"] == told[1, url] == told[2, url]
     failed = told[1, url]["failed"]
     assert {"train", "train/00001.parquet", "train:00000000"} <= set(failed)
-    assert files_at(store, "lanes/validated/validation") == files_in(Path("here/validation")) != {}
+    assert store_server.contents("lanes/validated/validation") == contents(Path("here/validation")) != {}
     result = run("validate", "s3://lanes/nowhere")
     assert (result.exit_code, result.stdout) == (2, "")
     assert "s3://lanes/nowhere: expected a data set or one of its splits, got no folder\n" in result.stderr

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import s3fs
 
 from synth3dlanes.dataset import patience
 from synth3dlanes.dataset.description import recipe_text
@@ -21,7 +22,6 @@ from synth3dlanes.production.plan import Plan
 from synth3dlanes.production.run import generate
 from tests import fake_samples, soak, store_server
 
-s3fs = pytest.importorskip("s3fs")
 N = 10
 
 
@@ -40,14 +40,11 @@ def gate(server: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         "AWS_MAX_ATTEMPTS": "1",
         SPOOL: str(tmp_path / "spool"),
     }
-    for name, value in {**server, **quick}.items():
-        monkeypatch.setenv(name, value)
     monkeypatch.setattr(patience, "FIRST_PAUSE_S", 0.1)
-    s3fs.S3FileSystem.clear_instance_cache()
-    gate.open()
-    yield gate
-    gate.close()
-    s3fs.S3FileSystem.clear_instance_cache()
+    with store_server.seen_by_clients({**server, **quick}):
+        gate.open()
+        yield gate
+        gate.close()
 
 
 def plan(url: str, n: int = N, **changes) -> Plan:
@@ -63,9 +60,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 def files_at(url: str) -> dict[str, bytes]:
     """The shards of a store."""
-    store = s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
-    root = f"{url.removeprefix('s3://')}/train"
-    return {name.removeprefix(f"{root}/"): store.cat_file(name) for name in store.find(root)}
+    return store_server.contents(f"{url.removeprefix('s3://')}/train")
 
 
 def kept(url: str) -> list[int]:

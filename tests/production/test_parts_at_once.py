@@ -14,9 +14,11 @@ from synth3dlanes.dataset.description import parse_description
 from synth3dlanes.dataset.destination import Destination
 from synth3dlanes.dataset.spool import SPOOL, spool, spooled
 from synth3dlanes.dataset.write import Shard
+from synth3dlanes.production.plan import Plan
+from synth3dlanes.production.run import generate
 from tests import fake_samples, soak, store_server
+from tests.power_cut import contents
 
-s3fs = pytest.importorskip("s3fs")
 # Each process says that it is ready, and begins with the others.
 PART = """
 import sys
@@ -32,15 +34,11 @@ sys.exit(report.exit_code)
 """
 
 
-@pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[s3fs.S3FileSystem]:
+@pytest.fixture(scope="module", autouse=True)
+def store(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     log = tmp_path_factory.mktemp("server") / "log"
-    with store_server.server(log) as environment, pytest.MonkeyPatch.context() as patch:
-        for name, value in environment.items():
-            patch.setenv(name, value)
-        s3fs.S3FileSystem.clear_instance_cache()
-        yield s3fs.S3FileSystem(use_listings_cache=False)
-        s3fs.S3FileSystem.clear_instance_cache()
+    with store_server.server(log) as environment, store_server.seen_by_clients(environment):
+        yield
 
 
 def at_once(url: str, parts: list[tuple[int, int]]) -> None:
@@ -56,20 +54,8 @@ def at_once(url: str, parts: list[tuple[int, int]]) -> None:
     assert [run.returncode for run in runs] == [0] * len(runs), told
 
 
-def check(store: s3fs.S3FileSystem, name: str, whole: Path) -> None:
-    found = {path.removeprefix(f"{name}/"): store.cat_file(path) for path in store.find(name)}
-    expected = {path.relative_to(whole).as_posix(): path.read_bytes() for path in whole.rglob("*") if path.is_file()}
-    for files in (found, expected):
-        for path in [path for path in files if path.startswith("logs/") or path.endswith(".lock")]:
-            del files[path]
-    assert found == expected
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from synth3dlanes.production.plan import Plan
-    from synth3dlanes.production.run import generate
-
     out = tmp_path_factory.mktemp("whole")
     plan = Plan(out, 3, fake_samples.recipe(), 1, shard_size=1, maker=fake_samples.make)
     assert generate(plan, lambda _: None).exit_code == 0
@@ -79,16 +65,17 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.thorough
 @pytest.mark.parametrize("parts", [[(1, 3), (2, 3), (3, 3)], [(1, 1), (1, 1)]], ids=["parts", "equal"])
 def test_runs_that_start_together_in_a_new_store(
-    store: s3fs.S3FileSystem, whole: Path, parts: list[tuple[int, int]], request: pytest.FixtureRequest
+    whole: Path, parts: list[tuple[int, int]], request: pytest.FixtureRequest
 ) -> None:
     name = f"lanes/{request.node.callspec.id}"
     at_once(f"s3://{name}", parts)
-    check(store, name, whole)
+    found = store_server.contents(name)
+    assert {path: data for path, data in found.items() if not path.startswith("logs/")} == contents(whole)
 
 
 @pytest.mark.parametrize("kind", ["object store", "files"])
 def test_no_split_is_lost_where_runs_announce_theirs_together(
-    store: s3fs.S3FileSystem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     """All have read that there is nothing, before one writes."""
     url, splits = (
