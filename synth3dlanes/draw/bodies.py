@@ -37,7 +37,7 @@ AHEAD_S, AHEAD_STEP_S = 30.0, 0.5
 # Headings are measured over this length to both sides.
 HEADING_M = 0.5
 # The assumed speed of the host in single pictures.
-HOST_M_S = 10.0
+ASSUMED_HOST_M_S = 10.0
 
 
 class Motion(NamedTuple):
@@ -128,7 +128,7 @@ def vehicle_places(
     """The footprints of the host and of the cars within VEHICLES_M of some places at times, after the clip's end too,
     when all keep their speed."""
     shot, camera = scene.shot, scene.camera
-    host_speed_m_s = shot.speed_m_s if shot.n_frames > 1 else HOST_M_S
+    host_speed_m_s = shot.speed_m_s if shot.n_frames > 1 else ASSUMED_HOST_M_S
     driven_m = driven_after(shot.track, host_speed_m_s, times_s)
     way = network.host_way(camera)
     found = [way_places(way, camera.y_m * network.onwards, driven_m, camera.offset_m, placement.HOST_SIZE_M)]
@@ -147,7 +147,7 @@ def vehicle_places(
 
 def _speed(scene: Scene, car: Car) -> float:
     """The speed of a car that has no track."""
-    return car.speed_m_s if scene.has_traffic or car.offset_m else HOST_M_S
+    return car.speed_m_s if scene.has_traffic or car.offset_m else ASSUMED_HOST_M_S
 
 
 def way_places(

@@ -35,11 +35,11 @@ FIRST_OF = 20
 SPEED_TRIES = 8
 
 # On maps: draws of a place for each car, and the weight of lanes of the host's roads, if that of others is 1.
-TRIES_ON_MAPS, LIKELIER = 60, 3.0
+TRIES_ON_MAPS, HOST_ROADS_WEIGHT = 60, 3.0
 # The most acceleration to the side (m/s^2), and the length over which a bend is measured.
-SIDEWAYS, BEND_M = 3.0, 4.0
+SIDEWAYS_M_S2, BEND_M = 3.0, 4.0
 # The least length of a car's way beyond its place at the end of a clip, and the narrowest lane with cars.
-LEFT_M, NARROW_M = 6.0, 2.2
+REST_OF_WAY_M, NARROWEST_LANE_M = 6.0, 2.2
 
 BodySize = tuple[float, float]
 # The corners of a car at distances that it has driven.
@@ -201,7 +201,9 @@ def allowed_speed(way: LaneCurve, at_m: float, speed_m_s: float, duration_s: flo
     turn = np.abs(heading[2:] - heading[:-2]) / BEND_M
     turn = turn[(s[1:-2] < end_m) & (s[3:] <= way.end_m)]
     sharpest = max(float(turn.max()) if turn.size else 0.0, 1e-4)
-    fastest = min(speed_m_s, (SIDEWAYS / sharpest) ** 0.5, max(way.end_m - LEFT_M - at_m, 0.0) / max(duration_s, 1e-9))
+    fastest = min(
+        speed_m_s, (SIDEWAYS_M_S2 / sharpest) ** 0.5, max(way.end_m - REST_OF_WAY_M - at_m, 0.0) / max(duration_s, 1e-9)
+    )
     return round(float(fastest), 3)
 
 
@@ -238,7 +240,9 @@ def _near(scene: Scene, network: Network, reach_m: float) -> tuple[list[NetworkL
     """Lanes of traffic near the host, and the sums of their chances."""
     foot = network.host_points(scene.camera, np.zeros(1))[0, :2]
     own = {lane.road for lane in network.way.lanes}
-    lanes = [lane for lane in network.lanes.values() if lane.width_m > NARROW_M and lane.end_m - lane.start_m > 1.0]
+    lanes = [
+        lane for lane in network.lanes.values() if lane.width_m > NARROWEST_LANE_M and lane.end_m - lane.start_m > 1.0
+    ]
     start_m, end_m = (np.array([getattr(lane, end) for lane in lanes]) for end in ("start_m", "end_m"))
     counts = 2 + ((end_m - start_m) / 10).astype(int)
     which, s = np.repeat(np.arange(len(lanes)), counts), spaced(start_m, end_m, counts)
@@ -247,7 +251,7 @@ def _near(scene: Scene, network: Network, reach_m: float) -> tuple[list[NetworkL
     for lane, n_near in zip(lanes, np.bincount(which[is_near], minlength=len(lanes)), strict=True):
         if n_near:
             found.append(lane)
-            chances.append((lane.end_m - lane.start_m) * (LIKELIER if lane.road in own else 1.0))
+            chances.append((lane.end_m - lane.start_m) * (HOST_ROADS_WEIGHT if lane.road in own else 1.0))
     return found, np.cumsum(chances)
 
 

@@ -12,7 +12,7 @@ from synth3dlanes.system.arrays import Points2, Scalars
 # Where one waits, behind the kerb, and where ways from and to crosswalks turn.
 WAIT_M, BEHIND_M = 0.75, 1.4
 # Steps of time; accelerations; whoever is this near to where one waits is seen to want to cross.
-STEP_S, ACCELERATION, NEAR_M = 0.2, 1.5, 1.5
+STEP_S, ACCELERATION_M_S2, NEAR_M = 0.2, 1.5, 1.5
 # Half of a stride, and some room.
 BODY_M = 0.6
 # The longest way up to a crosswalk.
@@ -77,7 +77,7 @@ class Crosser:
         if not self.started and self.gone_m > -self._braking_m - self.wish_m_s * STEP_S:
             self.started = may_start()
         most_m_s = self.wish_m_s if self.started else self._most_m_s
-        speed_m_s = min(most_m_s, self.speed_m_s + ACCELERATION * STEP_S)
+        speed_m_s = min(most_m_s, self.speed_m_s + ACCELERATION_M_S2 * STEP_S)
         self.gone_m += (self.speed_m_s + speed_m_s) / 2 * STEP_S
         self.gone_m = self.gone_m if self.started else min(self.gone_m, 0.0)
         self.speed_m_s = speed_m_s
@@ -89,12 +89,12 @@ class Crosser:
 
     @property
     def _braking_m(self) -> float:
-        return self.wish_m_s**2 / (2 * ACCELERATION)
+        return self.wish_m_s**2 / (2 * ACCELERATION_M_S2)
 
     @property
     def _most_m_s(self) -> float:
         """The highest speed at which it stops where one waits."""
-        return min(self.wish_m_s, float(np.sqrt(2 * ACCELERATION * max(-self.gone_m, 0.0))))
+        return min(self.wish_m_s, float(np.sqrt(2 * ACCELERATION_M_S2 * max(-self.gone_m, 0.0))))
 
 
 def kept_after(gone_m: Scalars, from_m: float) -> Scalars:

@@ -30,9 +30,9 @@ MAX_FROM_HOST_M, MAX_PEOPLE, TRIES = 55.0, 120, 5
 # They keep this far from the kerb, where poles stand, and from the walkway's other edge; those who wait are nearer.
 ASIDE_M, OUTSIDE_M = 0.8, 0.4
 # People who cross are at least this far from vehicles, and at no place within this time of one.
-VEHICLE_ROOM_M, APART_S = 0.8, 1.0
+VEHICLE_ROOM_M, BESIDE_VEHICLES_S = 0.8, 1.0
 # A walkway that people come from or go to is this near to the crosswalk.
-WALKWAY_M = 1.5
+WALKWAY_REACH_M = 1.5
 WITH_UMBRELLA = "umbrella"
 
 
@@ -300,7 +300,7 @@ def _ways_from(walkways: Walkways, place: Float[np.ndarray, "2"], length_m: floa
     there, comes last."""
     nearest = walkways.nearest(place)
     found: list[Points2 | None] = []
-    if length_m > 0 and nearest is not None and nearest[1] < WALKWAY_M:
+    if length_m > 0 and nearest is not None and nearest[1] < WALKWAY_REACH_M:
         for forward in (True, False):
             lines = walkways.onward(nearest[0], forward, (BEHIND_M, OUTSIDE_M), length_m + 1.0)
             # The first point may be beside the place, or behind it.
@@ -346,7 +346,7 @@ def _may_cross(
     comes until then."""
     gone_m, width_m = gone
     times_s = np.arange(0.0, (BEHIND_M + width_m - gone_m) / speed_m_s + AHEAD_STEP_S, AHEAD_STEP_S)
-    if at_s + times_s[-1] + APART_S > AHEAD_S:
+    if at_s + times_s[-1] + BESIDE_VEHICLES_S > AHEAD_S:
         return False
     entered_s = (BEHIND_M - gone_m) / speed_m_s
     lit_s = np.arange(entered_s, times_s[-1] + AHEAD_STEP_S, AHEAD_STEP_S).tolist()
@@ -355,7 +355,11 @@ def _may_cross(
         return False
     xy, yaw = route.at(gone_m + speed_m_s * times_s)
     heading, side_m = np.stack([-np.sin(yaw), np.cos(yaw)], -1), 1.0 + 2 * VEHICLE_ROOM_M
-    own, n, margin = placement.footprint(xy, heading, side_m, side_m), len(times_s), round(APART_S / AHEAD_STEP_S)
+    own, n, margin = (
+        placement.footprint(xy, heading, side_m, side_m),
+        len(times_s),
+        round(BESIDE_VEHICLES_S / AHEAD_STEP_S),
+    )
     # Somewhat earlier and later, too; nobody knows where vehicles were before the start.
     first = round(at_s / AHEAD_STEP_S)
     moments = [np.maximum(first + np.arange(n) + by, 0) for by in range(-margin, margin + 1)]

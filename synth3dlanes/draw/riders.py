@@ -30,7 +30,7 @@ IN_CYCLE_LANE_M = 0.4
 # Greatest distance of motorcyclists from the middle of their lane.
 MIDDLE_M = 0.4
 # Distance before the end of a street, where crosswalks and lines are, at which riders stop, and their deceleration.
-LINE_M, DECELERATION = 7.5, 1.5
+LINE_M, DECELERATION_M_S2 = 7.5, 1.5
 
 
 class Ridden(NamedTuple):
@@ -90,13 +90,13 @@ def _rider(
 
 def ridden(times_s: Scalars, speed_m_s: float, room_m: float) -> Scalars | None:
     """How far somebody has ridden at times, who slows down to stop within `room_m`; None where there is no room."""
-    braking_m = speed_m_s**2 / (2 * DECELERATION)
+    braking_m = speed_m_s**2 / (2 * DECELERATION_M_S2)
     if room_m < braking_m:
         return None
     brakes_s = (room_m - braking_m) / speed_m_s
-    braking_s = np.clip(times_s - brakes_s, 0.0, speed_m_s / DECELERATION)
+    braking_s = np.clip(times_s - brakes_s, 0.0, speed_m_s / DECELERATION_M_S2)
     return np.asarray(
-        np.minimum(times_s, brakes_s) * speed_m_s + braking_s * (speed_m_s - DECELERATION * braking_s / 2)
+        np.minimum(times_s, brakes_s) * speed_m_s + braking_s * (speed_m_s - DECELERATION_M_S2 * braking_s / 2)
     )
 
 

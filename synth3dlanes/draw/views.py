@@ -19,14 +19,14 @@ from synth3dlanes.world.world import World
 # How far ahead of its first place the host may be in other views: the stations of `camera.y_m` are within 60 m.
 REACH_M = 40.0
 # What is left of a way on a map beyond the last place.
-LEFT_M = 60.0
+REST_OF_WAY_M = 60.0
 # Draws of a place until it is clear of all objects.
 TRIES = 30
 
 
 def first_view(camera: HostCamera, network: Network, n: int) -> Views:
     """The first of `n` views: the place that was drawn, around which the world is built."""
-    left_m = network.way.end_m - LEFT_M - camera.y_m
+    left_m = network.way.end_m - REST_OF_WAY_M - camera.y_m
     reach_m = round(min(REACH_M, max(left_m, 0.0)), SCENE_DECIMALS)
     return Views(view=0, n=n, lane=camera.lane, y_m=camera.y_m, offset_m=camera.offset_m, reach_m=reach_m)
 

@@ -27,7 +27,7 @@ from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Points2, Points3,
 # Steps of a projection, and how far from the perpendicular through a foot its point may be.
 MOST_STEPS, FOOT_M = 12, 1e-3
 # More than any distance between a place and a road near it; the width of the rows in which places are sorted.
-APART_M, ROW_M = 1e5, 25.0
+FAR_AWAY_M, ROW_M = 1e5, 25.0
 
 Indices = Int[np.ndarray, " n"]
 
@@ -412,7 +412,7 @@ def _in_boxes(
 
 class _Index(NamedTuple):
     """Where roads are: the corners of a box around the pavement of each, the farthest that this is from places of its
-    line, these, and a tree of them, roads one above the other APART_M from each other."""
+    line, these, and a tree of them, roads one above the other FAR_AWAY_M from each other."""
 
     low: Float[np.ndarray, "r 2"]
     high: Float[np.ndarray, "r 2"]
@@ -433,7 +433,7 @@ class RoadIndex:
         index, reach = self._index, np.broadcast_to(reach_m, len(self.roads))[:, None]
         low, high, from_line_m = index.low - reach, index.high + reach, index.half_m + reach[:, 0]
         point, road = _in_boxes(xy_world, low, high)
-        above = np.column_stack([xy_world[point], APART_M * road])
+        above = np.column_stack([xy_world[point], FAR_AWAY_M * road])
         away_m, place = index.tree.query(above, distance_upper_bound=max(from_line_m.max(initial=0.0), 0.0))
         found = np.flatnonzero(away_m < from_line_m[road])
         found = found[np.argsort(road[found] * len(xy_world) + point[found])]
@@ -463,5 +463,5 @@ class RoadIndex:
             np.maximum.reduceat(sides.max(axis=1), starts) + step_m[:, None],
             widest_m + step_m,
             places,
-            scipy.spatial.cKDTree(np.column_stack([points, APART_M * road])),
+            scipy.spatial.cKDTree(np.column_stack([points, FAR_AWAY_M * road])),
         )

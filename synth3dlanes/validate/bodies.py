@@ -30,9 +30,9 @@ DEEP_M, BONNET_PARTS = 0.4, 10
 LOWEST_SUN_RAD, MAX_SHADOW_M = 0.05, 15.0
 # Room for soft edges of shadows.
 SHADE_ROOM_M = 0.08
-# Boxes are tested in runs of RUN of a thing, if the box around the run is met; boxes times points that are tested at
-# once.
-RUN, TOGETHER = 32, 1_000_000
+# A thing's boxes are tested in runs of BOXES_PER_RUN, where the box around the run is met; PAIRS_AT_ONCE pairs of a box
+# and a point are tested at once.
+BOXES_PER_RUN, PAIRS_AT_ONCE = 32, 1_000_000
 
 # A distance beyond everything in a scene.
 FAR_M = 5_000.0
@@ -62,7 +62,7 @@ class Boxes(NamedTuple):
             return self, []
         begins = np.append(True, self.owners[1:] != self.owners[:-1])
         in_run = np.arange(n) - np.maximum.accumulate(np.where(begins, np.arange(n), 0))
-        starts = np.flatnonzero(in_run % RUN == 0)
+        starts = np.flatnonzero(in_run % BOXES_PER_RUN == 0)
         corners = np.stack([np.where(at, self.high, self.low) for at in np.ndindex(2, 2, 2)], axis=1)
         turn, origin = self.world_from_boxes[:, :3, :3], self.world_from_boxes[:, None, :3, 3]
         world = corners @ turn.swapaxes(1, 2) + origin
@@ -177,7 +177,7 @@ def meet(boxes: Boxes, eyes_world: Float[np.ndarray, "*m 3"], points_world: Poin
     them."""
     found, eyes = np.zeros(len(points_world), dtype=bool), eyes_world.reshape(-1, 3)
     around, runs = boxes.groups()
-    for first in range(0, len(runs), step := max(1, TOGETHER // max(len(points_world), 1))):
+    for first in range(0, len(runs), step := max(1, PAIRS_AT_ONCE // max(len(points_world), 1))):
         some = slice(first, first + step)
         near = _meet(around.at(some), eyes, points_world, room_m)
         for run, of_run in zip(runs[some], near, strict=True):

@@ -14,9 +14,9 @@ from synth3dlanes.validate.findings import Finding, Instant, MovingObject
 
 # The most that tyres hold, in metres per second squared. The mean speed between two pictures differs from the mean of
 # both speeds by at most a quarter of the change that this allows.
-MOST_ACCELERATION = 10.0
+MOST_ACCELERATION_M_S2 = 10.0
 # Rounding of places, and of velocities in metres per second.
-PLACE_M, SPEED = 0.002, 0.005
+PLACE_ROUNDING_M, SPEED_ROUNDING_M_S = 0.002, 0.005
 # A labelled velocity is along the body's axis. Where ramps begin, both axles stand on ground of different slopes, and
 # the middle moves in another direction: by 0.1 radians in one of 350 cars, by 0.0003 in most.
 OFF_AXIS = 0.15
@@ -55,7 +55,7 @@ def between(before: Instant, after: Instant) -> Iterator[Finding]:
         if away_m.max(initial=0) > LINE_M:
             reason = f"expected it where the picture before has this line, got it up to {away_m.max():.2f} m away"
             yield Finding(id_, reason)
-    least_m = PLACE_M + SPEED * step_s + MOST_ACCELERATION * step_s**2 / 4
+    least_m = PLACE_ROUNDING_M + SPEED_ROUNDING_M_S * step_s + MOST_ACCELERATION_M_S2 * step_s**2 / 4
     for number, now in after.objects.items():
         then = before.objects.get(number)
         if then is None:

@@ -14,7 +14,7 @@ from synth3dlanes.system.arrays import Scalars
 from synth3dlanes.world.areas import GRIDS_M, clipped, contains, difference
 
 # Columns of cells are cut out a little wider; lines of grids keep off corners of areas by hairs.
-ASIDE_M, HAIR_M = 0.01, 1e-5
+COLUMN_MARGIN_M, HAIR_M = 0.01, 1e-5
 
 CellIndices = Int[np.ndarray, " _"]
 PlanPlaces = Float[np.ndarray, "_ 2"]
@@ -184,8 +184,8 @@ def _odd_parts(
         if len(j):
             # A little wider, so that cells do not touch its sides: these are slow to ask about.
             x0, x1 = xs[i[0]], xs[i[0] + 1]
-            low, high = float(ys[j.min()]) - ASIDE_M, float(ys[j.max() + 1]) + ASIDE_M
-            strip = clipped(areas[number[0]], (float(x0) - ASIDE_M, low, float(x1) + ASIDE_M, high))
+            low, high = float(ys[j.min()]) - COLUMN_MARGIN_M, float(ys[j.max() + 1]) + COLUMN_MARGIN_M
+            strip = clipped(areas[number[0]], (float(x0) - COLUMN_MARGIN_M, low, float(x1) + COLUMN_MARGIN_M, high))
             parts += [clipped(strip, (x0, ys[k], x1, ys[k + 1])) for k in j.tolist()]
     return odd, cells, np.array(parts)
 

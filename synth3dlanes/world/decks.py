@@ -25,9 +25,9 @@ ROW_M, SIDE_M, PARAPET_M = 2.0, 0.35, 0.95
 BESIDE_M, LEVEL_M = 0.5, 1.5
 # Spacing of piers, half of their width, their distance from pavement below, and the least height below a deck with
 # piers.
-PIERS_M, PIER_M, CLEAR_M, LEAST_PIER_M = 22.0, 0.45, 1.0, 2.0
+PIER_SPACING_M, HALF_PIER_M, PIER_CLEARANCE_M, LEAST_PIER_HEIGHT_M = 22.0, 0.45, 1.0, 2.0
 # Shifts along the deck that are tried for a pier without room at its place.
-TRIED_M = np.array([0, 2, -2, 4, -4, 6, -6, 8, -8.0])
+PIER_SHIFTS_M = np.array([0, 2, -2, 4, -4, 6, -6, 8, -8.0])
 # Most depth of the ground behind an abutment below the road, the length of its wings, and places across its wall.
 BANK_M, WING_M, ACROSS = 2.0, 3.0, 7
 # The wall around a portal: how far it reaches beside that and over the ground, and its fall towards its ends.
@@ -74,9 +74,9 @@ class _Deck(NamedTuple):
     def of(cls, span: Span) -> "_Deck":
         """The deck of a span."""
         road, s = span.road, span.rows(ROW_M)
-        n = int((span.to_m - span.from_m) / PIERS_M)
+        n = int((span.to_m - span.from_m) / PIER_SPACING_M)
         middles_m = np.linspace(span.from_m, span.to_m, n + 2)[1:-1]
-        at = np.repeat(np.clip(middles_m[:, None] + TRIED_M, span.from_m + 1, span.to_m - 1).ravel(), 2)
+        at = np.repeat(np.clip(middles_m[:, None] + PIER_SHIFTS_M, span.from_m + 1, span.to_m - 1).ravel(), 2)
         left, right = road.left(at), road.right(at)
         piers = _points(span, at, left + (right - left) * np.tile([0.22, 0.78], len(at) // 2), -DECK_M)
         middle = _points(span, s, (road.left(s) + road.right(s)) / 2, 0.0)
@@ -183,14 +183,19 @@ def _piers(quads: Quads, paved: PavedAreas, deck: _Deck, low_m: Heights) -> None
     """Pairs of columns below a deck, clear of pavement, on the ground at these heights."""
     top, s = deck.piers_world, deck.piers_s
     rise_m = top[:, 2] - low_m
-    has_room = (rise_m >= LEAST_PIER_M) & paved.is_off_ground_pavement(top[:, :2], CLEAR_M)
-    pairs = has_room.reshape(-1, len(TRIED_M), 2).all(axis=2)
+    has_room = (rise_m >= LEAST_PIER_HEIGHT_M) & paved.is_off_ground_pavement(top[:, :2], PIER_CLEARANCE_M)
+    pairs = has_room.reshape(-1, len(PIER_SHIFTS_M), 2).all(axis=2)
     for i in np.flatnonzero(pairs.any(axis=1)).tolist():
-        first = 2 * (i * len(TRIED_M) + int(pairs[i].argmax()))
+        first = 2 * (i * len(PIER_SHIFTS_M) + int(pairs[i].argmax()))
         along = np.diff(deck.span.road.xy(s[first] + np.array([-0.5, 0.5]), np.zeros(2)), axis=0)[0]
         for at in (first, first + 1):
             frame = GroundFrame(np.array([*top[at, :2], low_m[at]]), along / np.linalg.norm(along))
-            quads.box(frame, (-PIER_M, -PIER_M, -SINK_M), (PIER_M, PIER_M, float(rise_m[at]) + 0.05), CONCRETE)
+            quads.box(
+                frame,
+                (-HALF_PIER_M, -HALF_PIER_M, -SINK_M),
+                (HALF_PIER_M, HALF_PIER_M, float(rise_m[at]) + 0.05),
+                CONCRETE,
+            )
 
 
 def _tunnel(paved: PavedAreas, span: Span) -> Body:

@@ -31,7 +31,7 @@ CELL_M, NOWHERE_M, ROUGH_M, SHARES = 4.0, 1e4, 0.1, (0.0, 0.25, 0.5, 0.75, 1.0)
 # The lowest road within a square of FLOOR_CELLS x FLOOR_CELLS cells around a place is below all pavement there.
 FLOOR_CELLS = 5
 # Places are processed in groups of this number: larger groups take more memory, and no less time for each.
-TOGETHER = 40_000
+PLACES_AT_ONCE = 40_000
 # Places at most this far from pavement count as on it.
 EDGE_M = 1e-4
 
@@ -128,8 +128,8 @@ class GradedGround:
         found = np.zeros(len(xy_world))
         if self._has_heights.any():
             above = self._above if are_paved else self._between_roads
-            for first in range(0, len(found), TOGETHER):
-                some = slice(first, first + TOGETHER)
+            for first in range(0, len(found), PLACES_AT_ONCE):
+                some = slice(first, first + PLACES_AT_ONCE)
                 found[some] = above(xy_world[some], covered[some])
         return found
 

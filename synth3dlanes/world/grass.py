@@ -20,8 +20,8 @@ PER_EDGE, AHEAD_M, BESIDE_M = 1200, (2.0, 45.0), (0.25, 3.6)
 N_EDGES = 4
 # More of them for each metre that the host drives.
 PER_M = 40
-# Grass is mown next to the road: its height grows from the share SHORT at the edge to all of it at FULL_AT_M.
-SHORT, FULL_AT_M = 0.35, 1.5
+# Grass is mown next to the road: its height grows from the share SHARE_AT_EDGE at the edge to all of it at FULL_AT_M.
+SHARE_AT_EDGE, FULL_AT_M = 0.35, 1.5
 # A tuft: its blades, the radius of their feet, their lean over their height, their width over their height.
 BLADES, RADIUS_M, LEAN, WIDTH = 9, 0.14, 0.7, 0.12
 SINK_M = 0.04
@@ -80,7 +80,7 @@ def _tufts(ground: Ground, grass_m: float, rng: np.random.Generator) -> tuple[Po
     from_edge_m = ground.clearance(places)
     kept = (from_edge_m > BESIDE_M[0]) & (from_edge_m < BESIDE_M[1])
     places, from_edge_m = places[kept], from_edge_m[kept]
-    height_m = grass_m * np.clip(SHORT + (1 - SHORT) * from_edge_m / FULL_AT_M, 0, 1)
+    height_m = grass_m * np.clip(SHARE_AT_EDGE + (1 - SHARE_AT_EDGE) * from_edge_m / FULL_AT_M, 0, 1)
     height_m *= 0.6 + 0.4 * draws[2].ravel()[: len(places)]
     return np.column_stack([places, ground.height(places) - SINK_M]), height_m
 

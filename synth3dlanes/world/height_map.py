@@ -10,9 +10,10 @@ from synth3dlanes.world.ground import Ground
 # The paper's top view: 20 m x 80 m, starting below the camera; row 0 is the farthest.
 CELL_M = (0.2, 0.4)
 SHAPE = (200, 100)
-# All cells are searched with STEPS steps. Cells on steep ground need up to MOST_STEPS: their steps are lengthened by
-# the error that the previous one left, at most LONGER times, and each must reduce the error to the share NEARER.
-STEPS, MOST_STEPS, CLOSE_M, NEARER, LONGER = 12, 60, 1e-4, 0.95, 10.0
+# All cells are searched with STEPS steps. Cells on steep ground need up to MOST_STEPS: their steps are stretched by the
+# error that the previous one left, at most MOST_STRETCH times, and each must leave less than the share MOST_LEFT of the
+# error.
+STEPS, MOST_STEPS, CLOSE_M, MOST_LEFT, MOST_STRETCH = 12, 60, 1e-4, 0.95, 10.0
 # Cells that end farther than LOST_M from the ground are searched up and down in pieces of PIECE_M, which grow by the
 # factor GROWING from REACH_M to FARTHEST_M (a valley whose side climbs 100 m over the plane of its bottom), and within
 # a piece by halving it.
@@ -41,10 +42,10 @@ def height_map(ground: Ground, world_from_road: Matrix4) -> Float[np.ndarray, "2
         below_m = ground.height_near(points_world) - points_world[:, 2]
         left = below_m / np.where(before_m == 0, np.inf, before_m)
         if step >= STEPS:
-            gain = gain / np.clip(1 - left, 1 / LONGER, LONGER)
+            gain = gain / np.clip(1 - left, 1 / MOST_STRETCH, MOST_STRETCH)
         points_road[at, 2] += below_m * gain
         # At a kerb a step leads to no nearer place.
-        asked = (np.abs(below_m) > CLOSE_M) & (np.abs(left) < NEARER) | (step < STEPS - 1)
+        asked = (np.abs(below_m) > CLOSE_M) & (np.abs(left) < MOST_LEFT) | (step < STEPS - 1)
         lost.append(at[~asked & (np.abs(below_m) > LOST_M)])
         at, before_m, gain = at[asked], below_m[asked], gain[asked]
         if not len(at):

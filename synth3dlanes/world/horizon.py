@@ -9,7 +9,7 @@ from jaxtyping import Float
 from synth3dlanes.system.arrays import AnyPoints2, AnyScalars, Scalars
 
 # Distances from the world's origin, on a map from the host, at which the hills begin and reach their full height.
-BEGIN_M, WHOLE_M = 500.0, 1600.0
+HILLS_FROM_M, FULL_HILLS_FROM_M = 500.0, 1600.0
 N_WAVES = 14
 LENGTHS_M = np.geomspace(600.0, 3000.0, N_WAVES)
 MAX_HEIGHT_M = 90.0
@@ -42,7 +42,11 @@ class FarHills:
     def height(self, xy_world: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
         """Metres to add to the terrain; 0 near the roads."""
         x, y = self.center_world
-        share = np.clip((np.hypot(xy_world[..., 0] - x, xy_world[..., 1] - y) - BEGIN_M) / (WHOLE_M - BEGIN_M), 0, 1)
+        share = np.clip(
+            (np.hypot(xy_world[..., 0] - x, xy_world[..., 1] - y) - HILLS_FROM_M) / (FULL_HILLS_FROM_M - HILLS_FROM_M),
+            0,
+            1,
+        )
         far, heights_m = share > 0, np.zeros_like(share)
         rolling = 0.4 + 2.5 * (np.sin(xy_world[far] @ self.waves + self.phases) @ (LENGTHS_M / LENGTHS_M.sum()))
         heights_m[far] = self.height_m * share[far] ** 2 * (3 - 2 * share[far]) * np.maximum(rolling, 0)

@@ -32,8 +32,8 @@ END_STEP_M, LEAST_GROUND_M = 1.0, 12.0
 # Most depth of the valley below the deck of a bridge of a file; height of the ceiling of tunnels and of the ground over
 # that, and thickness of their walls.
 VALLEY_M, CEILING_M, COVER_M, WALL_M = 4.0, 5.5, 1.0, 0.6
-# Overlap of the ground over a tunnel beyond its ends.
-BEFORE_M = 0.02
+# The ground over a tunnel goes on beyond its ends by this.
+TUNNEL_OVERLAP_M = 0.02
 
 
 class Span(NamedTuple):
@@ -85,7 +85,7 @@ def spans(table: RoadTable, strips: Mapping[str, BaseGeometry]) -> list[Span]:
 def _span(road: Road, from_m: float, to_m: float, is_tunnel: bool = False, is_given: bool = False) -> Span:
     s, aside_m = np.linspace(from_m, to_m, 2 + int(to_m - from_m)), WALL_M if is_tunnel else 0.0
     left, right = road.left(s), road.right(s)
-    out_m = np.array([-BEFORE_M, BEFORE_M]) * is_tunnel
+    out_m = np.array([-TUNNEL_OVERLAP_M, TUNNEL_OVERLAP_M]) * is_tunnel
     ends = [road.xy(s[[0, -1]] + out_m, edge[[0, -1]])[:, None] for edge in (left, right)]
     # With the corners of the pavement, at which the ground is as high as that; not on a line with the others.
     sides = [

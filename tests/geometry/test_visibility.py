@@ -14,7 +14,7 @@ from synth3dlanes.geometry.frames import transform
 from synth3dlanes.params.params import load_params
 from synth3dlanes.truth.ground_truth import ground_truth, label
 from synth3dlanes.world.height_map import cells_road, height_map
-from synth3dlanes.world.horizon import BEGIN_M
+from synth3dlanes.world.horizon import HILLS_FROM_M
 from synth3dlanes.world.visibility import TOLERANCE_M, _behind_crests, seen_over_ground
 from synth3dlanes.world.world import resolve
 from tests.scenes import changed, hill
@@ -123,7 +123,7 @@ def test_every_surface_is_its_own_mirror():
     places = [mesh.vertices_world[mesh.faces].mean(axis=1) for mesh in [*world.site.surfaces.pavement, *paint]]
     # Below pavement the terrain is cut along simplified lines.
     for xyz in [terrain[world.ground.clearance(terrain[:, :2]) > 0.5], *places]:
-        near = xyz[np.hypot(*xyz[:, :2].T) < BEGIN_M - 110]
+        near = xyz[np.hypot(*xyz[:, :2].T) < HILLS_FROM_M - 110]
         assert len(near) > 400
         assert cKDTree(near).query(near * [1, -1, 1])[0].max() < 2e-3
     assert min(np.ptp(mesh.vertices_world[:, 1]) for mesh in [*world.site.surfaces.pavement, *paint]) > 7900

@@ -38,7 +38,7 @@ from synth3dlanes.world.ground import Ground
 from synth3dlanes.world.placement import footprint, touches_any
 
 # Least distance of parked cars from the ends of a parking lane, and their greatest length.
-BAY_END_M, SHORT_M = 4.0, 5.4
+BAY_END_M, LONGEST_PARKED_M = 4.0, 5.4
 N_BENDS = 4
 # Parked and moving cars farther than this from the host's place are left out.
 PARKED_M, MOVING_M = 90.0, 160.0
@@ -151,7 +151,7 @@ def _parked_cars(
     driven = _driven_places(drawn, found)
 
     def fits(body: CarBody, own: CarModel) -> bool:
-        return own.length_m < SHORT_M and own.width_m < PARKING_M
+        return own.length_m < LONGEST_PARKED_M and own.width_m < PARKING_M
 
     for street in drawn.map.streets:
         for i, piece in enumerate(street.pieces):

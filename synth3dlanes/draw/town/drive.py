@@ -19,22 +19,22 @@ from synth3dlanes.draw.town.streets import LaneAt
 from synth3dlanes.system.arrays import Points2
 
 # The intelligent driver model: acceleration, comfortable deceleration, time gap, standing gap; and the hardest braking.
-ACCELERATION, DECELERATION, HEADWAY_S, GAP_M, HARDEST = 1.8, 2.2, 1.2, 2.2, 7.0
-# Sideways acceleration in bends (m/s^2), and how far ahead a driver looks for bends.
-SIDEWAYS, LOOK_M = 2.6, 70.0
+ACCELERATION_M_S2, DECELERATION_M_S2, HEADWAY_S, GAP_M, HARDEST_BRAKING_M_S2 = 1.8, 2.2, 1.2, 2.2, 7.0
+# Sideways acceleration in bends, and how far ahead a driver looks for bends.
+SIDEWAYS_M_S2, LOOK_AHEAD_M = 2.6, 70.0
 # Distance at which a car stops before a line, and before an occupied zone of a junction; the time for which a zone must
 # be free before a car enters it and after it has left.
 BEFORE_LINE_M, BEFORE_ZONE_M, APART_S = 0.6, 1.0, 1.0
-# After this time at standstill a car goes before others that stand; below this speed (m/s) it stands.
-PATIENCE_S, STANDING = 3.0, 0.3
+# After PATIENCE_S at standstill, which is below STANDING_M_S, a car goes before others that stand.
+PATIENCE_S, STANDING_M_S = 3.0, 0.3
 # A car that stands farther before the line than this is not the first: it waits for those in front of it.
-NEXT_M = 6.0
+FIRST_IN_LINE_M = 6.0
 # A car begins to brake for a stop this much earlier than its braking distance demands.
 BRAKING_ROOM_M = 12.0
 # A car that cannot stop within this deceleration goes on at amber.
-AMBER_STOP = 3.0
-# People at a crosswalk wait for cars that are faster than ROLLING (m/s) and at most FAR_M away.
-ROLLING, FAR_M = 2.0, 70.0
+AMBER_BRAKING_M_S2 = 3.0
+# People at a crosswalk wait for cars that are faster than ROLLING_M_S and at most FAR_M away.
+ROLLING_M_S, FAR_M = 2.0, 70.0
 # A crosswalk by its junction and arm.
 CrosswalkKey = tuple[str, int]
 
@@ -84,9 +84,9 @@ class Driver:
     route: Route
     gates: tuple[Gate, ...]
     length_m: float
-    wish: float
+    wish_m_s: float
     at_m: float
-    speed: float
+    speed_m_s: float
     is_host: bool = False
     stops_m: float = math.inf
     gate: int = 0
@@ -97,7 +97,7 @@ class Driver:
     _placed: tuple[float, Float[np.ndarray, "2"]] | None = None
 
     def __post_init__(self) -> None:
-        self.limits = [min(self.wish, math.sqrt(SIDEWAYS / max(bend, 1e-4))) for bend in self.route.sharpest]
+        self.limits = [min(self.wish_m_s, math.sqrt(SIDEWAYS_M_S2 / max(bend, 1e-4))) for bend in self.route.sharpest]
         self.place()
         while self.gate < len(self.gates) and self.at_m > self.gates[self.gate].line_m - self.length_m / 2:
             if self.at_m < self.gates[self.gate].end_m + self.length_m / 2:
@@ -196,12 +196,12 @@ class TownTraffic:
         for key, crossers in self.crossers.items():
             for crosser in crossers:
                 crosser.step(partial(self._may_cross, key, crosser))
-        wanted = [self._acceleration(driver) for driver in self.drivers]
-        for driver, acceleration in zip(self.drivers, wanted, strict=True):
-            speed = max(0.0, driver.speed + acceleration * STEP_S)
-            driver.at_m += (driver.speed + speed) / 2 * STEP_S
-            driver.speed = speed
-            driver.stood_s = driver.stood_s + STEP_S if speed < STANDING else 0.0
+        wanted_m_s2 = [self._acceleration(driver) for driver in self.drivers]
+        for driver, acceleration_m_s2 in zip(self.drivers, wanted_m_s2, strict=True):
+            speed_m_s = max(0.0, driver.speed_m_s + acceleration_m_s2 * STEP_S)
+            driver.at_m += (driver.speed_m_s + speed_m_s) / 2 * STEP_S
+            driver.speed_m_s = speed_m_s
+            driver.stood_s = driver.stood_s + STEP_S if speed_m_s < STANDING_M_S else 0.0
             driver.place()
             self._pass(driver)
         self.time_s += STEP_S
@@ -237,35 +237,35 @@ class TownTraffic:
         return found
 
     def _acceleration(self, driver: Driver) -> float:
-        starts, limit = driver.route.starts, driver.limits[driver.lane]
+        starts, limit_m_s = driver.route.starts, driver.limits[driver.lane]
         k = driver.lane + 1
-        while k < len(driver.limits) and starts[k] - driver.at_m < LOOK_M:
+        while k < len(driver.limits) and starts[k] - driver.at_m < LOOK_AHEAD_M:
             before_m = max(starts[k] - driver.at_m - driver.length_m / 4, 0.0)
-            limit = min(limit, math.sqrt(driver.limits[k] ** 2 + 2 * 1.8 * before_m))
+            limit_m_s = min(limit_m_s, math.sqrt(driver.limits[k] ** 2 + 2 * 1.8 * before_m))
             k += 1
-        wanted = _following(driver.speed, limit, *self._leader(driver))
+        wanted_m_s2 = _following(driver.speed_m_s, limit_m_s, *self._leader(driver))
         for stop_m in (self._stop(driver), _stop_at_end(driver)):
             if stop_m is not None:
-                wanted = min(wanted, _following(driver.speed, limit, stop_m + GAP_M, 0.0))
-        if driver.speed > limit:
-            wanted = min(wanted, (limit - driver.speed) / STEP_S)
-        return max(wanted, -HARDEST)
+                wanted_m_s2 = min(wanted_m_s2, _following(driver.speed_m_s, limit_m_s, stop_m + GAP_M, 0.0))
+        if driver.speed_m_s > limit_m_s:
+            wanted_m_s2 = min(wanted_m_s2, (limit_m_s - driver.speed_m_s) / STEP_S)
+        return max(wanted_m_s2, -HARDEST_BRAKING_M_S2)
 
     def _leader(self, driver: Driver) -> tuple[float, float]:
         """The gap to the next car on the same way, and its speed."""
-        gap_m, speed = LOOK_M, driver.speed + 5.0
+        gap_m, speed_m_s = LOOK_AHEAD_M, driver.speed_m_s + 5.0
         starts = driver.route.starts
         k = driver.lane
-        while k < len(driver.route.lanes) and starts[k] - driver.at_m < LOOK_M:
+        while k < len(driver.route.lanes) and starts[k] - driver.at_m < LOOK_AHEAD_M:
             for other, at_m in self._on.get(driver.route.lanes[k], ()):
                 ahead_m = starts[k] + at_m - driver.at_m
                 if other is driver or ahead_m <= 0:
                     continue
                 free_m = ahead_m - (driver.length_m + other.length_m) / 2
                 if free_m < gap_m:
-                    gap_m, speed = free_m, other.speed
+                    gap_m, speed_m_s = free_m, other.speed_m_s
             k += 1
-        return gap_m, speed
+        return gap_m, speed_m_s
 
     def _stop(self, driver: Driver) -> float | None:
         """The distance to the point where it has to stop, for a line or for an occupied zone; None if it need not."""
@@ -289,8 +289,8 @@ class TownTraffic:
     def _may_enter(self, driver: Driver, gate: Gate, before_m: float) -> bool:
         if gate.has_signals:
             state = self.lights[gate.rules.junction.id].state(gate.group, self.time_s)
-            hard = driver.speed**2 / (2 * max(before_m, 0.1))
-            if state in ("red", "red_amber", "off") or (state == "amber" and hard < AMBER_STOP):
+            braking_m_s2 = driver.speed_m_s**2 / (2 * max(before_m, 0.1))
+            if state in ("red", "red_amber", "off") or (state == "amber" and braking_m_s2 < AMBER_BRAKING_M_S2):
                 return False
         elif self._must_stop(driver, gate, before_m):
             return False
@@ -312,7 +312,7 @@ class TownTraffic:
             for other, at_m in self._on.get(lane, ()):
                 its_m = driver.route.starts[driver.route.place[lane]] + at_m
                 is_ahead = other is not driver and its_m > driver.at_m and at_m > -other.length_m
-                if is_ahead and other.speed < 2.0 and its_m - other.length_m / 2 - gate.end_m < room_m:
+                if is_ahead and other.speed_m_s < 2.0 and its_m - other.length_m / 2 - gate.end_m < room_m:
                     return False
         return True
 
@@ -347,7 +347,7 @@ class TownTraffic:
                 return False
         if other.stood_s == 0:
             return True
-        if gate.line_m - other.at_m - other.length_m / 2 > NEXT_M:
+        if gate.line_m - other.at_m - other.length_m / 2 > FIRST_IN_LINE_M:
             return False
         mine = (driver.stood_s - PATIENCE_S, -self.drivers.index(driver))
         return driver.stood_s < PATIENCE_S or mine < (other.stood_s - PATIENCE_S, -self.drivers.index(other))
@@ -372,8 +372,8 @@ class TownTraffic:
         """Whether it waits at its line for somebody at a crosswalk."""
         if way.is_behind:
             return self._goes_before(way, driver) and not self._has_room_inside(driver, gate, way)
-        hard = driver.speed**2 / (2 * max(before_m, 0.1))
-        waits = hard < DECELERATION and not gate.has_signals
+        braking_m_s2 = driver.speed_m_s**2 / (2 * max(before_m, 0.1))
+        waits = braking_m_s2 < DECELERATION_M_S2 and not gate.has_signals
         return self._goes_before(way, driver) or (
             waits and any(at.wants_to_cross for at in self.crossers.get(way.key, ()))
         )
@@ -420,7 +420,7 @@ class TownTraffic:
             stop_m = way.from_m - BEFORE_ZONE_M
         elif has_entered:
             return False
-        return stop_m - front_m > driver.speed**2 / (2 * DECELERATION) + driver.speed * 2 * STEP_S - 0.5
+        return stop_m - front_m > driver.speed_m_s**2 / (2 * DECELERATION_M_S2) + driver.speed_m_s * 2 * STEP_S - 0.5
 
     def _has_room_inside(self, driver: Driver, gate: Gate, way: CrosswalkWay) -> bool:
         """Whether a car alone fits between the crosswalks before and behind a junction."""
@@ -431,15 +431,15 @@ class TownTraffic:
 
 def _passes_before(driver: Driver, way: CrosswalkWay, crosser: Crosser) -> bool:
     """Whether a car at its speed is past a crosswalk before somebody is on its lane."""
-    if driver.speed < ROLLING:
+    if driver.speed_m_s < ROLLING_M_S:
         return False
-    past_s = (way.to_m + driver.length_m / 2 - driver.at_m) / driver.speed
+    past_s = (way.to_m + driver.length_m / 2 - driver.at_m) / driver.speed_m_s
     return past_s + APART_S < crosser.seconds_to(crosser.within(way.sides)[0])
 
 
 def _is_far(driver: Driver, before_m: float) -> bool:
     """Whether it need not brake yet for a place that is this far before its front."""
-    return before_m > driver.speed**2 / (2 * DECELERATION) + BRAKING_ROOM_M
+    return before_m > driver.speed_m_s**2 / (2 * DECELERATION_M_S2) + BRAKING_ROOM_M
 
 
 def _stop_at_end(driver: Driver) -> float | None:
@@ -448,21 +448,23 @@ def _stop_at_end(driver: Driver) -> float | None:
     return None if _is_far(driver, before_m) else max(before_m, 0.0)
 
 
-def _following(speed: float, limit: float, gap_m: float, leader: float) -> float:
+def _following(speed_m_s: float, limit_m_s: float, gap_m: float, leader_m_s: float) -> float:
     """The acceleration of the intelligent driver model."""
-    free = 1 - (speed / max(limit, 0.5)) ** 4
+    free = 1 - (speed_m_s / max(limit_m_s, 0.5)) ** 4
     wanted_m = GAP_M + max(
-        0.0, speed * HEADWAY_S + speed * (speed - leader) / (2 * math.sqrt(ACCELERATION * DECELERATION))
+        0.0,
+        speed_m_s * HEADWAY_S
+        + speed_m_s * (speed_m_s - leader_m_s) / (2 * math.sqrt(ACCELERATION_M_S2 * DECELERATION_M_S2)),
     )
-    return ACCELERATION * (free - (wanted_m / max(gap_m, 0.1)) ** 2)
+    return ACCELERATION_M_S2 * (free - (wanted_m / max(gap_m, 0.1)) ** 2)
 
 
 def _time(way_m: float, driver: Driver) -> float:
     """Seconds until a car has driven a distance, if it speeds up to the speed of turning; less than 0 if it has."""
     if way_m <= 0:
         return -1.0
-    speed, top = driver.speed, max(driver.speed, min(driver.wish, 7.0))
-    reach_m = (top**2 - speed**2) / (2 * ACCELERATION)
+    speed_m_s, top_m_s = driver.speed_m_s, max(driver.speed_m_s, min(driver.wish_m_s, 7.0))
+    reach_m = (top_m_s**2 - speed_m_s**2) / (2 * ACCELERATION_M_S2)
     if way_m < reach_m:
-        return (math.sqrt(speed**2 + 2 * ACCELERATION * way_m) - speed) / ACCELERATION
-    return (top - speed) / ACCELERATION + (way_m - reach_m) / top
+        return (math.sqrt(speed_m_s**2 + 2 * ACCELERATION_M_S2 * way_m) - speed_m_s) / ACCELERATION_M_S2
+    return (top_m_s - speed_m_s) / ACCELERATION_M_S2 + (way_m - reach_m) / top_m_s

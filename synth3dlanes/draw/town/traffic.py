@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from synth3dlanes.draw.crossing import STEP_S, Crosser
 from synth3dlanes.draw.draws import Draw, DrawsOf
-from synth3dlanes.draw.town.drive import STANDING, CrosswalkKey, Driver, Gate, TownTraffic, gates_of
+from synth3dlanes.draw.town.drive import STANDING_M_S, CrosswalkKey, Driver, Gate, TownTraffic, gates_of
 from synth3dlanes.draw.town.lanes import LaneLines, Route, lanes_along, street_lanes
 from synth3dlanes.draw.town.layout import TownMap
 from synth3dlanes.draw.town.paint import CROSSWALK_M, line_m
@@ -187,14 +187,14 @@ class _Simulation:
             if each.control == "signals"
         }
         # This stream chooses a third of [0, 1), as in earlier versions, and `u` the place in it.
-        self.wish = usual.own.at("speed_m_s", (int(self.rng.integers(3)) + usual.u) / 3)
+        self.wish_m_s = usual.own.at("speed_m_s", (int(self.rng.integers(3)) + usual.u) / 3)
         self.traffic = TownTraffic(lines, self.lights)
         self.bodies: dict[int, CarBody] = {}
         self._gates: dict[tuple[str, ...], tuple[Gate, ...]] = {}
         start_m = max(host.at_m - RUN_UP_M, 6.0)
         self.host = self._driver(host.lanes, start_m, HOST_SIZE_M[0], 0.0)
         self.host.is_host = True
-        self.host.speed = 0.7 * self.host.limits[self.host.lane]
+        self.host.speed_m_s = 0.7 * self.host.limits[self.host.lane]
         self.traffic.drivers.append(self.host)
         self.at_m, self.host_offset_m = host.at_m, host.offset_m
         self._fill()
@@ -218,7 +218,9 @@ class _Simulation:
         self.host.stops_m = self.host.route.length_m - BEFORE_END_M
         self._remove_touching([driver.at_m for driver in traffic.drivers])
         tracks = {id(driver): [(0.0, driver.at_m)] for driver in traffic.drivers}
-        speeds = {id(driver): driver.speed if driver.speed > STANDING else 0.0 for driver in traffic.drivers}
+        speeds = {
+            id(driver): driver.speed_m_s if driver.speed_m_s > STANDING_M_S else 0.0 for driver in traffic.drivers
+        }
         shift_s = traffic.time_s
         met = [*meetings()] if duration_s else []
         for meeting in met:
@@ -239,19 +241,19 @@ class _Simulation:
         body = self.bodies.get(id(driver), CarBody(0, 1.0, *HOST_SIZE_M))
         return MovingCar(body, driver.route.lanes, speed_m_s, rounded)
 
-    def _driver(self, lanes: tuple[str, ...], at_m: float, length_m: float, speed: float) -> Driver:
+    def _driver(self, lanes: tuple[str, ...], at_m: float, length_m: float, speed_m_s: float) -> Driver:
         route = self.lines.route(lanes)
         if lanes not in self._gates:
             self._gates[lanes] = gates_of(route, self.town_map.junctions, self.has_crosswalks)
-        wish = self.wish * float(self.rng.uniform(0.85, 1.08))
-        return Driver(route, self._gates[lanes], length_m, wish, at_m, speed)
+        wish_m_s = self.wish_m_s * float(self.rng.uniform(0.85, 1.08))
+        return Driver(route, self._gates[lanes], length_m, wish_m_s, at_m, speed_m_s)
 
-    def _add(self, lanes: Sequence[str], at_m: float, speed: float) -> bool:
+    def _add(self, lanes: Sequence[str], at_m: float, speed_m_s: float) -> bool:
         """Add a car on its way from these lanes on, if there is room for it."""
         route = self.ways_on.onward(list(lanes), self.rng)
         is_straight = all(self._is_straight(lane) for lane in route)
         body = self.draw_body(is_straight)
-        driver = self._driver(route, at_m, body.length_m, speed)
+        driver = self._driver(route, at_m, body.length_m, speed_m_s)
         here = {driver.route.lanes[k] for k in (driver.lane, max(driver.lane - 1, 0))}
         aways_m = np.linalg.norm(np.stack([other.xy for other in self.traffic.drivers]) - driver.xy, axis=-1)
         for other, away_m in zip(self.traffic.drivers, aways_m.tolist(), strict=True):
@@ -260,7 +262,7 @@ class _Simulation:
                 near = not here.isdisjoint(other.route.lanes[other.lane :])
                 if near or away_m < min(touching_m, 2.5):
                     return False
-        driver.speed = min(driver.speed, driver.limits[driver.lane])
+        driver.speed_m_s = min(driver.speed_m_s, driver.limits[driver.lane])
         self.bodies[id(driver)] = body
         self.traffic.drivers.append(driver)
         return True

@@ -15,9 +15,9 @@ from synth3dlanes.system.arrays import Points2, Scalars
 STATION_STEP_M = 1.0
 # How a lane's curvature beside the path changes: the standard deviation in 1/m of its changes over a metre. Lanes are
 # nearly parallel to the path, but hosts change lanes.
-BEND = 5e-4
+BEND_STD = 5e-4
 # Offsets are within this of the path, as a standard deviation.
-ASIDE_M = 30.0
+OFFSET_STD_M = 30.0
 # Stations farther from any place than this have no curve.
 GAP_M = 6.0
 ROUNDS, TUKEY = 6, 4.0
@@ -165,7 +165,7 @@ def _solved(
     np.add.at(across, (places.at, places.of), weight[:, None] * shifts)
     inner = np.linalg.inv(blocks)
     carried = np.einsum("nki,kij->nkj", across, inner)
-    system = _third_differences(n) + np.eye(n) / ASIDE_M**2 + np.diag(np.bincount(places.at, weight, minlength=n))
+    system = _third_differences(n) + np.eye(n) / OFFSET_STD_M**2 + np.diag(np.bincount(places.at, weight, minlength=n))
     system -= carried.reshape(n, -1) @ across.reshape(n, -1).T
     side = np.bincount(places.at, weight * target, minlength=n) - np.einsum("nki,ki->n", carried, sides)
     factor = scipy.linalg.cho_factor(system, lower=True)
@@ -177,5 +177,5 @@ def _solved(
 
 def _third_differences(n: int) -> Float[np.ndarray, "n n"]:
     """The penalty of changes of curvature."""
-    rows = np.diff(np.eye(n), 3, axis=0) / (BEND * STATION_STEP_M**2.5)
+    rows = np.diff(np.eye(n), 3, axis=0) / (BEND_STD * STATION_STEP_M**2.5)
     return np.asarray(rows.T @ rows)
