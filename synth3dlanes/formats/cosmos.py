@@ -65,7 +65,6 @@ from synth3dlanes.formats.writing import (
 from synth3dlanes.geometry.frames import invert, quaternion, transform
 from synth3dlanes.imaging.video import mp4, open_video
 from synth3dlanes.labels.labels import CameraLabel, Marking, PaintColor, Pair
-from synth3dlanes.scene.scene import Scene
 from synth3dlanes.scene.traffic_elements import SignKind
 from synth3dlanes.system import schema
 from synth3dlanes.system.arrays import Matrix4, Points3, RgbImage
@@ -202,13 +201,15 @@ class CosmosClip:
         where = self._path(TIMES)
         return [frame.timestamp for frame in schema.parse(_Times, read_file(where), str(where), "times of frames").root]
 
-    def obstacles(self, micros: int) -> list[FoundBox]:
-        """The cars at an instant."""
-        rows = [row for row in self.rows("obstacle") if row["timestamp_micros"] == micros]
-        return [_box(row, row["trackline_id"], "size", row["category"]) for row in rows]
-
-    def elements(self, name: str) -> list[FoundBox]:
-        return [_box(row, row["map_id"], "dimensions", None) for row in self.rows(name)]
+    def boxes(self, name: str, micros: int) -> list[FoundBox]:
+        """The boxes of a table, of objects those at an instant; the class of an element says less than ours."""
+        track, size = ("trackline_id", "size") if name == "obstacle" else ("map_id", "dimensions")
+        rows = [row for row in self.rows(name) if row.get("timestamp_micros", micros) == micros]
+        told = ({"id": row[track], "class": row["category"] if name == "obstacle" else None} for row in rows)
+        return [
+            FoundBox(row[track], _pose(row, "center"), _array(row[size]), of)
+            for row, of in zip(rows, told, strict=True)
+        ]
 
     def lines(self, name: str, field: str) -> list[tuple[dict[str, Any], Points3]]:
         """Rows of a table, each with the points of a field."""
@@ -261,11 +262,6 @@ def _view(sensor: Any, where: str) -> CosmosView:
     *polynomial, cx, cy, stretch = numbers
     size_px = int(lens["width"]), int(lens["height"])
     return CosmosView(pose, size_px, np.array([cx, cy]), stretch, np.array(polynomial))
-
-
-def _box(row: dict[str, Any], name: str, size: str, category: str | None) -> FoundBox:
-    """The box of a row; the class of an element says less than ours."""
-    return FoundBox(name, _pose(row, "center"), _array(row[size]), {"id": name, "class": category})
 
 
 def _pose(row: dict[str, Any], place: str) -> Matrix4:
@@ -372,7 +368,7 @@ def annotate(frame: SampleFrame) -> FrameAnnotation:
     rows = {"calibration_estimate": [_calibration(frame, views, where)], **_moving(frame, clip_from_world)}
     rows |= _still(around, clip_from_world)
     own |= {files.of_scenario(f"{name}.parquet"): _table(name, rows[name], files.clip) for name in TABLES}
-    times = [{"timestamp": _micros(picture.scene)} for picture in frame.pictures(frame.key)]
+    times = [{"timestamp": round(picture.scene.shot.time_s * 1e6)} for picture in frame.pictures(frame.key)]
     own |= {files.of_scenario(TIMES): json.dumps(times), files.of_scenario(DEPTHS): json.dumps(depths)}
     return FrameAnnotation(None, len(around.lines), files=own)
 
@@ -456,7 +452,7 @@ def _moving(frame: SampleFrame, clip_from_world: Matrix4) -> dict[str, list[dict
     """Rows of the host's poses and of all objects of classes that Cosmos has, at all frames."""
     poses, boxes = list[dict[str, Any]](), list[dict[str, Any]]()
     for picture in frame.pictures(frame.key):
-        camera, micros = picture.labels.camera, _micros(picture.scene)
+        camera, micros = picture.labels.camera, round(picture.scene.shot.time_s * 1e6)
         pose = clip_from_world @ world_from_vehicle(camera, picture.scene, HOST_FROM_RIG)
         told = {"location": _xyz(pose[:3, 3]), "orientation": _xyzw(pose)}
         poses.append({"timestamp_micros": micros, "name": "synth3dlanes", **told})
@@ -510,10 +506,6 @@ def _still(around: Scenario, clip_from_world: Matrix4) -> dict[str, list[dict[st
         category = SIGN_CATEGORIES.get(label.kind or "", "TRAFFIC_SIGN_INFORMATION") if label.state is None else table
         rows[table].append({**box, "category": category})
     return {name: rows[name] for name in TABLES if name not in MOVING}
-
-
-def _micros(scene: Scene) -> int:
-    return round(scene.shot.time_s * 1e6)
 
 
 def _xyz(values: Sequence[float] | np.ndarray) -> dict[str, float]:
@@ -580,21 +572,20 @@ def _compared_view(
     clip: CosmosClip, name: str, view: CosmosView, pictures: list[SourceSample], around: Scenario
 ) -> Comparison:
     micros = [round(1e6 * picture.scene.shot.time_s) for picture in pictures]
-    problems = list[str]()
-    for what, got in (("times", clip.times), ("poses", list(clip.poses))):
-        if got != micros:
-            problems.append(f"expected {what} at {_shown(micros)} microseconds, got {_shown(got)}")
+    problems = [
+        f"expected {what} at {_shown(micros)} microseconds, got {_shown(got)}"
+        for what, got in (("times", clip.times), ("poses", list(clip.poses)))
+        if got != micros
+    ]
     if problems:
         return Comparison(problems=tuple(problems))
     camera = pictures[0].labels.camera
-    compared = compare_camera(
-        name, camera, lambda points_cam: view.project(points_cam @ CAM_FROM_FLU), LIMIT_PX, SHARES, view.size_px
-    )
+    compared = compare_camera(name, camera, lambda at: view.project(at @ CAM_FROM_FLU), LIMIT_PX, SHARES, view.size_px)
     for number, (at, picture) in enumerate(zip(micros, pictures, strict=True)):
         cam_from_clip = CAM_OF_FLU @ invert(view.rig_from_flu) @ invert(clip.poses[at])
         here = _lines(clip, cam_from_clip, picture) + _objects(clip, at, cam_from_clip, picture)
         if number == 0:
-            here += _lanes(clip, cam_from_clip, picture).because(_symbol_problems(clip, cam_from_clip, picture))
+            here += _mapped(clip, cam_from_clip, picture)
         told = tuple(f"{name} frame {number}: {problem}" for problem in here.problems)
         named = tuple(replace(gap, name=f"{name} {number} {gap.name}") for gap in here.gaps)
         compared += replace(here, gaps=named, problems=told)
@@ -657,9 +648,8 @@ def _objects(clip: CosmosClip, micros: int, cam_from_clip: Matrix4, picture: Sou
     tables = {name: [item for item in elements if ELEMENTS[item.category] == name] for name in ELEMENTS.values()}
     for table, items in {**tables, "obstacle": objects_of(picture.labels, CATEGORIES)}.items():
         word, ids = "object" if table == "obstacle" else table.replace("_", " "), {str(item.id) for item in items}
-        boxes = clip.obstacles(micros) if table == "obstacle" else clip.elements(table)
         compared += compare_boxes(
-            (box for box in boxes if table == "obstacle" or box.track in ids),
+            (box for box in clip.boxes(table, micros) if table == "obstacle" or box.track in ids),
             items,
             lambda item: {"id": str(item.id), "class": CATEGORIES.get(item.category)},
             cam_from_clip,
@@ -670,8 +660,9 @@ def _objects(clip: CosmosClip, micros: int, cam_from_clip: Matrix4, picture: Sou
     return replace(compared, tracks={})
 
 
-def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
-    """Lanes by the segments of the lane graph that they are, with their rails and the paint of these."""
+def _mapped(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Comparison:
+    """Lanes by their segments of the lane graph, with their rails and the paint of these; crosswalks, arrows and lines
+    across the road."""
     world_from_clip, found = picture.labels.camera.world_from_cam @ cam_from_clip, []
     left, right = clip.lines("lane", "left_rail"), clip.lines("lane", "right_rail")
     for (row, one), (_, other) in zip(left, right, strict=True):
@@ -679,23 +670,15 @@ def _lanes(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> C
             text = f"lane {row['map_id']}: expected rails of as many points, got {len(one)} and {len(other)}"
             return Comparison(problems=(text,))
         sides = {side: transform(world_from_clip, rail) for side, rail in (("left", one), ("right", other))}
-        paint = {side: _words(row[f"{side}_edge_styles"], row[f"{side}_edge_colors"]) for side in sides}
-        name = str(row["map_id"])
-        found.append(FoundLane(name, name, middle_of(sides["left"], sides["right"]), sides, paint))
-    return compare_lanes(found, picture, RULE)
-
-
-def _words(styles: Sequence[str], colors: Sequence[str]) -> str:
-    """The paint of a line, whose points should have one."""
-    return " ".join(", ".join(sorted({*words})) for words in (styles, colors))
-
-
-def _symbol_problems(clip: CosmosClip, cam_from_clip: Matrix4, picture: SourceSample) -> Iterator[str]:
-    """Findings where crosswalks, arrows and lines across the road are not those of the labels."""
-    world_from_clip = picture.labels.camera.world_from_cam @ cam_from_clip
+        # The paint of a line, whose points should have one.
+        words = {side: (row[f"{side}_edge_styles"], row[f"{side}_edge_colors"]) for side in sides}
+        paint = {side: " ".join(", ".join(sorted({*of})) for of in both) for side, both in words.items()}
+        found.append(FoundLane(row["map_id"], row["map_id"], middle_of(*sides.values()), sides, paint))
+    compared = compare_lanes(found, picture, RULE)
     for table, kinds in SYMBOLS.items():
         outlines = [transform(world_from_clip, points) for _, points in clip.lines(table, "location")]
-        yield from symbol_problems(table, outlines, picture, kinds, RULE.limit)
+        compared = compared.because(symbol_problems(table, outlines, picture, kinds, RULE.limit))
+    return compared
 
 
 def _shown(times: list[int]) -> str:
