@@ -216,7 +216,8 @@ LanePairs = dict[tuple[str, str, str], list[tuple[int, int]]]
 
 class FileLinks:
     """How the roads of a file follow each other, lane by lane; the numbers of roads and junctions. `direct` are the
-    names of direct junctions by ends of roads: where lanes lead from one road to several without connecting roads."""
+    names of direct junctions by ends of roads: where lanes lead from one road to several without connecting roads, with
+    all ends that these lead to or come from in turn."""
 
     def __init__(self, links: Iterable[tuple[LaneName, LaneName]], found: Mapping[str, MapRoad]) -> None:
         self.found, self.touches = found, list[LaneJoint]()
@@ -229,10 +230,12 @@ class FileLinks:
         self.direct = dict[tuple[str, str], str]()
         for road in found.values():
             for end in ("start", "end"):
-                beyond = [at for at in self._beyond(road.id, end) if found[at[0]].junction is None]
                 is_new = road.junction is None and (road.id, end) not in self.direct
-                if is_new and len({name for name, _ in beyond}) > 1:
-                    self.direct |= dict.fromkeys([(road.id, end), *beyond], f"direct_{len(self.direct)}")
+                if is_new and len({name for name, _ in self._parting(road.id, end)}) > 1:
+                    name, reached = f"direct_{len(self.direct)}", [(road.id, end)]
+                    while reached:
+                        self.direct[reached[-1]] = name
+                        reached += [at for at in self._parting(*reached.pop()) if at not in self.direct]
         self.connecting = list(dict.fromkeys(road.junction for road in found.values() if road.junction is not None))
         # Roads and junctions share the numbers: CARLA knows by them which of both a link leads to.
         self.roads = numbered(found)
@@ -257,6 +260,10 @@ class FileLinks:
                 if here == (road, end):
                     found[there] = None
         return found
+
+    def _parting(self, road: str, end: str) -> list[tuple[str, str]]:
+        """Those of roads outside of junctions."""
+        return [at for at in self._beyond(road, end) if self.found[at[0]].junction is None]
 
     def add(self, element: Element, road: MapRoad) -> None:
         """Add what a road leads to at its ends."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from xml.etree import ElementTree
 
 import numpy as np
@@ -126,6 +127,23 @@ def test_given_maps_come_back_with_banks_and_direct_junctions() -> None:
     scenes = replace(Scenes(load_params("streets"), 5, "round"), map=MapPlace(given))
     for index in range(2):
         check(sample_world(scenes, index))
+
+
+def test_two_roads_that_lead_to_two_come_back_with_all_four_links() -> None:
+    """One direct junction, not one for each road that parts, of which the last would take the ends."""
+    ends = [("1", 100.0, 0.0), ("4", 100.0, 0.1), ("2", 150.0, 0.0), ("3", 150.0, 0.1)]
+    parts = []
+    for name, length, turn in ends:
+        x, y = (-length * np.cos(turn), -length * np.sin(turn)) if name in "14" else (0.0, 0.0)
+        links = link(after="9") if name in "14" else link(before="9")
+        parts.append(road(plan(("<line/>", length), start=(x, y, turn)), section(lane(-1)), name, link=links))
+    parts.append('<junction id="9" type="direct">')
+    for i, (one, other) in enumerate(product("14", "23")):
+        at = f'<connection id="{i}" incomingRoad="{one}" linkedRoad="{other}" contactPoint="start">'
+        parts.append(f'{at}<laneLink from="-1" to="-1"/></connection>')
+    given = read_opendrive(file_of(*parts, "</junction>"), "two.xodr", "map two.xodr")
+    assert set(given.links) == {(f"{one}.0.-1", f"{other}.0.-1") for one, other in product("14", "23")}
+    check(sample_world(replace(Scenes(load_params("streets"), 5, "round"), map=MapPlace(given)), 0))
 
 
 @pytest.mark.parametrize(("told", "minor"), [("", "7"), ('direction="reversed"', "8")])
