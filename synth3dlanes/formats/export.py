@@ -8,6 +8,7 @@ A README says what the export holds.
 """
 
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import as_completed
@@ -164,6 +165,8 @@ def _how_parts_were_made(splits: Sequence[ExportSplit], summary: ExportSummary) 
 MARKS = ".parts"
 MOST_OPEN = 200
 """Shared files that are written at a time."""
+FRAMES_A_START = 10
+"""Frames that are written in the time that another process takes to start."""
 LAYOUT = 3
 """Exports of an earlier layout are not continued."""
 
@@ -251,8 +254,8 @@ class Export:
 
     @checked
     def write(self, workers: int = 1, progress: Progress = lambda done, total: None) -> ExportSummary:
-        """Write it, or what is missing of it, by `workers` processes (0: one per core); `progress` gets (frames done,
-        frames in all). Raises ClaimedError while another process or thread writes it."""
+        """Write it, or what is missing of it, by `workers` processes (0: one per core, fewer for few frames);
+        `progress` gets (frames done, frames in all). Raises ClaimedError while another process or thread writes it."""
         if workers < 0:
             raise InputError(f"workers: expected 0 or more, got {workers}")
         foreign, chunks, folder = self.format, self.chunks, Folder(self.out)
@@ -332,7 +335,8 @@ def _require_options(out: Path, options: dict[str, Any], expected: str = "the ex
 
 
 def _run(chunks: Sequence[Chunk], out: Path, foreign: Format, workers: int) -> Iterator[int]:
-    workers = n_workers(workers, len(chunks))
+    n_frames = sum(len(chunk.places) for chunk in chunks)
+    workers = n_workers(workers, min(len(chunks), math.ceil(n_frames / FRAMES_A_START)))
     if workers == 1 or len(chunks) < 2:
         for chunk in chunks:
             yield _export_chunk(chunk, out, foreign)
