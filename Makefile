@@ -40,9 +40,10 @@ check: .venv/ready  ## what CI runs: format, lint, imports, types, quick and tho
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	$(BIN)/mypy
 	scripts/browser
-	$(PYTEST) -m "not slow"
+	@echo "mypy and the tests, side by side"
+	@$(BIN)/mypy & types=$$!; trap "kill $$types" INT; $(PYTEST) -m "not slow"; tests=$$?; \
+	wait $$types || { echo "mypy found errors: they are above, among the results of the tests"; exit 1; }; exit $$tests
 
 format: .venv/ready  ## let ruff repair what it can
 	$(BIN)/ruff format .

@@ -30,6 +30,12 @@ settings.load_profile("house")
 os.fsync = lambda descriptor: None
 
 EXIT_STATUS = pytest.StashKey[int]()
+# Those that take longest with their thorough tests, in this order.
+LONGEST = (
+    *("test_planted.py", "test_examples.py", "test_export.py", "test_damaged_exports.py", "test_docs_commands.py"),
+    *("test_rerender.py", "test_towns.py", "test_ray.py", "test_links.py", "test_predict.py", "test_clips.py"),
+)
+LONG_FOLDERS = ("validate", "production")
 collect_ignore_glob = [] if importlib.util.find_spec("torch") else ["baseline/*"]
 
 
@@ -43,8 +49,9 @@ def pytest_configure() -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     # The longest files come first, so that no process ends long after the other.
-    longest, long = ("test_planted.py", "test_docs_commands.py"), ("validate", "production")
-    items.sort(key=lambda item: (item.path.name not in longest, item.path.parent.name not in long))
+    order = {name: place for place, name in enumerate(LONGEST)}
+    last = len(order)
+    items.sort(key=lambda item: (order.get(item.path.name, last), item.path.parent.name not in LONG_FOLDERS))
     if importlib.util.find_spec("bpy") is None:
         for item in items:
             if item.get_closest_marker("render"):

@@ -214,19 +214,19 @@ def test_the_pictures_of_a_rig_are_one_frame_with_lanes_all_around():
     assert alone.image.removeprefix("OpenLane-V2/") == centers["sensor"]["CAM_BACK"]["image_path"]
 
 
-def test_an_export_verifies_and_names_what_is_wrong(dataset, tmp_path):
+def test_an_export_verifies_and_names_what_is_wrong(few, tmp_path):
     out = tmp_path / "out"
-    job = Export(str(dataset), out, "openlane_v2")
+    job = Export(str(few), out, "openlane_v2")
     summary = job.write()
-    assert summary.n_frames == {"train": 7, "test": 4}
+    assert summary.n_frames == {"train": 3, "test": 1}
     assert [result.problems for result in verify(job, 9)] == [()] * 6
     # The devkit's preprocess.py takes every JSON in this folder for a collection {part: {segment: [names]}}.
     (listed,) = (out / "OpenLane-V2").glob("*.json")
     parts = json.loads(listed.read_text())
     assert {part: sum(map(len, segments.values())) for part, segments in parts.items()} == {
-        "train": 7,
-        "val": 4,
-        "test": 4,
+        "train": 3,
+        "val": 1,
+        "test": 1,
     }
     path = frames(out)["train"][0]
     frame = parse(path.read_text(), str(path))
