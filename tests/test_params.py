@@ -311,3 +311,20 @@ def test_a_mistake_is_one_line(change: str, expected: str, hilly_scene: Scene) -
         change_scene(hilly_scene, [change])
     assert str(error.value).startswith(expected)
     assert "\n" not in str(error.value)
+
+
+def test_groups_that_no_scene_uses_are_told_from_those_that_some_do() -> None:
+    weather = {"clear", "cloudy", "fog", "rain", "snow", "day", "dusk", "night"}
+    town = {"town", "town_streets"}
+    for preset, changes, idle in (
+        ("appendix_i", [], {*weather, *town, "mountain", "works"}),
+        ("streets", [], {*town, "mountain"}),
+        ("town", [], {"mountain", "works"}),
+        (
+            "streets",
+            ["weather.kind={fog: 1, any: 2}", "works.present=false"],
+            {*(weather - {"fog", "day", "dusk", "night"}), *town, "mountain", "works"},
+        ),
+        ("mountain", ["town.junction={none: 1, t: 1}"], {*weather, "works"}),
+    ):
+        assert load_params(preset, changes).idle().keys() == idle

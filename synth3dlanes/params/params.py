@@ -15,7 +15,9 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_v
 
 from synth3dlanes.params.distributions import Choice, Distribution, form
 from synth3dlanes.params.groups import (
+    DAYTIMES,
     IN_REFERENCE,
+    KINDS,
     NO_JUNCTION,
     OPTIONAL,
     REPLACED,
@@ -132,6 +134,22 @@ class Params(Group):
     def is_town(self) -> bool:
         """Whether scenes are towns, all or some of them."""
         return self.town.junction.values != (NO_JUNCTION,)
+
+    def idle(self) -> dict[str, str]:
+        """The groups that no scene of these parameters uses, each with the reason."""
+        found = {
+            name: f"as weather.{key} is never {name}"
+            for key, names in (("kind", KINDS), ("daytime", DAYTIMES))
+            for name in names
+            if name not in getattr(self.weather, key).values
+        }
+        if not self.is_town:
+            found |= dict.fromkeys(("town", "town_streets"), "as town.junction is always none")
+        if self.mountain.road.values == ("none",):
+            found["mountain"] = "as mountain.road is always none"
+        if True not in self.works.present.values:
+            found["works"] = "as works.present is always false"
+        return found
 
     @property
     def groups(self) -> dict[str, Group]:

@@ -64,6 +64,8 @@ KEYS_OF_ROADS = (
     *("road.", "town.", "town_streets.", "mountain.", "symbols.", "roadside.", "structures."),
     *("camera.lane", "camera.y_m", "cars.parked"),
 )
+# Of the groups of parameters that not all scenes use, those that say which do.
+SWITCHES = ("town.junction", "mountain.road", "works.present")
 # Fields that exclude each other, and fields that have no effect without another field.
 EXCLUSIVE = (
     *(("n", "splits"), ("split", "splits"), ("camera", "rig"), ("samples", "quality")),
@@ -428,6 +430,7 @@ class Job(DocumentPart):
         """
         library, shots = self.library(warn), self._shots()
         params = self.params if isinstance(self.params, Params) else load_params(self.params, self.set, library.assets)
+        _require_use(self.set, params)
         for line in () if params is self.params else contradictions(params):
             warn(line)
         scenes = Scenes(
@@ -589,6 +592,14 @@ def _lines(problem: ErrorDetails) -> list[str]:
 
 def _key(change: str) -> str:
     return change.partition("=")[0].strip()
+
+
+def _require_use(changes: Sequence[str], params: Params) -> None:
+    """Raise InputError with a line for each changed parameter of a group that no scene uses."""
+    idle = params.idle()
+    groups = {change: _key(change).partition(".")[0] for change in changes if _key(change) not in SWITCHES}
+    if lines := [f"{change}: no effect, {idle[group]}" for change, group in groups.items() if group in idle]:
+        raise InputError(*lines)
 
 
 def _is_one_of(key: str, known: Sequence[str]) -> bool:
