@@ -101,6 +101,7 @@ def test_tusimple_label_files_are_those_that_loaders_open():
     dealt = files_of("train", {"train", "test"})
     assert set(dealt) == LABEL_FILES - {"test_label.json"}
     assert dealt.count("label_data_0313.json") == 16
+    assert (dealt[2], dealt[7]) == ("label_data_0601.json", "label_data_0531.json")
     assert set(FORMAT.lists) >= LABEL_FILES, "they are there even when empty"
 
 

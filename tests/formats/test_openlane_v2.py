@@ -12,7 +12,7 @@ from synth3dlanes.draw.sample import Scenes, sample_scene
 from synth3dlanes.formats.comparing import SourceSample
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.format import ReadFrame, SampleFrame
-from synth3dlanes.formats.openlane_v2 import frames, parse
+from synth3dlanes.formats.openlane_v2 import category_and_attribute, frames, parse
 from synth3dlanes.formats.openlane_v2 import verify as verify_frame
 from synth3dlanes.formats.openlane_v2 import write as annotate
 from synth3dlanes.formats.verify import verify
@@ -322,6 +322,10 @@ def test_attributes_and_links_by_hand():
     }
     assert segments["annotation"]["topology_lste"] == centers["annotation"]["topology_lcte"]
     assert segments["annotation"]["traffic_element"] == centers["annotation"]["traffic_element"]
+    sign = next(item for item in names.values() if item.kind == "stop")
+    kinds = ("ahead_only", "left_only", "right_only", "no_left_turn", "no_right_turn", "no_u_turn", "exit_left")
+    codes = [category_and_attribute(replace(sign, kind=kind)) for kind in kinds]
+    assert codes == [(2, number) for number in (4, 5, 6, 7, 8, 10, 11)]
 
 
 def test_ids_stay_through_a_clip_and_states_change():

@@ -126,6 +126,7 @@ def test_once_perfect_shifted_and_distance():
     found = score_once([(true, [x + np.array([0.1, 0, 0]) for x in true])])
     assert found["f_score"] == 1
     assert found["distance_m"] == pytest.approx(0.1)
+    assert score_once([(true, [x + np.array([0.35, 0, 0]) for x in true])])["f_score"] == 0, "0.3 m at most"
 
 
 def test_once_cannot_assign_permuted_lines_that_begin_beyond_ten_metres():
@@ -160,6 +161,7 @@ def test_tusimple_accuracy_by_hand():
     assert rates([upright + 21], [upright]) == (0.0, 1.0, 1.0)
     leaning = 400.0 + rows
     assert rates([leaning + 27], [leaning])[0] == 1.0, "20 px across is 28 along the row"
+    assert rates([leaning + 29], [leaning])[0] == 0.0
     assert rates([upright] * 4, [upright]) == (0.0, 0.0, 1.0)
     assert rates([], [upright]) == (0.0, 0.0, 1.0)
     absent = np.where(rows < 400, -2.0, upright)
