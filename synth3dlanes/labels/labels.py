@@ -32,7 +32,7 @@ PaintColor = Literal["white", "yellow"]
 Pair = Literal["solid_dashed", "dashed_solid"]
 Direction = Literal["same", "oncoming", "crossing"]
 MIRRORED: dict[str, Pair] = {"solid_dashed": "dashed_solid", "dashed_solid": "solid_dashed"}
-"""A pair as who comes from the other side sees it."""
+"""A pair as seen by a driver who comes the other way."""
 
 
 @with_config(STRICT)

@@ -117,7 +117,7 @@ class CrossSection:
         return np.asarray(edges - edges[self.n_left] - self.offset(s))
 
     def edge(self, number: int, s: AnyScalars) -> AnyScalars:
-        """Offsets of one of them."""
+        """Offsets of one edge."""
         low, high = sorted((number, self.n_left))
         x, sign = s - self.start_m, 1 if number > self.n_left else -1
         across: AnyScalars | float = 0.0
@@ -147,7 +147,7 @@ class CrossSection:
         bank, t = self.banks(s) if self.banks is not None else np.zeros(s.shape), self._banked(s, t)
         z = z - np.tan(bank) * t
         if self.shapes is not None:
-            # They lie on the banked plane, and stand on it.
+            # Shapes are measured along the banked plane and stand square to it.
             z = z + self.shapes(s, -t / np.cos(bank)) / np.cos(bank)
         return np.asarray(z)
 

@@ -19,7 +19,7 @@ from synth3dlanes.system.arrays import AnyScalars, Points2, Points3
 KNOT_M = 0.5
 # Stations around a place of a curve for which lengths along it are measured.
 AROUND_M = np.arange(-10.0, 10.01, 0.25)
-# A neighbour that ends within this of a station is not beside it.
+# A line that ends closer than this to a station is not a neighbour there.
 ENDED_M = 0.01
 
 
@@ -147,7 +147,7 @@ class LaneCurve:
         return found
 
     def has(self, s: AnyScalars) -> Bool[np.ndarray, "*n"]:
-        """At which stations it is: within its ends, and not between two of its pieces."""
+        """At which stations the line exists: within its ends, and not between two of its pieces."""
         inside = (s > self.start_m) & (s < self.end_m)
         for a, b in pairwise(self.pieces):
             inside &= (s >= b.start_m) | (s <= a.end_m)
@@ -245,7 +245,7 @@ class Course(NamedTuple):
         return cls(road, offset, stations, xy_world, np.concatenate([[0.0], np.cumsum(steps_m)]))
 
     def turned(self) -> "Course":
-        """The other way."""
+        """The course in the other direction."""
         lengths_m = (self.lengths_m[-1] - self.lengths_m)[::-1]
         return self._replace(stations=self.stations[::-1], xy_world=self.xy_world[::-1], lengths_m=lengths_m)
 
@@ -275,7 +275,7 @@ def along(lanes: Sequence[NetworkLane], courses: Mapping[str, Course], against: 
 
 
 def n_knots(first: float, last: float) -> int:
-    """At how many stations lengths along a course are measured."""
+    """The number of stations at which lengths along a course are measured."""
     return 2 + int(abs(last - first) / KNOT_M)
 
 

@@ -31,7 +31,7 @@ POINTS_STEP_M = 1.0
 
 
 class HostStation(NamedTuple):
-    """A place of the host: its station as it drives, and what tells points of its way ahead of that."""
+    """A place of the host: its station as it drives, and the function that gives points of its way ahead of that."""
 
     driven_m: float
     ahead: Callable[[Scalars], Points3]

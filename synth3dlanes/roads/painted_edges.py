@@ -28,7 +28,7 @@ MARKINGS: dict[str, tuple[Marking, bool, Pair | None]] = {
     "dashed_solid": ("solid", True, "dashed_solid"),
     "dashed_dashed": ("dashed", True, None),
 }
-# Shorter ones are none.
+# Shorter lines are left out.
 LEAST_LINE_M = 0.05
 
 

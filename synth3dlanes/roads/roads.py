@@ -24,9 +24,10 @@ from synth3dlanes.system.arrays import AnyPoints2, AnyPoints3, AnyScalars, Sprea
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 
-# Straight pieces between `Ramp.stations` are nowhere farther than this from the ramp: less than paint floats.
+# Straight pieces between `Ramp.stations` are at most this far from the ramp: less than the height at which paint
+# floats.
 RAMP_SAG_M = 0.001
-# Width that is assumed where a road has no lanes of traffic.
+# Assumed width of lanes of a road without lanes of traffic.
 LANE_WIDTH_M = 3.5
 # Tolerance of the middle between two carriageways, which belongs to the right one.
 HAIR_M = 1e-6

@@ -14,7 +14,7 @@ from synth3dlanes.scene.scene import PaperRoad
 from synth3dlanes.scene.works import RoadWorks
 from synth3dlanes.system.arrays import AnyScalars
 
-# Boundaries that move by less do not move.
+# Boundaries that would move by less than this stay in place.
 STAYS_M = 1e-6
 # The closed area of a shoulder begins this far inside its edge, and in the middle of a median this is left.
 EDGE_M, MEDIAN_M = 0.6, 0.3
@@ -35,7 +35,7 @@ class WorksLanes:
         return (-end_m, -start_m) if self.road.flip_lateral else (start_m, end_m)
 
     def share(self, s: AnyScalars) -> AnyScalars:
-        """How far what moves has moved at stations, from 0 outside the works to 1 between the tapers."""
+        """The share of their way that lines have moved at stations: 0 outside the works, 1 between the tapers."""
         (low_m, high_m), works = self.span_m, self.works
         tapers_m = (works.taper_m, works.end_taper_m)[:: -1 if self.road.flip_lateral else 1]
         u = np.minimum((s - low_m) / tapers_m[0], (high_m - s) / tapers_m[1])

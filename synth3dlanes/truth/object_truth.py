@@ -24,7 +24,8 @@ from synth3dlanes.world.world import Site, View
 PIECES, HALVINGS = 32, 24
 # Farther traffic elements have no label.
 LABELLED_M = 200.0
-# Quads that reach closer to the camera's plane are left out; the most pixels that are asked of an element.
+# Quads that reach closer to the camera's plane than AHEAD_M are left out; the most pixels of an element that are
+# tested.
 AHEAD_M, MAX_PIXELS = 0.1, 1000
 # Parts of a box across, along and up, of which the share outside the image is counted.
 PARTS = (8, 24, 8)
@@ -78,7 +79,7 @@ def label_elements(site: Site, view: View, camera: CameraLabel, graph: LaneGraph
 
 
 def _box(camera: CameraLabel, cam_from_box: Matrix4, size_m: Float[np.ndarray, "3"]) -> dict[str, Any]:
-    """What a label says of a box."""
+    """The fields of a label that follow from a box."""
     inside, whole = rectangles(camera, cam_from_box, size_m)
     return {
         "size_m": size_m,
