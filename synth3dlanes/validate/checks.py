@@ -67,7 +67,7 @@ CHECKS = (
     Check("symbols", partial(check_seen, "symbols"), "arrows, stop lines, crosswalks and gores in another place than "
           "the scene's, or missing", _needs("aim depth semantic")),
     Check("pavement", partial(check_seen, "pavement"), "a road or ramp that does not match the scene, swapped ids of "
-          "road and shoulder; with `normal`, normals in another frame", _needs("aim depth semantic")),
+          "road and shoulder; with `normal`, normals in another frame, or bent at edges", _needs("aim depth semantic")),
     Check("terrain", partial(check_seen, "terrain"), "hills that do not match the scene, terrain that covers the road",
           _needs("aim depth semantic")),
     Check("sky", check_sky, "holes in the ground, through which the sky shows; with `depth`, depth that is finite in "

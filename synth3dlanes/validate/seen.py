@@ -43,6 +43,9 @@ RANGE_M, HILLS_M, MAX_OFF_M = 110.0, 120.0, 0.002
 MAX_POINT_M, MAX_SHARE, MAX_SINGLE = 0.02, 0.1, 2
 # Limit of the normals' median error, as a chord; they are smoothed over faces, in the median by up to 0.004.
 MAX_TURN = 0.02
+# The same of single points, of which smooth shading may turn some at edges: up to 0.002 of them in 20 pictures. Across
+# the edges of kerbs it turned 0.05 to 0.2 of those of towns.
+MAX_BENT = 0.3
 # Terrain this far inside the pavement's edge penetrates the road.
 THROUGH_RANGE_M, INSIDE_M = 80.0, 0.3
 # In 60 random scenes of each preset no pixel of paint is this far outside its line.
@@ -229,6 +232,11 @@ def _turn(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
     found = evidence.passes["normal"][tuple(seen.pixels.T)] @ evidence.camera.world_from_cam[:3, :3].T
     on = np.isfinite(seen.pavement.above_m)
     yield PartSeen("the road", np.linalg.norm(found - seen.pavement.up_world, axis=1)[on])
+
+
+def _bent(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
+    for part in _turn(evidence, seen):
+        yield part._replace(apart_m=np.where(part.apart_m <= MAX_BENT, 0, np.inf))
 
 
 def _hills(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
@@ -444,6 +452,11 @@ ROWS = (
     SeenRow(
         "pavement", "pavement.normal", PAVEMENT, _turn, "{whose}'s in the camera frame",
         most=MAX_TURN, in_median=True, layer="normal", within_m=RANGE_M, least_n=100, n=15_000,
+        needs=frozenset({"depth", "semantic", "normal"}),
+    ),
+    SeenRow(
+        "pavement", "pavement.shading", PAVEMENT, _bent, "{whose}'s as its faces are turned",
+        most=0, share=0.02, layer="normal", within_m=RANGE_M, least_n=100, n=15_000,
         needs=frozenset({"depth", "semantic", "normal"}),
     ),
     SeenRow(

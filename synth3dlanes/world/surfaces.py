@@ -233,9 +233,7 @@ def _strip_mesh(
     if surfaces.ndim == 2:
         surfaces = surfaces[np.concatenate([[0] * first, np.arange(n_rows - 1), [n_rows - 2] * last]).astype(int)]
     mesh = grid(vertices, uv, surfaces)
-    if strip.is_raised:
-        return mesh
-    # Shading of a level edge does not bend down to its skirt.
+    # Shading of an edge does not bend down its skirt or kerb.
     is_skirt = np.zeros((len(row) - 1, len(column) - 1), dtype=bool)
     is_skirt[:, [0, -1]] = is_skirt[: int(first)] = is_skirt[len(row) - 1 - int(last) :] = True
     return with_crease(mesh, is_skirt.ravel())

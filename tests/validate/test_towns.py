@@ -4,10 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from synth3dlanes.dataset.format import LABELS
 from synth3dlanes.draw.sample import Scenes, sample_world
+from synth3dlanes.labels.labels import Labels
 from synth3dlanes.params.params import load_params
 from synth3dlanes.params.shots import clips
 from synth3dlanes.production.plan import Plan
@@ -47,6 +49,14 @@ def turned_signals(document: dict[str, Any]) -> None:
             item["state"] = TURNED[item["state"]]
 
 
+def bent(normals: np.ndarray, labels: Labels) -> np.ndarray:
+    """Normals that smooth shading over the edge of a kerb has turned aside, in a part of the picture."""
+    aside = normals + 0.5 * labels.camera.world_from_cam[0, :3].astype(np.float32)
+    aside[:, normals.shape[1] // 4 :] = normals[:, normals.shape[1] // 4 :]
+    length = np.linalg.norm(aside, axis=-1, keepdims=True)
+    return np.where(np.linalg.norm(normals, axis=-1, keepdims=True) > 0, aside / np.maximum(length, 1e-6), normals)
+
+
 def of_other_lanes(document: dict[str, Any]) -> None:
     """Every signal for the lanes of another one."""
     items = [item for item in document["traffic_elements"] if item["state"] is not None]
@@ -58,6 +68,7 @@ OF_TOWNS = (
     Fault("connectors 10 cm aside", of_json(LABELS, moved_connectors), "points as the scene has them|xyz_cam"),
     Fault("signals with other states", of_json(LABELS, turned_signals), "state"),
     Fault("signals for other lanes", of_json(LABELS, of_other_lanes), "lanes"),
+    Fault("normals bent at kerbs", of_pass("normal", bent), "normal: expected the road's as its faces are turned"),
     Fault(
         "people and cyclists swapped", of_pass("semantic", swapped("pedestrian", "cyclist")), "things of their kinds"
     ),
