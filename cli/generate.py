@@ -69,7 +69,7 @@ def generate(
     from synth3dlanes.production.run import generate as run
     from synth3dlanes.production.tally import total
 
-    job = jobs.Job(**given(fields)) if source is None else jobs.load_job(source, given(fields))
+    job = jobs.Job(**given(fields)) if source is None else jobs.load_job(source, given(fields), warn)
     refuse_place(str(job.out))
     plans = job.plans(warn)
     drawn_from = job.text(plans[0].recipe, warn)

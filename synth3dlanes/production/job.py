@@ -25,6 +25,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
+from synth3dlanes import __version__
 from synth3dlanes.dataset.description import DATASET_FORMAT, DESCRIPTION, SplitName, parse_description
 from synth3dlanes.dataset.scenes import Provenance, read_provenance
 from synth3dlanes.draw.given_map import MapPlace, place_on_map
@@ -508,9 +509,11 @@ class Job(DocumentPart):
         return place_on_map(Path(self.map), self.at) if self.map else None
 
 
-def load_job(path: Path, changes: Mapping[str, Any] | None = None) -> Job:
+def load_job(
+    path: Path, changes: Mapping[str, Any] | None = None, warn: Callable[[str], None] = lambda line: None
+) -> Job:
     """Read the job of a YAML file or of a `dataset.json`, with some fields changed. Paths in it are relative to its
-    folder.
+    folder. `warn` is called with a line where another version made the data set.
 
     Raises InputError or FormatError with a line for each problem, beginning with the path.
     """
@@ -521,6 +524,8 @@ def load_job(path: Path, changes: Mapping[str, Any] | None = None) -> Job:
     try:
         if document.get("format") == DATASET_FORMAT:
             job = job_of_description(parse_description(text.encode(), str(path)))
+            if (version := document.get("generator")) != __version__:
+                warn(f"{path}: made by version {version}; version {__version__} may give other pictures and labels")
         else:
             job = Job(**document)
         here = _moved({name: getattr(job, name) for name in job.model_fields_set}, partial(_beside, path))

@@ -179,6 +179,11 @@ def test_keywords_options_and_a_file_are_the_same_request(without_blender: Path)
     assert result.exit_code == 0, result.output
     for path in ("dataset.json", "train/00000.tar", "val/00000.tar"):
         assert Path("f", path).read_bytes() == Path("c", path).read_bytes()
+    assert "made by version" not in result.stderr
+    older = Path("f/dataset.json").read_text().replace(s3d.__version__, "0.2.0")
+    Path("older.json").write_text(older)
+    result = CliRunner().invoke(main, ["generate", "older.json", "--out", "g", "--dry-run"])
+    assert result.stderr.startswith("older.json: made by version 0.2.0; version ")
     fewer = CliRunner().invoke(main, ["generate", "job.yaml", "--n", "1", "--split", "test", "--out", "b", "--json"])
     assert json.loads(fewer.stdout)["asked"] == 1
     assert list(json.loads(Path("b/dataset.json").read_text())["splits"]) == ["test"]
