@@ -223,7 +223,7 @@ class TrainConfig(Strict):
     train_split: str = "train"
     val_split: str = "val"
     max_images: Count | None = None
-    """Of each data set."""
+    """The most images of each data set; None: all."""
     device: str = "auto"
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """`auto`: bfloat16 on GPUs and on CPUs with AVX512-BF16, else float32. Pose, warp, head output and loss are always

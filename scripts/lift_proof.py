@@ -29,7 +29,7 @@ from synth3dlanes.system.processes import process_pool
 PAGE = Path(__file__).parents[1] / "docs/lift.md"
 PRESETS, LIDARS = ("streets", "realistic"), ("hdl_32e", "hdl_64e")
 FRAMES, FPS, SEED = 24, 5.0, 45
-# Small pictures are rendered in no time; 2D lines are those of a camera of so many pixels across.
+# Small pictures are rendered in no time; 2D lines are those of a camera as many pixels wide as this.
 CHANGES = ("camera.width_px=120", "camera.height_px=80", "motion.host_speed_m_s=[10,20]")
 WIDTH_PX = 1280
 BANDS_M = ((0, 20), (20, 40), (40, 60), (60, 80), (80, 110))

@@ -29,7 +29,7 @@ CAR_GAP_M, TRIES = (1.0, 0.3), 300
 PARKING_BEFORE_M = 20.0
 # No car gains more on another than the gap between them from one checked instant to the next.
 CHECK_EVERY_S = 0.05
-# Of these instants, every 20th tells of most collisions.
+# Every 20th of these instants is checked first: it shows most collisions.
 FIRST_OF = 20
 # The number of speeds drawn for a car before it takes another car's speed.
 SPEED_TRIES = 8

@@ -65,7 +65,7 @@ KEYS_OF_ROADS = (
     *("road.", "town.", "town_streets.", "mountain.", "symbols.", "roadside.", "structures."),
     *("camera.lane", "camera.y_m", "cars.parked"),
 )
-# Of the groups of parameters that not all scenes use, those that say which do.
+# The parameters that say which scenes use a group that not all of them use.
 SWITCHES = ("town.junction", "mountain.road", "works.present")
 # Fields that exclude each other, and fields that have no effect without another field.
 EXCLUSIVE = (

@@ -45,7 +45,7 @@ class MeshFaces:
         corners = np.concatenate([np.zeros((0, 4, 3)), *faces])
         material = [mesh.material[at] for mesh, at in zip(meshes, near, strict=True)]
         one, other, third = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
-        # Blender splits a quad with an inward corner at that one.
+        # Blender splits a quad that has an inward corner at this corner.
         is_inward = (np.cross(one, other) * np.cross(other, third)).sum(axis=1) < 0
         corners[is_inward] = np.roll(corners[is_inward], 1, axis=1)
         self._corners, self._material = corners, np.concatenate([np.zeros(0, dtype=int), *material])

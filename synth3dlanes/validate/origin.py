@@ -52,7 +52,7 @@ class Origin(Provenance):
 
     def fault(self, scene: Scene, split: str, index: int) -> str:
         """How a sample's scene differs from the one drawn again, in one line; "" if they are equal. A scene on a map
-        cannot be drawn again without its file; its map must be a part of that one."""
+        cannot be drawn again without its file; its map must be a part of the file's."""
         if self.map is not None:
             digest = scene.roads.digest
             return "" if digest == self.map.digest else f"map.digest: expected {self.map.digest}, got {digest}"

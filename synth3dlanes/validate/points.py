@@ -49,9 +49,9 @@ NARROW_PX = 5.0
 # Labels measure shares with at least RAYS rays, passes with pixel centres, of which SLACK_PX may be of something else.
 # None of 382 cars and things that are seen uses more than 0.4 of the error allowed.
 RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX = 100, 4.0, 0.03, 2
-# Of what something nearer covers of a body's box, the body fills at least THIN times the share that it fills of the
-# rest: 0.52 in the median, 0.25 for one car of 80. People whom the image cuts may show an umbrella alone: of these
-# nothing is known. Of what nothing covers a body fills at least SLIVER; rays may miss less.
+# A body fills at least the share SLIVER of the part of its box that nothing covers (rays may miss less), and of the
+# covered part at least THIN times that share: 0.52 times in the median, 0.25 for one car of 80. People whom the image
+# cuts are not judged: an umbrella alone may be seen of them.
 THIN, SLIVER = 0.35, 0.05
 
 

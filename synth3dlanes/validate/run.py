@@ -189,7 +189,7 @@ def check_sample(place: str, origin: Origin | None, description: Description, en
     results: list[Result] = [*([Finding("", fault)] if fault else []), *unread]
     redrawn = "" if scene is None or origin is None else origin.fault(scene, entry.split, entry.index)
     if scene is not None:
-        # That of its world: without what it was drawn for.
+        # The digest of its world, without the seed and index that it was drawn for.
         document = scene.model_dump_json(exclude={"seed", "split", "index"})
         results.append(Own("scene", hashlib.sha256(document.encode()).hexdigest()))
     if labels is None or image is None or passes is None or (scene is None and SCENE in description.names):
