@@ -242,7 +242,7 @@ class FileLinks:
         self.junctions = numbered(dict.fromkeys([*self.connecting, *self.direct.values()]), self.roads.values())
 
     def of_lanes(self, road: MapRoad) -> list[LaneJoint]:
-        """The links that the lanes of a road have in the file: at a junction its connections have them, and its arms none."""
+        """The joints that the lanes of a road have as links: at a junction its connections have them, not its arms."""
         is_arm = road.junction is None
         return [at for at in self.touches if not (is_arm and self._junction(at.one) != self._junction(at.other))]
 
@@ -262,7 +262,7 @@ class FileLinks:
         return found
 
     def _parting(self, road: str, end: str) -> list[tuple[str, str]]:
-        """The links of roads outside of junctions."""
+        """The ends beyond an end of a road that are of roads outside of junctions."""
         return [at for at in self._beyond(road, end) if self.found[at[0]].junction is None]
 
     def add(self, element: Element, road: MapRoad) -> None:
