@@ -45,6 +45,11 @@ def test_ground_truth_is_perfect_and_two_metres_aside_is_nothing(score):
     assert score([(FOUR, [line(x.points_ground[0, 0] + 2) for x in FOUR])])["f_score"] < 1e-6
 
 
+def test_a_line_is_found_if_three_quarters_of_it_are():
+    for end_m, recall in ((75.0, 0), (79.0, 1)):
+        assert score_apollo([([line()], [line(end_m=end_m)])])["recall"] == recall
+
+
 @pytest.mark.parametrize("score", [score_apollo, score_openlane])
 def test_errors_read_in_metres(score):
     found = score([([line(slope=0.01)], [line(0.1)])])
