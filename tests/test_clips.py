@@ -13,6 +13,7 @@ from synth3dlanes.dataset.read import Reader
 from synth3dlanes.dataset.rearrange import merge
 from synth3dlanes.dataset.scenes import read_scene
 from synth3dlanes.draw.sample import Scenes, sample_scene, sample_world, scene_texts, world_in_shot
+from synth3dlanes.figures.samples import load_clip
 from synth3dlanes.formats.export import Export
 from synth3dlanes.formats.verify import verify
 from synth3dlanes.geometry.frames import transform
@@ -319,6 +320,12 @@ def test_the_index_counts_views_as_it_counts_frames(data: Reader) -> None:
     assert index["frame"].to_pylist() == [0, 1, 2, 0, 1, 2, 0]
     assert [read_scene(data, i).shot.view for i in range(7)] == [0, 1, 2, 0, 1, 2, 0]
     assert data.description["shots"]["views"] == 3
+
+
+def test_views_are_no_clip(data: Reader) -> None:
+    for key in (0, 1):
+        with pytest.raises(InputError, match="expected a sample of a clip .*, got a single picture"):
+            load_clip(f"{data.url}:{key}")
 
 
 def test_validate_draws_every_view_again(data: Reader) -> None:

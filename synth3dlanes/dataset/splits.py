@@ -14,11 +14,6 @@ from synth3dlanes.system.errors import FormatError, InputError
 
 def readers(folder: str) -> list[Reader]:
     """Readers of every split of a data set that has finished shards, or of the one split that is named."""
-    files, root = connect(folder)
-    with translate_store_errors(folder):
-        if can_list(files) and not files.isdir(root):
-            there = splits_near(folder)
-            raise FormatError(f"{folder}: expected a data set or one of its splits, got no folder{there}")
     splits = _finished_splits(folder)
     if splits is None:
         return [Reader(folder)]
@@ -40,8 +35,13 @@ def one_reader(place: str, columns: Sequence[str] | None = None) -> Reader:
 
 
 def _finished_splits(place: str) -> list[str] | None:
-    """The splits of a data set that have finished shards; None where there is none. Raises FormatError where no split
-    has any."""
+    """The splits of a data set that have finished shards; None where there is no data set. Raises FormatError where
+    there is no folder, and where no split has any."""
+    files, root = connect(place)
+    with translate_store_errors(place):
+        if can_list(files) and not files.isdir(root):
+            there = splits_near(place)
+            raise FormatError(f"{place}: expected a data set or one of its splits, got no folder{there}")
     splits = splits_with_shards(place)
     if splits == []:
         raise FormatError(f"{place}: expected finished shards (SPLIT/00000.parquet), got none; run generate again")

@@ -114,7 +114,7 @@ def _of_files(where: str, image_path: Path | None, with_passes: bool) -> ShownSc
 
 
 def _shot(reader: Reader, i: int) -> Shot:
-    """Which frame of its clip a sample is, by the index and the description of its data set."""
+    """Which frame of its clip a sample without a scene is, by the index and the description of its data set."""
     n_frames, fps = clip_of(reader.description)
     return Shot(frame=int(reader.frame_of[i]), n_frames=n_frames, fps=fps)
 
@@ -139,10 +139,10 @@ def load_clip(where: str) -> Clip:
     """The frames of the clip of a sample `DIR/SPLIT:KEY`, by the same camera. Raises InputError for a single
     picture."""
     reader, i = find(where)
-    shot = _shot(reader, i)
-    if shot.n_frames == 1:
+    n_frames, fps = clip_of(reader.description)
+    if n_frames == 1:
         raise InputError(f"{where}: expected a sample of a clip (generate --frames), got a single picture")
-    return Clip(shot.fps, _pictures(reader, reader.clip(int(reader.scene_of[i]), int(reader.camera_of[i]))))
+    return Clip(fps, _pictures(reader, reader.clip(int(reader.scene_of[i]), int(reader.camera_of[i]))))
 
 
 def shown_samples(
