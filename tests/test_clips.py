@@ -324,7 +324,7 @@ def test_the_index_counts_views_as_it_counts_frames(data: Reader) -> None:
 
 def test_views_are_no_clip(data: Reader) -> None:
     for key in (0, 1):
-        with pytest.raises(InputError, match="expected a sample of a clip .*, got a single picture"):
+        with pytest.raises(InputError, match=r"expected a sample of a clip .*, got a single picture"):
             load_clip(f"{data.url}:{key}")
 
 
