@@ -185,12 +185,12 @@ SHADE = 0.35
 MAX_BLUE = -0.02
 RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.26)}
 # Red over green of leaves is -0.19 to -0.009 in 442 images. Leaves are the upper halves of trees, but for pixels with
-# less light than the share LEAVES_LIGHT of the road's; BARE trees have none.
-LEAVES_OVER_GREEN, LEAVES_LIGHT, BARE = 0.02, 0.05, ("dead",)
+# less light than the share LEAVES_LIGHT of the road's; those of BROWN trees are not green, if they have any.
+LEAVES_OVER_GREEN, LEAVES_LIGHT, BROWN = 0.02, 0.05, ("dead", "bush")
 # Pixels of narrower paint show as much of the road: an id is that at a pixel's centre.
 RESOLVED_PX = 2
-# Red over blue of a white line: at most 0.035 in 114 lines; a yellow one has 0.25.
-MAX_YELLOW = 0.12
+# Red over blue of a white line: at most 0.035 in 114 lines; a yellow one has 0.25, a worn one on concrete 0.09.
+MAX_YELLOW, MIN_YELLOW = 0.12, 0.06
 # Paint that stands out is this many times brighter than the pavement up to AROUND_PX around it: at least 1.12 times in
 # 90 lines.
 BRIGHTER, AROUND_PX = 1.05, 4
@@ -222,11 +222,15 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
         yield from _judged("appearance.bright", bright, "daylight, got {:.0f} of 255 in its brighter parts", BRIGHT)
     levels = np.arange(256) / 255
     linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)[evidence.picture]
-    yield from _terrain(evidence, linear, _lit(linear[road]))
+    if not evidence.paint.is_dry:
+        return
+    # A road in the glare has the colours of the sky.
+    road[road] = ~_may_glare(evidence, road)
+    if road.sum() >= MIN_PIXELS:
+        yield from _terrain(evidence, linear, _lit(linear[road]))
     if "instance" in evidence.passes:
-        yield from _leaves(evidence, linear, _lit(linear[road]))
-        if evidence.paint.is_dry:
-            yield from _paint(evidence, linear)
+        yield from _leaves(evidence, linear, _lit(linear[road])) if road.sum() >= MIN_PIXELS else ()
+        yield from _paint(evidence, linear)
 
 
 def _lit(pixels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
@@ -271,7 +275,7 @@ def _leaves(evidence: Evidence, linear: Float[np.ndarray, "h w 3"], road: Float[
     own = numbers[rows, columns]
     models = [scene.assets.tree_models[tree.model - 1] for tree in scene.trees]
     crowns = zip(models, scene.trees, strict=True)
-    foot_m = np.array([np.inf if model.name in BARE else model.height_m * tree.scale / 2 for model, tree in crowns])
+    foot_m = np.array([np.inf if model.name in BROWN else model.height_m * tree.scale / 2 for model, tree in crowns])
     up_m = evidence.points_world(rows, columns)[:, 2] - evidence.world.site.trees_world[own, 2]
     leaves = linear[rows, columns][up_m > foot_m[own]]
     if len(leaves) < MIN_PIXELS:
@@ -297,12 +301,13 @@ def _paint(evidence: Evidence, linear: Float[np.ndarray, "h w 3"]) -> Iterator[R
             continue
         # In red, of which yellow paint has as much as white one.
         times = brighter(linear[at][:, 0], beside[:, 0], evidence.paint.contrast("white"))
-        if not np.isfinite(times):
+        red, _, blue = _chroma(linear[at]) - _chroma(beside)
+        # On pale concrete worn yellow paint is known by its colour alone.
+        if not np.isfinite(times) or (color == "yellow" and red - blue > MIN_YELLOW):
             continue
         words = f"its {at.sum()} pixels of paint brighter than the road around them, got them {{:.2f}} times as bright"
         yield from _judged("appearance.brighter", times, words, BRIGHTER, lane=lane.id)
         if color == "white":
-            red, _, blue = _chroma(linear[at]) - _chroma(beside)
             words = "white paint, got yellow ({:+.2f} of red over blue)"
             yield from _judged("appearance.yellow", float(red - blue), words, most=MAX_YELLOW, lane=lane.id)
 

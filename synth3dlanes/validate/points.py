@@ -51,8 +51,8 @@ NARROW_PX = 5.0
 RAYS, SIGMAS, MAX_SHARE_OFF, SLACK_PX = 100, 4.0, 0.03, 2
 # A body fills at least the share SLIVER of the part of its box that nothing covers (rays may miss less), and of the
 # covered part at least THIN times that share: 0.52 times in the median, 0.25 for one car of 80. People whom the image
-# cuts are not judged: an umbrella alone may be seen of them.
-THIN, SLIVER = 0.35, 0.05
+# cuts are not judged, nor are cars of which it cuts more than MOST_CUT: an umbrella or a wheel alone may be seen.
+THIN, MOST_CUT, SLIVER = 0.35, 0.9, 0.05
 
 
 class Sight(NamedTuple):
@@ -172,7 +172,7 @@ def check_cars(evidence: Evidence) -> Iterator[Result]:
     counts = np.bincount(evidence.passes["instance"].ravel(), minlength=END)
     for item, place, share in zip(evidence.world.view.objects, evidence.truth.objects or (), shares, strict=False):
         kind, number = thing_of(item.id)
-        thin = THIN if kind == "car" or not place.truncation else 0.0
+        thin = THIN if place.truncation <= (MOST_CUT if kind == "car" else 0) else 0.0
         low, high = _seen_share(evidence, item, place.box_px, thin)
         off, near = max(low - share, share - high, 0.0), low if share < low else high
         expected = f"{low:.2f} to {high:.2f} of {kind} {number} by its {counts[item.id]} pixels"
