@@ -27,6 +27,7 @@ from synth3dlanes.system.arrays import Passes
 from synth3dlanes.validate.bodies import before_or_shading, meet
 from synth3dlanes.validate.evidence import Evidence
 from synth3dlanes.validate.findings import PROOF_M, Finding, Result, judged
+from synth3dlanes.validate.paint import MAX_DRY
 from synth3dlanes.world.visibility import seen_over_ground
 
 # Largest share of white pixels, and least mean brightness. A bright sky in fog may fill half the image, unclipped.
@@ -184,6 +185,8 @@ SHADE = 0.35
 # green grass in the open, to 0.040 before brick walls, and 0.055 to 0.151 on dry grass, 0.212 before a red house.
 MAX_BLUE = -0.02
 RED_OVER_GREEN = {1: (-0.1, 0.045), 2: (0.0, 0.26)}
+# A wet road with more of blue over red mirrors the sky: 0.10 before a blue one.
+SKY_BLUE = 0.05
 # Red over green of leaves is -0.19 to -0.009 in 442 images. Leaves are the upper halves of trees, but for pixels with
 # less light than the share LEAVES_LIGHT of the road's; those of BROWN trees are not green, if they have any.
 LEAVES_OVER_GREEN, LEAVES_LIGHT, BROWN = 0.02, 0.05, ("dead", "bush")
@@ -222,14 +225,14 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
         yield from _judged("appearance.bright", bright, "daylight, got {:.0f} of 255 in its brighter parts", BRIGHT)
     levels = np.arange(256) / 255
     linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)[evidence.picture]
-    if not evidence.paint.is_dry:
-        return
-    # A road in the glare has the colours of the sky.
+    # A road in glare, and a wet one that mirrors the sky, have the sky's colours.
     road[road] = ~_may_glare(evidence, road)
-    if road.sum() >= MIN_PIXELS:
-        yield from _terrain(evidence, linear, _lit(linear[road]))
-    if "instance" in evidence.passes:
-        yield from _leaves(evidence, linear, _lit(linear[road])) if road.sum() >= MIN_PIXELS else ()
+    light = _lit(linear[road])
+    red, _, blue = _chroma(light) if len(light) else np.zeros(3)
+    if road.sum() >= MIN_PIXELS and not (scene.surface.wetness > MAX_DRY and blue - red > SKY_BLUE):
+        yield from _terrain(evidence, linear, light)
+        yield from _leaves(evidence, linear, light) if "instance" in evidence.passes else ()
+    if "instance" in evidence.passes and evidence.paint.is_dry:
         yield from _paint(evidence, linear)
 
 
