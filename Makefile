@@ -34,15 +34,15 @@ demo: .venv/core  ## 12 labelled 480x360 scenes, a gallery and one scene explain
 
 test: .venv/ready  ## the tests; how long they take is in CONTRIBUTING.md
 	scripts/browser
-	$(PYTEST)
+	$(PYTEST) $(WHICH)
 
 check: .venv/ready  ## what CI runs: format, lint, imports, types, quick and thorough tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	scripts/browser
 	@echo "mypy and the tests, side by side"
-	@$(BIN)/mypy & types=$$!; trap "kill $$types" INT; $(PYTEST) -m "not slow"; tests=$$?; \
+	@$(BIN)/mypy & types=$$!; trap "kill $$types" INT; \
+	$(MAKE) --no-print-directory test WHICH='-m "not slow"'; tests=$$?; \
 	wait $$types || { echo "mypy found errors: they are above, among the results of the tests"; exit 1; }; exit $$tests
 
 format: .venv/ready  ## let ruff repair what it can
