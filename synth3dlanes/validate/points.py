@@ -172,7 +172,7 @@ def check_cars(evidence: Evidence) -> Iterator[Result]:
     counts = np.bincount(evidence.passes["instance"].ravel(), minlength=END)
     for item, place, share in zip(evidence.world.view.objects, evidence.truth.objects or (), shares, strict=False):
         kind, number = thing_of(item.id)
-        thin = THIN if place.truncation <= (MOST_CUT if kind == "car" else 0) else 0.0
+        thin = THIN if (place.truncation or 0) <= (MOST_CUT if kind == "car" else 0) else 0.0
         low, high = _seen_share(evidence, item, place.box_px, thin)
         off, near = max(low - share, share - high, 0.0), low if share < low else high
         expected = f"{low:.2f} to {high:.2f} of {kind} {number} by its {counts[item.id]} pixels"
