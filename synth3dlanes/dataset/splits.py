@@ -36,10 +36,10 @@ def one_reader(place: str, columns: Sequence[str] | None = None) -> Reader:
 
 def _finished_splits(place: str) -> list[str] | None:
     """The splits of a data set that have finished shards; None where there is no data set. Raises FormatError where
-    there is no folder, and where no split has any."""
+    there is nothing, and where no split has any."""
     files, root = connect(place)
     with translate_store_errors(place):
-        if can_list(files) and not files.isdir(root):
+        if can_list(files) and not files.exists(root):
             there = splits_near(place)
             raise FormatError(f"{place}: expected a data set or one of its splits, got no folder{there}")
     splits = splits_with_shards(place)

@@ -15,6 +15,7 @@ def behind_splits(monkeypatch):
         for module in (ablation, evaluate, sources, statistics):
             monkeypatch.setattr(module, "open_split", opened)
         monkeypatch.setattr(sources, "has_split", lambda folder, split: True)
+        monkeypatch.setattr(sources, "only_split", lambda place: place)
         return samples
 
     return put

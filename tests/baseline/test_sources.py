@@ -140,6 +140,8 @@ def test_foreign_splits_are_known_by_their_files(tmp_path):
     assert isinstance(open_split(tmp_path / "train.json"), ApolloSplit)
     assert isinstance(open_split(tmp_path / "label_data_0313.json"), TusimpleOnPlane)
     assert isinstance(open_split(tmp_path / "validation"), OpenLaneSplit)
+    places = [str(tmp_path / name) for name in ("train.json", "label_data_0313.json", "validation")]
+    assert [sources.split_of(place) for place in places] == places
 
 
 def test_both_splits_are_read_from_a_store(split_of):

@@ -203,11 +203,14 @@ def test_an_address_without_a_cluster_is_named_within_half_a_minute(monkeypatch:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         reject(f"127.0.0.1:{silent.getsockname()[1]}", InputError, "no answer within 2 s")
     reject("127.0.0.1:9", OutageError, "Connection refused")
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    monkeypatch.setattr(clusters, "HEALTH_S", 20.0)
+
+    def finds_none(**_: object) -> None:
+        raise ConnectionError("Could not find any running Ray instance")
+
     # The cluster of another test may run on this machine.
-    monkeypatch.setenv("RAY_TMPDIR", "/nowhere")
-    reject("auto", OutageError, "ConnectionError: Could not find any running Ray instance")
+    monkeypatch.setattr(clusters, "_check", lambda address: None)
+    monkeypatch.setattr(clusters.ray, "init", finds_none)
+    reject("auto", OutageError, "Could not find any running Ray instance")
 
 
 @pytest.mark.thorough
