@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Integer
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from synth3dlanes.geometry.frames import invert, transform
@@ -41,6 +42,9 @@ RANGE_M, HILLS_M, MAX_OFF_M = 110.0, 120.0, 0.002
 # How far a labelled point, or what depth has there, may be from the ground. Faults of labels affect whole lines: one
 # fails if more than this share of its points, and more than two, are off; single ones may be at the foot of a car.
 MAX_POINT_M, MAX_SHARE, MAX_SINGLE = 0.02, 0.1, 2
+# On one surface a pixel is less than BEHIND times as far as those beside it. Normals of upright faces point up by less
+# than UPRIGHT.
+BEHIND, UPRIGHT = 1.5, 0.1
 # Limit of the normals' median error, as a chord; they are smoothed over faces, in the median by up to 0.004.
 MAX_TURN = 0.02
 # The same of single points, of which smooth shading may turn some at edges: up to 0.002 of them in 20 pictures. Across
@@ -206,6 +210,9 @@ def _at_lines(evidence: Evidence, _: None) -> Iterator[PartSeen]:
             at[tuple(np.clip(uv.astype(int), 0, [camera.width_px - 1, camera.height_px - 1]).T[::-1])] = True
     if "semantic" in passes:
         at &= ~np.isin(passes["semantic"], OBJECTS_IDS)
+    # At a crest the pixel of a point may be of what lies behind.
+    nearest_m, farthest_m = (of(passes["depth"].astype(float), 3) for of in (minimum_filter, maximum_filter))
+    at &= farthest_m < BEHIND * nearest_m
     yield PartSeen("", ground_of(evidence.world).nearest(evidence.seen(at).points_world).above_m)
 
 
@@ -221,10 +228,15 @@ def _surface(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
 
 
 def _kind(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
-    expected = np.where(np.isfinite(seen.pavement.above_m), KINDS[seen.pavement.material], 0)
+    """Upright faces of two surfaces may be in one plane: of these either kind of pavement is right."""
+    expected, found = (
+        np.where(np.isfinite(seen.pavement.above_m), KINDS[seen.pavement.material], 0),
+        seen.ids["semantic"],
+    )
+    is_upright = np.abs(seen.pavement.up_world[:, 2]) < UPRIGHT
+    is_right = (found == expected) | (is_upright & np.isin(found, [SEMANTIC_IDS[name] for name in PAVEMENT]))
     for name in (*PAVEMENT, "terrain"):
-        at = expected == SEMANTIC_IDS[name]
-        yield PartSeen(name, np.where(seen.ids["semantic"] == expected, 0, np.inf)[at])
+        yield PartSeen(name, np.where(is_right, 0, np.inf)[expected == SEMANTIC_IDS[name]])
 
 
 def _turn(evidence: Evidence, seen: Seen) -> Iterator[PartSeen]:
