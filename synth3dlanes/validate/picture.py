@@ -229,7 +229,9 @@ def check_appearance(evidence: Evidence) -> Iterator[Result]:
     road[road] = ~_may_glare(evidence, road)
     light = _lit(linear[road])
     red, _, blue = _chroma(light) if len(light) else np.zeros(3)
-    if road.sum() >= MIN_PIXELS and not (scene.surface.wetness > MAX_DRY and blue - red > SKY_BLUE):
+    is_mirror = scene.surface.wetness > MAX_DRY and blue - red > SKY_BLUE
+    # Rain takes the colours away.
+    if road.sum() >= MIN_PIXELS and not is_mirror and not scene.weather.rain:
         yield from _terrain(evidence, linear, light)
         yield from _leaves(evidence, linear, light) if "instance" in evidence.passes else ()
     if "instance" in evidence.passes and evidence.paint.is_dry:
