@@ -66,8 +66,15 @@ def outset(area: BaseGeometry, by_m: float) -> BaseGeometry:
 
 
 def _union(*areas: BaseGeometry, grid_size: float | None) -> BaseGeometry:
-    # GEOS need not look at pairs of areas that do not touch.
-    return shapely.union_all(areas, grid_size=grid_size) if grid_size else shapely.disjoint_subset_union_all(areas)
+    if grid_size is None:
+        # GEOS need not look at pairs of areas that do not touch, but at times it loses areas that way.
+        found, inside = (
+            shapely.disjoint_subset_union_all(areas),
+            shapely.point_on_surface(np.array(areas, dtype=object)),
+        )
+        if shapely.intersects_xy(found, *shapely.get_coordinates(inside).T).all():
+            return found
+    return shapely.union_all(areas, grid_size=grid_size)
 
 
 def _overlay(
